@@ -108,7 +108,7 @@ class MissedLightWarning(PictureWarning):
 
 
 class LightOutsideAimWarning(PictureWarning):
-    """Rays are not aimed at all of the light that comes through the lens: the rest of it comes as noise."""
+    """Rays are not aimed, or not proven to be, at all light that comes through the lens: the rest comes as noise."""
 
 
 class HeavyPathsWarning(PictureWarning):
@@ -128,6 +128,10 @@ class ClosedGapWarning(PictureWarning):
 
 class CutBodiesWarning(PictureWarning):
     """Curved bodies of glass cut each other: rays near the cut may take one for the other."""
+
+
+class FoldedPatchesWarning(PictureWarning):
+    """The normals of curved glass do not fit its facets: rays that graze it may pass it."""
 
 
 class ClearAirWarning(PictureWarning):

@@ -21,6 +21,7 @@ DIMENSIONLESS = {
     "geometry/mesh_file.py": {"MM_PER_UNIT"},
     "geometry/first_crossing.py": {"SETTLED"},
     "geometry/patch.py": {"INSIDE", "SETTLED"},
+    "geometry/patch_tree.py": {"MARGIN"},
     "geometry/optical_face.py": {
         "BESIDE",
         "EXACT_MM",

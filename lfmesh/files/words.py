@@ -123,7 +123,7 @@ def _aim(image: Image) -> list[str]:
     if image.scene.rough_in_camera():
         said = "as surfaces of the camera scatter light, rays go anywhere on the lens"
     elif proof is None and image.scene.camera.lens.has_meshes:
-        said = "it is not proven, as the lens has surfaces of mesh files"
+        said = "it is not proven"
     elif proof is None:
         said = "no ray from the stop could be traced to the sensor"
     else:

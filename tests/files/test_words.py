@@ -201,7 +201,7 @@ def test_durations(seconds: float, shown: str) -> None:
 
 @pytest.mark.parametrize(
     ("has_meshes", "said"),
-    [(True, "not proven, as the lens has surfaces of mesh files"), (False, "no ray from the stop could be traced")],
+    [(True, "Aim: it is not proven; "), (False, "no ray from the stop could be traced")],
 )
 def test_an_aim_without_a_proof_says_why(
     image_of: Build, monkeypatch: pytest.MonkeyPatch, has_meshes: bool, said: str

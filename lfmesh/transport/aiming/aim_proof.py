@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
 from lfmesh.geometry.lattice import cell_of, centre
@@ -68,15 +69,21 @@ Array = NDArray[np.float64]
 ALLOWED = 1e-4
 """Share of the throughput that the aim may miss."""
 
+CONFIDENCE = 0.95
+"""With which a share is known to be below its bound, when it is decided whether it is allowed."""
+
+ROUNDS = 8
+"""Number of times that rays are drawn, at most, until they tell whether the share is allowed."""
+
 BATCH = 1 << 16
 """Rays that are drawn at once."""
 
 BATCHES = 40
-"""Largest number of batches; fewer once `ENOUGH` rays have come through."""
+"""Largest number of batches in a round; fewer once `ENOUGH` rays have come through."""
 
 ENOUGH = 45_000
-"""Number of rays at which drawing stops: if none of them is outside the aim, less than 7e-5 of the throughput is (with
-95 % confidence)."""
+"""Number of rays in a round: if none of them is outside the aim, less than 7e-5 of the throughput is (with 95 %
+confidence)."""
 
 NEAREST = 1e-3
 """Least distance from the sensor's centre, in its half diagonals, at which rays of the first search would land by
@@ -111,6 +118,23 @@ class Missed(NamedTuple):
     share: float
     error: float
 
+    @property
+    def most(self) -> float:
+        """Upper bound of the share, by the number of rays outside (Poisson), of the mean weight that they have."""
+        number, weight = self._outside
+        return float(weight * gammaincinv(number + 1.0, CONFIDENCE))
+
+    @property
+    def least(self) -> float:
+        """Lower bound of the share, likewise."""
+        number, weight = self._outside
+        return float(weight * gammaincinv(number, 1.0 - CONFIDENCE)) if number > 0.0 else 0.0
+
+    @property
+    def _outside(self) -> tuple[float, float]:
+        """Number of equal rays that would give share and error, and the share of each."""
+        return ((self.share / self.error) ** 2, self.error**2 / self.share) if self.share > 0.0 else (0.0, self.error)
+
 
 class AimProof(NamedTuple):
     """Result of the proof of an aim by rays from the stop.
@@ -125,6 +149,8 @@ class AimProof(NamedTuple):
         Number of times that the aim was fitted to rays.
     fallback : bool
         Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
+
+    A share that few rays tell is as large as chance has it: so its upper bound decides whether the proof holds.
     """
 
     rays: int
@@ -135,8 +161,18 @@ class AimProof(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the share that the aim misses is allowed."""
-        return self.missed <= ALLOWED
+        """Whether the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
+        return self.most <= ALLOWED
+
+    @property
+    def is_open(self) -> bool:
+        """Whether more rays might tell that the share is allowed, or that it is not."""
+        return max(self.sensor.least, self.objects.least) <= ALLOWED < self.most
+
+    @property
+    def most(self) -> float:
+        """Upper bound of the throughput outside the aim, the larger of both sides."""
+        return max(self.sensor.most, self.objects.most)
 
     @property
     def missed(self) -> float:
@@ -219,10 +255,13 @@ def proven(
         if attempt == 0 and through.mla.present and aim.search > FEW_CELLS:
             aim = _fitted(aim, through, rays)
             continue
-        behind, before = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
-        close = _beyond_near_aim(aim, near, rays, random)
-        objects = max(_missed(before, rays.throughput), _missed(close, rays.throughput), key=lambda m: m.share)
-        proof = AimProof(len(rays.throughput), _missed(behind, rays.throughput), objects, attempt)
+        proof, behind, before, close = _measured(aim, through, seen, near, rays, random, attempt)
+        for _ in range(ROUNDS - 1):
+            if not proof.is_open:
+                break
+            more = _rays_from_stop(through, reach, random)
+            rays = Rays(*(np.concatenate(each) for each in zip(rays, more, strict=True)))
+            proof, behind, before, close = _measured(aim, through, seen, near, rays, random, attempt)
         if proof.holds:
             break
         if attempt == ATTEMPTS - 1:
@@ -240,17 +279,32 @@ def proven(
     return aim, proof
 
 
+def _measured(
+    aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays,
+    random: np.random.Generator, attempt: int,
+) -> tuple[AimProof, Array, Array, Array]:  # fmt: skip
+    """Return the proof of an aim by rays from the stop.
+
+    The other results are the factors of `_beyond_sensor_aim`, `_beyond_object_aim` and `_beyond_near_aim`.
+    """
+    behind, before = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
+    close = _beyond_near_aim(aim, near, rays, random)
+    objects = max(_missed(before, rays.throughput), _missed(close, rays.throughput), key=lambda m: m.most)
+    return AimProof(len(rays.throughput), _missed(behind, rays.throughput), objects, attempt), behind, before, close
+
+
 def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTables, AimProof]:
     """Return an aim that holds all light, whatever rays from the stop found outside, and its proof, which says so.
 
-    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere.
+    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere. A side of which rays
+    found no more outside than is allowed keeps its aim, though too few of them came through to prove it.
 
     Parameters
     ----------
     aim : AimTables
         Fitted as often as may be.
     proof : AimProof
-        That it misses more than is allowed.
+        That it misses more than is allowed, or may do so.
     has_array : bool
     """
     if proof.objects.share > ALLOWED:
@@ -261,7 +315,7 @@ def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTab
             if has_array
             else aim._replace(exit=_unknown(aim.exit))
         )
-    return aim, proof._replace(fallback=True)
+    return aim, proof._replace(fallback=proof.missed > ALLOWED)
 
 
 def _unknown(opening: Opening) -> Opening:

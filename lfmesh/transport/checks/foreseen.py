@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lfmesh.errors import HiddenSceneWarning, MissedLightWarning, PictureWarning
+from lfmesh.errors import FoldedPatchesWarning, HiddenSceneWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
 from lfmesh.geometry.placement import HIDES, is_round
 from lfmesh.geometry.targets import named_target
@@ -25,6 +25,7 @@ def foreseen(world: World) -> list[PictureWarning]:
     return [
         *world.warnings,
         *_hidden(world),
+        *_folded(world),
         *lamps_in_field(world),
         *lamps_at_targets(world),
         *map(MissedLightWarning, hardly_aimed(world)),
@@ -39,6 +40,20 @@ def _hidden(world: World) -> Iterator[PictureWarning]:
     for number, body in enumerate(world.targets):
         if world.scene.targets[number].refractor is None and is_round(body, eye):
             yield HiddenSceneWarning(f"{named_target(world.scene, number)} {HIDES}")
+
+
+def _folded(world: World) -> Iterator[PictureWarning]:
+    """Say that curved patches fold over their facets, so that only rays that cross the facets are sure to meet them."""
+    lens, mla, glass = world.tables.lens, world.tables.mla, world.tables.objects.glass
+    trees = [lens.tree, mla.tree, *([] if glass is None else [glass.tree])]
+    folded = sum(tree.folded for tree in trees)
+    if folded:
+        whole = folded + sum(len(np.unique(tree.patches["facet"])) for tree in trees)
+        yield FoldedPatchesWarning(
+            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch: rays that graze them, "
+            "within what the facets stand off the curved surface, may go on as if there were no glass; take finer "
+            "facets with normals that fit them (crease_deg has them estimated)"
+        )
 
 
 def _without_reflections(world: World) -> Iterator[PictureWarning]:

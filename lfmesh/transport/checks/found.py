@@ -23,7 +23,7 @@ from lfmesh.errors import (
 )
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
-from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.aiming.aim_proof import ALLOWED, AimProof
 from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import ROWS_AT_ONCE
@@ -52,6 +52,11 @@ the pixels with light that may be such pixels without a warning."""
 
 CUT_SHARE = 1e-3
 """Share of the emitted energy that `max_events` may cut without a warning."""
+
+_AS_NOISE = (
+    "by samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
+    'method = "forward"'
+)
 
 
 def found(image: "Image") -> list[PictureWarning]:
@@ -90,7 +95,22 @@ def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
 
 
 def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
-    if proof is None or proof.holds or scene.rough_in_camera():
+    if scene.rough_in_camera():
+        return
+    if proof is None:
+        if scene.camera.lens.has_meshes:
+            yield LightOutsideAimWarning(
+                "rays are not proven to be aimed at all light, as the lens has surfaces of mesh files: what is left "
+                f"out comes {_AS_NOISE}"
+            )
+        return
+    if proof.holds:
+        return
+    if proof.missed <= ALLOWED:
+        yield LightOutsideAimWarning(
+            f"rays may not be aimed at up to {percent(proof.most)} of the light that comes through the stop, of which "
+            f"{proof.rays} rays are too few to tell: it comes {_AS_NOISE}"
+        )
         return
     missed = f"rays cannot be aimed at {percent(proof.missed)} of the light that comes through the stop"
     if proof.fallback:
@@ -99,10 +119,7 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
             "samples"
         )
         return
-    yield LightOutsideAimWarning(
-        f"{missed}: it comes by samples that go anywhere, as noise that the error may not show; take many more "
-        'samples, and compare with method = "forward"'
-    )
+    yield LightOutsideAimWarning(f"{missed}: it comes {_AS_NOISE}")
 
 
 def _order(order: OrderCheck | None) -> Iterator[PictureWarning]:

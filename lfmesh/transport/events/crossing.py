@@ -581,6 +581,27 @@ def barycentric(facet: Any, x: float, y: float, z: float) -> tuple[float, float]
 
 
 @inlined
+def nearest_on_facet(facet: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the point of a facet below a point near it, kept within the facet.
+
+    Parameters
+    ----------
+    facet : FACET
+    x, y, z : float, mm
+    """
+    b, c = barycentric(facet, x, y, z)
+    b, c = max(b, 0.0), max(c, 0.0)
+    whole = max(b + c, 1.0)
+    b, c = b / whole, c / whole
+    at, a = facet.corners, 1.0 - b - c
+    return (
+        a * at[0, 0] + b * at[1, 0] + c * at[2, 0],
+        a * at[0, 1] + b * at[1, 1] + c * at[2, 1],
+        a * at[0, 2] + b * at[1, 2] + c * at[2, 2],
+    )
+
+
+@inlined
 def write_query(
     origins: NDArray[np.float32],
     directions: NDArray[np.float32],

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.levels import EXACT, PATCH
+from lfmesh.geometry.patch_tree import patch_finder
 from lfmesh.geometry.surface import conic_distance, distance_to, first_crossing, normal_at
 from lfmesh.geometry.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel
@@ -444,7 +445,7 @@ def _prepare(
         # It may first meet the other surface of its space, where that one's mesh lies below the surface, unless it
         # leaves that for good.
         other = 2 * space - 1 - k
-        if packet.last != other:
+        if packet.last != other or lens.surfaces[other].level == PATCH:
             return NO_SURFACE
         for_good = _bulges_everywhere(lens.surfaces[other], -sense)
         if not for_good and not sense * dz > lens.order[space, 10 if forward else 11]:
@@ -506,10 +507,10 @@ def _decide(
             flow.counts[REQUERIES] += 1
             k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
     if k != NO_SURFACE or by_mesh:
-        first, sooner, gx, gy, gz, mx, my, mz = _first_bulge(lens, packet, k, t if k != NO_SURFACE else np.inf)
+        first, facet, sooner, gx, gy, gz, mx, my, mz = _first_bulge(lens, packet, k, t if k != NO_SURFACE else np.inf)
         if first != NO_SURFACE:
             flow.counts[REQUERIES] += 1
-            k, prim, t, px, py, z, nx, ny, nz = first, -1, sooner, gx, gy, gz, mx, my, mz
+            k, prim, t, px, py, z, nx, ny, nz = first, facet, sooner, gx, gy, gz, mx, my, mz
         elif by_mesh:
             _leaves(options, flow, frames, lens, has_mla, packet)
             return NO_SURFACE
@@ -800,8 +801,10 @@ def _first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, floa
 @kernel
 def _first_bulge(
     lens: LensTables, packet: Any, found: int, until: float
-) -> tuple[int, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return what `_first_conic` does for the other exact surfaces of a packet's space, where meshes may miss them.
+) -> tuple[int, int, float, float, float, float, float, float, float]:  # fmt: skip
+    """Return what `_first_conic` does for the other curved surfaces of a packet's space, where meshes may miss them.
+
+    After the surface comes the facet of its patch, −1 for an exact one.
 
     The vertices of a mesh are on the surface: a ray that grazes a bulge may pass between surface and mesh, and one that
     leaves a hollow may meet that again before it comes to the mesh. A surface that is hollow everywhere has its mesh in
@@ -842,7 +845,29 @@ def _first_bulge(
         if surface.posed:
             fx, fy, fz = point_through(surface.pose, fx, fy, fz)
             nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
-    return first, nearest, fx, fy, fz, nx, ny, nz
+    # A crossing that the mesh has found already is no news.
+    prim, t, mx, my, mz = _first_patch(
+        lens.tree, (space, lens.surfaces), packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, ahead,
+        nearest * (1.0 - SAME_HIT),
+    )  # fmt: skip
+    if prim >= 0:
+        first, nearest = lens.facets[prim].body, t
+        fx, fy, fz = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
+        sense = 1.0 if first == space else -1.0
+        nx, ny, nz = sense * mx, sense * my, sense * mz
+    return first, prim, nearest, fx, fy, fz, nx, ny, nz
+
+
+@inlined
+def _sense_at(state: Any, body: int) -> float:
+    """Return the sense in which a packet of a space meets the patches of a surface; 0 where it is not made of them."""
+    space, surfaces = state
+    if surfaces[body].level != PATCH:
+        return 0.0
+    return 1.0 if body == space else (-1.0 if body == space - 1 else 0.0)
+
+
+_first_patch = patch_finder(_sense_at)
 
 
 @inlined
@@ -892,9 +917,9 @@ def _first_of_all(
     if settled and (space == 0 or space == len(lens.surfaces)):
         # Outside the lens there is no ring.
         return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
-    k, t, px, py, pz, mx, my, mz = _first_bulge(lens, packet, first, nearest)
+    k, facet, t, px, py, pz, mx, my, mz = _first_bulge(lens, packet, first, nearest)
     if k != NO_SURFACE:
-        first, nearest, fx, fy, fz, nx, ny, nz = k, t, px, py, pz, mx, my, mz
+        first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, facet, t, px, py, pz, mx, my, mz
     for prim in range(len(lens.facets)):
         body = lens.facets[prim].body
         if body != space and body != space - 1 and body != -1 - space:

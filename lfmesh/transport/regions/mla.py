@@ -28,6 +28,7 @@ from lfmesh.geometry.lenslets import (
     type_of,
 )
 from lfmesh.geometry.levels import EXACT, PATCH
+from lfmesh.geometry.patch_tree import patch_finder
 from lfmesh.geometry.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import (
@@ -426,6 +427,15 @@ def _enter_cell(block: Array, i: int, packet: Any, mla: MlaTables) -> None:
 
 
 @inlined
+def _sense_at(sense: float, _: int) -> float:
+    """Return the sense in which a packet crosses the face of its cell."""
+    return sense
+
+
+_first_patch = patch_finder(_sense_at)
+
+
+@inlined
 def _meets_face(
     block: Array, i: int, packet: Any, prim: int,
     mla: MlaTables, frames: Array, lens_surfaces: int, options: Options, flow: Flow, in_order: bool,
@@ -468,7 +478,7 @@ def _meets_face(
         slack = 0.0
     else:
         fold_x, fold_y = fold_of(mla, column, row)
-        crossed = False
+        crossed, curved = False, -1
         if prim >= 0:
             facet = mla.facets[prim]
             normal = facet.normal
@@ -493,7 +503,15 @@ def _meets_face(
             met = met and 0.0 < t <= layer * (1.0 + slack)
         else:
             met = crossed and t > 0.0
-            if met and options.surface == PATCH:
+            if options.surface == PATCH:
+                # A ray that grazes a lenslet may pass between its facets and their patches.
+                curved, at_patch, nx, ny, nz = _first_patch(
+                    mla.tree, 1.0 if inward else -1.0, x - fold_x, y - fold_y, z, dx, dy, dz, 0.0,
+                    sideways * (1.0 + slack),
+                )  # fmt: skip
+            if curved >= 0:
+                met, t = True, at_patch
+            elif met and options.surface == PATCH:
                 _, more, nx, ny, nz = meets_patch(
                     flow, mla.patches, mla.across, mla.facets[prim], prim,
                     x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.levels import PATCH
+from lfmesh.geometry.patch_tree import patch_finder
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.events.crossing import (
@@ -28,6 +29,7 @@ from lfmesh.transport.events.crossing import (
     lose,
     meets_patch,
     move_packet,
+    nearest_on_facet,
     next_query_from,
     reflected,
     refracted,
@@ -95,6 +97,7 @@ from lfmesh.transport.regions.volumes import is_stopped_by_media
 from lfmesh.transport.tables.tables import AIR, OPAQUE, AimTables, LensTables, ObjectTables, body_row
 
 Array = NDArray[np.float64]
+Curved = tuple[int, float, float, float, float]
 
 
 @kernel
@@ -149,11 +152,16 @@ def shade_objects(
                     continue
                 prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
                 facet = facets[max(prim, 0)]
-        elif packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
+        curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
+        if curved[0] >= 0:
+            prim, t, along = _as_met(curved, dx, dy, dz)
+            facet = facets[prim]
+        elif prim < 0 and packet.tries == 0 and _might_have_met(objects, packet, x, y, z, dx, dy, dz):
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
-        if packet.kind != SHADOW and packet.kind < TO_EMITTER and not _in_its_medium(objects, packet, prim, along):
+        asks = packet.kind == SHADOW or packet.kind >= TO_EMITTER
+        if not asks and curved[0] < 0 and not _in_its_medium(objects, packet, prim, along):
             if prim >= 0 and abs(packet.tries) < MAX_TRIES and _is_in_contact(objects.glass, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
@@ -163,6 +171,9 @@ def shade_objects(
             inside = bodies_round(packet)
             body = objects.by_rank[inside & RANK] if inside != 0 else facet.body
             prim, t, along = _first_crossing(objects, packet, x, y, z, dx, dy, dz)
+            curved = _first_curved(objects.glass, objects, packet, t if t > 0.0 else np.inf)
+            if curved[0] >= 0:
+                prim, t, along = _as_met(curved, dx, dy, dz)
             if prim < 0 and (packet.bodies >= 0 or _comes_out_ahead(objects, packet, x, y, z, dx, dy, dz)):
                 if packet.facet == LEFT_MEDIUM:
                     # Emitted from a point of a medium where glass is in its place.
@@ -174,7 +185,9 @@ def shade_objects(
         if prim >= 0 and _is_sheer(objects, facet.body) and passes(objects, packet, prim, t):
             _pass_on(options, flow, frames, objects, packet, prim, t)
             continue
-        if is_stopped_by_media(objects.volumes, options, flow, frames, objects, lens, aim, packet, prim, t):
+        if is_stopped_by_media(
+            objects.volumes, options, flow, frames, objects, lens, aim, packet, prim, t, curved[0] >= 0
+        ):
             continue
         if packet.kind == SHADOW:
             if t >= packet.limit:
@@ -227,7 +240,7 @@ def shade_objects(
         body = facet.body
         if body >= 0 and objects.medium[body] != OPAQUE:
             if not too_deep(options, flow, frames, packet):
-                _through_glass(objects.glass, options, flow, frames, objects, aim, packet, prim, t)
+                _through_glass(objects.glass, options, flow, frames, objects, aim, packet, prim, t, curved)
             continue
         x, y, z = travel(flow, objects.media, packet, packet.medium, t)
         weight = packet.weight
@@ -243,6 +256,48 @@ def shade_objects(
         if too_deep(options, flow, frames, packet):
             continue
         meet_target(options, flow, frames, objects, aim, packet, prim, x, y, z, along)
+
+
+@inlined
+def _sense_at(state: Any, body: int) -> float:
+    """Return the sense in which a packet that is in some bodies of glass meets the patches of a body."""
+    inside, rank = state
+    return 1.0 if is_in(inside, rank[body]) else -1.0
+
+
+_first_patch = patch_finder(_sense_at)
+
+
+@inlined
+def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) -> Curved:
+    """Return the first curved patch of glass that a packet meets before a distance, even where it passes all facets.
+
+    Parameters
+    ----------
+    glass : GlassTables or None
+        None: there is no glass, and numba compiles nothing but the first line.
+    until : float, mm
+
+    Returns
+    -------
+    prim : int
+        Facet of the patch; −1: it meets none.
+    t : float, mm
+    nx, ny, nz : float
+        Unit normal of the patch, in the sense of its facet's.
+    """
+    if glass is None:
+        return -1, until, 0.0, 0.0, 1.0
+    if packet.kind == SHADOW:
+        until = min(until, packet.limit)
+    state = bodies_round(packet), objects.rank
+    return _first_patch(glass.tree, state, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, 0.0, until)
+
+
+@inlined
+def _as_met(curved: Curved, dx: float, dy: float, dz: float) -> tuple[int, float, float]:
+    """Return the facet of a patch, the distance of the patch, and normal · direction there."""
+    return curved[0], curved[1], curved[2] * dx + curved[3] * dy + curved[4] * dz
 
 
 @inlined
@@ -375,7 +430,7 @@ _send_from_rough_glass = scatterer(_send_from_glass)
 @kernel
 def _through_glass(
     glass: Any, options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
-    prim: int, t: float,
+    prim: int, t: float, curved: Curved,
 ) -> None:  # fmt: skip
     """Split a packet at a facet of a glass body, at distance t, by the media on both sides.
 
@@ -385,6 +440,8 @@ def _through_glass(
     ----------
     glass : GlassTables or None
         None: there is no glass, and numba compiles nothing but the first line.
+    curved : tuple
+        From `_first_curved`: if it is a patch, t is its distance.
     """
     if glass is None:
         return
@@ -394,7 +451,16 @@ def _through_glass(
     x, y, z = packet.x + t * dx, packet.y + t * dy, packet.z + t * dz
     inside = bodies_round(packet)
     entering = not is_in(inside, objects.rank[body])
-    after = beyond_facet(objects, glass, inside, prim, entering, x, y, z, dx, dy, dz)
+    on_patch = curved[0] >= 0
+    if on_patch:
+        # Bodies that touch have the same facets: which of them are met is seen on the facet, along its normal.
+        fx, fy, fz = nearest_on_facet(facet, x, y, z)
+        sense, normal = -1.0 if entering else 1.0, facet.normal
+        after = beyond_facet(
+            objects, glass, inside, prim, entering, fx, fy, fz, sense * normal[0], sense * normal[1], sense * normal[2]
+        )  # fmt: skip
+    else:
+        after = beyond_facet(objects, glass, inside, prim, entering, x, y, z, dx, dy, dz)
     if after == TOO_MANY:
         lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
         return
@@ -403,7 +469,9 @@ def _through_glass(
     number = body_row(body, beyond if packet.medium == own else packet.medium, media)
     rough = is_rough(glass.interfaces, number)
     level = glass.level[body]
-    if level == PATCH:
+    if on_patch:
+        nx, ny, nz = curved[2], curved[3], curved[4]
+    elif level == PATCH:
         met, more, nx, ny, nz = meets_patch(flow, glass.patches, glass.across, facet, prim, x, y, z, dx, dy, dz)
         if rough:
             # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way

@@ -100,7 +100,7 @@ COSINE, AZIMUTH, KEEP, DISK, TO_U, TO_V, RETURN, BY_LAMP = 3, 4, 5, 6, 7, 8, 9, 
 @inlined
 def is_stopped_by_media(
     volumes: Any, options: Options, flow: Flow, frames: Array, objects: ObjectTables, lens: LensTables, aim: AimTables,
-    packet: Any, prim: int, t: float,
+    packet: Any, prim: int, t: float, on_patch: bool,
 ) -> bool:  # fmt: skip
     """Let a packet pass through the media where it is, up to what it meets; tell whether none of its light is left.
 
@@ -112,11 +112,13 @@ def is_stopped_by_media(
         Facet of the target, glass or housing that it meets; −1: none.
     t : float, mm
         Distance of the facet; inf if none.
+    on_patch : bool
+        t is that of the facet's curved patch.
     """
     if volumes is None:
         return False
     place = bodies_round(packet) & RANK
-    t = _distance_to_glass(objects.glass, flow, objects, packet, prim, t)
+    t = t if on_patch else _distance_to_glass(objects.glass, flow, objects, packet, prim, t)
     reach = t
     if packet.kind == SHADOW:
         reach = min(t, packet.limit)

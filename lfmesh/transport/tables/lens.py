@@ -14,6 +14,7 @@ from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
 from lfmesh.geometry.levels import EXACT, PATCH
 from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.patch import neighbours, patches
+from lfmesh.geometry.patch_tree import control_points, patch_tree
 from lfmesh.geometry.surface import CONIC_AND_EVEN
 from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
 from lfmesh.scene import MicrolensArray, Scene
@@ -76,11 +77,15 @@ def lens_tables(
     ring_slot = np.full(count + 1, MOUNT)
     ring_slot[np.array(shape.elements, dtype=np.int64) + 1] = book.edges
     stop_space, stop_z, stop_radius, stop_pose = _pure_stop(scene, shape)
-    caps = np.concatenate([*(m.vertices for m in shape.caps), *_bulges(shape)])
+    facets = facet_table(mesh, bodies.astype(np.int64))
+    patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
+    # Rings have negative numbers, and the last entry.
+    of_patches = np.append(shape.surfaces["level"] == PATCH, False)[np.maximum(facets["body"], -1)]
+    bulges = control_points(patches_[of_patches]).reshape(-1, 3) if len(patches_) else np.zeros((0, 3))
+    caps = np.concatenate([*(m.vertices for m in shape.caps), *_bulges(shape), bulges])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
-    patches_, across = curved(bool((shape.surfaces["level"] == PATCH).any()), mesh)
     medium = np.array([known.in_camera(each) for each in shape.media])
     media = known.table(wavelengths_nm, book, medium.tolist())
     order, by_roots, ordered = surface_order(shape)
@@ -88,7 +93,8 @@ def lens_tables(
         surfaces=shape.surfaces,
         patches=patches_,
         across=across,
-        facets=facet_table(mesh, bodies.astype(np.int64)),
+        tree=patch_tree(patches_, facets["corners"], facets["body"], of_patches),
+        facets=facets,
         media=media,
         medium=medium,
         interfaces=interfaces,
@@ -327,14 +333,15 @@ def _cells(
     interfaces: Interfaces, curved_to_lens: bool,
 ) -> MlaTables:  # fmt: skip
     """Return the tables of the face of an array that `camera.mla` describes."""
-    bodies = np.zeros(len(mesh.faces), np.int64)
+    facets = facet_table(mesh, np.zeros(len(mesh.faces), np.int64))
     patches_, across = curved(is_curved, mesh)
     return MlaTables(
         present=present,
         lenslets=shapes,
         patches=patches_,
         across=across,
-        facets=facet_table(mesh, bodies),
+        tree=patch_tree(patches_, facets["corners"], facets["body"], np.full(len(facets), is_curved)),
+        facets=facets,
         type_shift=shift,
         media=media,
         medium=medium,

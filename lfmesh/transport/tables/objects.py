@@ -8,6 +8,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.lens_shape import LensShape
 from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.patch_tree import patch_tree
 from lfmesh.geometry.surface import is_revolved
 from lfmesh.geometry.targets import TargetMesh, named_target
 from lfmesh.geometry.tessellation import mesh_sag, on_circles, revolved
@@ -201,7 +202,8 @@ def object_tables(
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
-    glass = GlassTables(interfaces, level, patches, across, first, partners, near)
+    tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
+    glass = GlassTables(interfaces, level, patches, across, tree, first, partners, near)
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -248,6 +250,14 @@ def object_tables(
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _of_smooth_patches(scene: Scene, bodies: NDArray[np.int64], level: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which facets stand for patches that light meets, (m,); at a rough body it meets the facets themselves."""
+    glasses = [target.refractor for target in scene.targets]
+    polished = [glass is not None and not glass.finish.is_rough for glass in glasses]
+    chosen = np.append((level == PATCH) & np.array(polished, np.bool_), False)[bodies]
+    return np.asarray(chosen, np.bool_)
 
 
 def _texels(texture: Texture, weights: Array, in_bands: bool) -> NDArray[np.float32]:

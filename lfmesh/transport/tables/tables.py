@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lenslets import Lenslets
+from lfmesh.geometry.patch_tree import PatchTree
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import Profiles
@@ -59,6 +60,7 @@ class LensTables(NamedTuple):
     surfaces: Records  # (K,) SURFACE
     patches: Array  # (m, 6, 3) curved facets; (0, 6, 3) where the surface level needs none
     across: NDArray[np.int64]  # (m, 3) neighbours of each patch
+    tree: PatchTree  # of the patches
     facets: Records  # (m,) FACET; body: surface k ≥ 0, or −1 − s for the ring of space s
     media: Media
     medium: NDArray[np.int64]  # (K + 1,) medium of each space
@@ -93,6 +95,7 @@ class MlaTables(NamedTuple):
     lenslets: Lenslets
     patches: Array  # as for the lens
     across: NDArray[np.int64]
+    tree: PatchTree
     facets: Records  # (m,) FACET of the cells of all types, side by side
     type_shift: float  # mm, x distance between the cells of two types in the Embree scene
     media: Media
@@ -146,6 +149,7 @@ class GlassTables(NamedTuple):
     level: NDArray[np.int64]  # (targets,) surface level of a body of glass
     patches: Array  # (m, 6, 3), or none
     across: NDArray[np.int64]
+    tree: PatchTree  # of the patches of polished bodies
     contact_first: NDArray[np.int64]  # (m + 1,) where each facet's `contacts` begin; (0,) where no bodies touch
     contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
     contact_mm: float  # distance within which facets are in contact

@@ -13,8 +13,10 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.aiming import aim_proof
 from lfmesh.transport.aiming.aim_proof import (
     ALLOWED,
+    CONFIDENCE,
     AimProof,
     CameraTables,
+    Missed,
     _beyond_object_aim,
     _beyond_sensor_aim,
     _rays_from_stop,
@@ -185,6 +187,32 @@ def test_where_fitting_does_not_succeed_rays_go_all_over_the_lens(
     assert proof.fallback
     assert not getattr(mended, side).known
     assert max(missed(world, mended)) == 0.0
+
+
+@pytest.mark.parametrize("expected", [0.5, 2.0, 10.0, 40.0])
+def test_the_bounds_of_a_share_hold_the_truth_as_often_as_they_say(expected: float) -> None:
+    """However few rays are outside; of equal weights, the rarest case of a bound that is missed has 5 %."""
+    number = np.random.default_rng(5).poisson(expected, 4000)
+    found = [Missed(n / 4e5, max(np.sqrt(n), 1.0) / 4e5) for n in number]
+    above = sum(each.most < expected / 4e5 for each in found)
+    below = sum(each.least > expected / 4e5 for each in found)
+    for misses in (above, below):
+        assert stats.binomtest(misses, len(found), 1.0 - CONFIDENCE, "greater").pvalue > 1e-3
+
+
+def test_rays_are_drawn_until_they_tell_whether_the_share_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With four times too few rays in a round, none outside does not prove the share."""
+    world = lf.build(few_pixels())
+    monkeypatch.setattr(aim_proof, "BATCH", 1 << 14)
+    monkeypatch.setattr(aim_proof, "BATCHES", 1)
+    proof = proof_of(world, world.aim)[1]
+    assert proof.holds
+    assert proof.most <= ALLOWED
+    monkeypatch.setattr(aim_proof, "ROUNDS", 1)
+    proof = proof_of(world, world.aim)[1]
+    assert proof.missed <= ALLOWED < proof.most
+    assert not proof.holds
+    assert not proof.fallback
 
 
 def test_the_proof_sees_rays_where_they_meet_the_sensor_behind_its_cover() -> None:

@@ -18,6 +18,7 @@ from lfmesh.cli import main
 from lfmesh.errors import PictureWarning
 from lfmesh.files import words
 from lfmesh.transport import world as worlds
+from lfmesh.transport.aiming import aim_proof
 from lfmesh.transport.aiming.aim_proof import Missed
 from lfmesh.transport.render import render as renders
 from lfmesh.transport.render.blind_check import BlindSamples
@@ -168,6 +169,7 @@ CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
     lf.TooFewSamplesWarning: few,
     lf.ClosedGapWarning: gap,
     lf.CutBodiesWarning: cut_balls,
+    lf.FoldedPatchesWarning: lost,
     lf.OrderCheckWarning: disordered,
     lf.DiffractionWarning: diffraction,
 }
@@ -231,6 +233,34 @@ def test_a_check_says_once_what_a_render_would_warn_of(
     assert main(["check", "scene.toml"]) == 0
     said = " ".join("".join(capsys.readouterr()).split())
     assert said.count(str(warning)) == 1
+
+
+def lens_of_a_mesh_file(_: Patch, folder: Path) -> lf.Scene:
+    """A ball of glass as the lens."""
+    trimesh.creation.icosphere(3, 10.0).export(folder / "ball.stl")
+    glass = {"refractor": {"file": "ball.stl", "units": "mm", "index": 1.5, "surface": "patch"}}
+    lens = {"surfaces": [glass | {"semi_diameter_mm": 3.0}], "stop_semi_diameter_mm": 2.0}
+    return scene(**{"camera.lens": lens})
+
+
+def few_proof_rays(patch: Patch, _: Path) -> lf.Scene:
+    """Let so few rays from the stop come through that none of them outside the aim proves little."""
+    patch.setattr(aim_proof, "BATCH", 1000)
+    patch.setattr(aim_proof, "BATCHES", 1)
+    return scene(**{"camera.sensor.pixel_mm": 0.051})
+
+
+@pytest.mark.parametrize(
+    ("case", "words"),
+    [(lens_of_a_mesh_file, "as the lens has surfaces of mesh files"), (few_proof_rays, "rays are too few to tell")],
+)
+def test_an_aim_that_is_not_proven_is_said(
+    case: Callable[[Patch, Path], lf.Scene], words: str, home: Path, monkeypatch: Patch
+) -> None:
+    image, said = warned(lambda: lf.render(case(monkeypatch, home)))
+    (warning,) = (each for each in said if isinstance(each, lf.LightOutsideAimWarning))
+    assert words in str(warning)
+    assert warning in image.warnings
 
 
 def test_a_clean_scene_says_nothing(home: Path, capsys: pytest.CaptureFixture[str]) -> None:

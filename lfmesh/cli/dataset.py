@@ -66,8 +66,8 @@ def dataset(
         return stopped(stop, out, done, "items")
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
-    if made.warned:
-        say_note(f"{made.warned} items have warnings, which their lines of the index hold")
+    if made.noted:
+        say_note(f"{made.noted} items have notes, which their lines of the index hold")
     print(f"{made.done} of {made.count} items are done.")
     list_files([made.index])
     return CASE_FAILED if made.failed else 0

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.files.folder import staged_file
 from lfmesh.files.inputs import pinned
 from lfmesh.files.whole import make_like_any_other
@@ -153,6 +153,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
             csr_array((held["data"], held["indices"], held["indptr"]), shape=(rows, voxels)), held["stderr"],
             held["row_stderr"], held["dropped"], held["pixels"], grid, float(held["threshold"]),
             float(held["wavelength_nm"]),
+            tuple(map(PictureWarning.from_dict, json.loads(bytes(held.get("warnings", b"[]"))))),
         )  # fmt: skip
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
@@ -244,6 +245,9 @@ def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: ND
         "rotation_deg": grid.rotation_deg, "to_world": grid.to_world, "threshold": np.array(projector.threshold),
         "wavelength_nm": np.array(projector.wavelength_nm), "unit": np.array(UNIT.encode()),
     }  # fmt: skip
+    book = np.sum([_array(parts, number, "book") for number in range(blocks)], axis=0)
+    told = json.dumps([each.as_dict() for each in projector.warnings(book)])
+    small["warnings"] = np.array(told.encode())
     for own, name in PER_ROW.items():
         small[name] = np.concatenate([_array(parts, number, own) for number in range(blocks)])
     whole = parts / WHOLE

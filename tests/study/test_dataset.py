@@ -165,3 +165,20 @@ def test_a_file_that_is_no_picture_is_named_before_anything_is_rendered(tmp_path
     (tmp_path / "broken.png").write_text("no picture")
     with pytest.raises(lf.LfmeshError, match=r"item 0 .*broken\.png"):
         lf.Dataset(small_scene(), [{"path": TEXTURE, "files": "*.png"}], folder=tmp_path, count=1)
+
+
+def test_items_and_cameras_whose_pictures_may_be_wrong_are_warned_of(tmp_path: Path) -> None:
+    """The white image of a camera is shared: it has a warning of its own, whichever items use it."""
+    random = [{"path": "transport.max_events", "values": [2, 6]}]
+    dataset = lf.Dataset(small_scene(samples=32, replicates=2), random, count=3, seed=1, parts=["white"])
+    cut = [number for number in range(3) if dataset.drawn(number)["transport.max_events"] == 2]
+    assert 0 < len(cut) < 3
+    with pytest.warns(lf.CutPathsWarning) as told:
+        made = dataset.make(tmp_path, workers=0)
+    assert tuple(each.message for each in told) == made.warnings
+    assert [str(each).partition(":")[0] for each in made.warnings] == [
+        f"{len(cut)} of 3 items, such as item {cut[0]}",
+        f"1 of 2 cameras, such as {index_of(tmp_path)[cut[0]]['camera']}",
+    ]
+    kinds = [[each["kind"] for each in line.get("warnings", [])] for line in index_of(tmp_path)]
+    assert [number for number in range(3) if "CutPathsWarning" in kinds[number]] == cut

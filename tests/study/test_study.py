@@ -160,6 +160,40 @@ def test_a_point_that_cannot_be_traced_is_named_and_the_others_go_on(
     assert "could not be traced" in (out / "report.html").read_text()
 
 
+CUT_SHORT = "transport.max_events"
+
+
+def cut_short(**settings: Any) -> lf.Study:
+    """Return a study whose second point cuts paths that carry light."""
+    axes = [{"path": CUT_SHORT, "values": [6, 2]}]
+    return lf.Study(small_scene(samples=8), axes=axes, metrics=["light"], **settings)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_points_whose_pictures_may_be_wrong_are_warned_of(workers: int, tmp_path: Path) -> None:
+    """As their own renders warn: once for all of them in Python, in table and report by their class and share."""
+    with pytest.warns(lf.PictureWarning) as told:
+        table = cut_short().run(tmp_path, workers=workers)
+    (warning,) = (each.message for each in told)
+    with pytest.warns(lf.CutPathsWarning) as own:
+        lf.render(table.plan.scene_of(table.plan.points[2]))
+    assert isinstance(warning, lf.CutPathsWarning)
+    assert str(warning) == f"1 of 3 points, such as point 2: {own[0].message}"
+    assert table.warnings == (warning,)
+    assert [row.warned_of for row in table.rows] == ["", "", "CutPathsWarning"]
+    assert (tmp_path / "table.csv").read_text().splitlines()[-1].endswith(",CutPathsWarning")
+    assert str(warning) in (tmp_path / "report.html").read_text()
+
+
+def test_warnings_of_a_studys_reference_are_those_of_its_first_point(tmp_path: Path) -> None:
+    axes = [{"path": CUT_SHORT, "values": [6]}]
+    study = lf.Study(small_scene(samples=8, max_events=2), axes=axes, metrics=["light"])
+    with pytest.warns(lf.CutPathsWarning, match="1 of 2 points, such as point 0"):
+        study.run(tmp_path / "a", workers=0)
+    with pytest.warns(lf.CutPathsWarning, match="1 of 2 points, such as point 0"):
+        study.merge([tmp_path / "a"], tmp_path / "b")
+
+
 def test_another_study_does_not_go_into_the_same_folder(tmp_path: Path) -> None:
     shifted(3, ("chief_rays",)).run(tmp_path, workers=0)
     with pytest.raises(lf.LfmeshError, match="holds another study"):

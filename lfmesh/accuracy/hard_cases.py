@@ -3,7 +3,6 @@
 A case passes when every ray has the right answer, or ends as LOST, which the ledger counts with its reason.
 """
 
-import warnings
 from collections.abc import Callable, Iterable
 
 from lfmesh.accuracy.hard import (
@@ -23,7 +22,7 @@ from lfmesh.accuracy.hard import (
     tanks,
 )
 from lfmesh.accuracy.hard.outcome import Outcome
-from lfmesh.errors import PictureWarning
+from lfmesh.errors import collected
 
 CASES: tuple[Callable[[], Outcome], ...] = (
     aim.vertices_and_edges,
@@ -131,8 +130,7 @@ def run_all() -> list[Outcome]:
 
 def judged(case: Callable[[], Outcome]) -> Outcome:
     """Run one case without warnings: its outcome states what was lost."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PictureWarning)
+    with collected():
         return case()
 
 

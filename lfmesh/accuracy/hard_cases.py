@@ -18,6 +18,7 @@ from lfmesh.accuracy.hard import (
     media,
     meshes,
     openings,
+    pictures,
     surfaces,
     tanks,
 )
@@ -67,6 +68,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     covers.cover_of_1_nm,
     covers.cover_of_10_m,
     covers.grazing_a_cover,
+    covers.tilted_behind_a_cover,
     bright_sensors.sensor_that_detects_a_thousandth,
     bright_sensors.array_before_a_bright_sensor,
     meshes.target_100_m,
@@ -117,6 +119,12 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     lenses.two_roots,
     lenses.hyperboloid,
     lenses.oblate,
+    lenses.bulges_grazed,
+    pictures.pixels_wider_than_lenslets_views,
+    pictures.room_of_one_temperature,
+    pictures.wall_behind_a_block,
+    pictures.sums_of_a_red_band,
+    pictures.caustic_of_a_ball,
 )
 
 ALLOWED_LOSS = 1e-7

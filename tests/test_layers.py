@@ -24,6 +24,7 @@ FOUNDATION = [
     "kernel",
     "kernel_cache",
     "notebook",
+    "provenance",
     "regular_file",
     "signatures",
     "templates",

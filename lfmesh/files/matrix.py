@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 import lfmesh
 from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.files.folder import staged_file
-from lfmesh.files.inputs import pinned
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.projection import (
     THRESHOLD,
@@ -86,7 +85,7 @@ def write_projection_matrix(
     if not path.parent.is_dir() or path.is_dir():
         why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise FileError(f"{path} cannot be written: {why}")
-    projector = Projector(pinned(scene), grid, channel, threshold, absorption=absorption, inside=inside)
+    projector = Projector(scene.pinned(), grid, channel, threshold, absorption=absorption, inside=inside)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from lfmesh import provenance
 from lfmesh.errors import LfmeshError
 
 LOCAL = "local"
@@ -27,7 +28,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, or there is no scheduler at the address.
+        dask.distributed is not installed, there is no scheduler at the address, or a worker runs another program.
     """
     try:
         from distributed import Client, LocalCluster
@@ -38,6 +39,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
             LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
             Client(cluster) as client,
         ):
+            _refuse_other_programs(client)
             yield client
         return
     try:
@@ -45,7 +47,20 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     except (OSError, TimeoutError, ValueError) as error:
         raise LfmeshError(f"--dask {address}: no scheduler answers there: {error}") from None
     with client:
+        _refuse_other_programs(client)
         yield client
+
+
+def _refuse_other_programs(client: Any) -> None:
+    """Refuse workers whose lfmesh, or whose libraries that decide bits, are not those of this process."""
+    for worker, theirs in client.run(_program).items():
+        if said := provenance.difference(theirs):
+            raise LfmeshError(f"--dask: worker {worker} runs another program: {said}")
+
+
+def _program() -> dict[str, str]:
+    """Return the program of the process that this is called in: a worker calls its own."""
+    return provenance.program()
 
 
 def threads_of(client: Any) -> int:

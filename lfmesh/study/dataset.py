@@ -135,14 +135,26 @@ class Dataset:
         faults += path_faults(file.changes, scene, "changes")
         if not faults and file.changes:
             self.base = scene.changed(file.changes)
+        self.base = self.base.pinned()
         self.candidates = tuple(draw.candidates(folder) for draw in file.random)
         for i, draw in enumerate(file.random):
             faults += [f"random[{i}].{line}" for line in self._draw_faults(draw, self.candidates[i])]
         if file.parts and self.base.camera.mla is None:
             faults.append(f"parts = {list(file.parts)}: need a camera with a microlens array; give parts = []")
+        if not faults:
+            self._pin_candidates()
         faults = faults or list(self._item_faults())
         if faults:
             raise refused(name, faults)
+
+    def _pin_candidates(self) -> None:
+        """Give the template the digests of all files that may be drawn: no item takes another."""
+        digests = self.base.digests
+        for draw, found in zip(self.file.random, self.candidates, strict=True):
+            if draw.files is not None:
+                there = {relative(self.folder / name, self.base.folder): self.folder / name for name in found}
+                digests |= {name: digest_of(path) for name, path in there.items()}
+        self.base = self.base.with_digests(digests)
 
     def _draw_faults(self, draw: Draw, candidates: tuple[Any, ...]) -> Iterator[str]:
         if draw.files is not None and not candidates:

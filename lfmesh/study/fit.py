@@ -193,7 +193,7 @@ def fit(
     """
     if samples < 2:
         raise LfmeshError(f"samples = {samples}: must be 2 or more, one for each of two replicates")
-    start = solved_camera(scene).scene
+    start = solved_camera(scene.pinned()).scene
     model = FitModel(start, parameters_of(start, also), samples + samples % 2)
     light = light_of(white, start, orientation)
     try:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_order
 from lfmesh.lightfield.upright import Upright
+from lfmesh.provenance import program, refuse_other
 from lfmesh.regular_file import read_bytes
 from lfmesh.study.metrics import METRICS, Comparison, columns_of, pictures_of
 from lfmesh.study.pictures import Camera, Films, films
@@ -50,6 +51,8 @@ class Unit:
     replicates : range
     threads : int
         In which it is traced; does not change the outcome.
+    program : dict of str
+        That planned it, see `lfmesh.provenance.program`.
     """
 
     study: str
@@ -60,9 +63,17 @@ class Unit:
     metrics: tuple[str, ...]
     replicates: range
     threads: int = 0
+    program: dict[str, str] = field(default_factory=program)
 
     def compute(self, given: "Reference") -> bytes:
-        """Return the unit's outcome as bytes, given the reference's films."""
+        """Return the unit's outcome as bytes, given the reference's films.
+
+        Raises
+        ------
+        LfmeshError
+            Another program computes it than the one that planned it.
+        """
+        refuse_other(self.program)
         return run_unit(self, given)
 
 
@@ -133,12 +144,15 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
     Raises
     ------
     FileError
-        The reference's films cannot be read.
+        The reference's films, or a file of the scene, cannot be read, or it has changed since the study was planned.
     """
     known = opened_reference(reference)
     with collected() as found:
         try:
             outcome = _outcome(unit, known)
+        except FileError:
+            # The machine's fault, not the point's: the unit is tried again when the study goes on.
+            raise
         except LfmeshError as error:
             outcome = Outcome(unit.point, unit.batch, fault=" ".join(str(error).split()))
     outcome.warnings = in_order([*(known.warnings if unit.point == 0 else ()), *found])

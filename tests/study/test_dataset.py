@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,22 @@ def test_items_do_not_depend_on_their_count_or_on_other_draws() -> None:
     assert more.drawn(1)[DEPTH] == few.drawn(1)[DEPTH]
     assert more.drawn(1)[DEPTH] != lf.Dataset(small_scene(), [draw], count=2, seed=1).drawn(1)[DEPTH]
     assert len({many.scene(i).transport.seed for i in range(9)}) == 9
+
+
+def test_an_item_whose_file_has_changed_since_the_dataset_was_read_fails(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        Picture.fromarray(np.full((4, 4), 90, np.uint8)).save(tmp_path / f"{name}.png")
+    draws = [{"path": TEXTURE, "files": "*.png"}]
+    scene = small_scene(samples=4, replicates=2)
+    data = lf.Dataset(scene, draws, folder=tmp_path, count=6, parts=[])
+    drawn = [Path(data.drawn(number)[TEXTURE]).name for number in range(6)]
+    assert len(set(drawn)) == 2
+    Picture.fromarray(np.full((4, 4), 200, np.uint8)).save(tmp_path / "b.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lf.PictureWarning)
+        made = data.make(tmp_path / "data", workers=0)
+    assert sorted(made.failed) == [number for number, name in enumerate(drawn) if name == "b.png"]
+    assert all("b.png has changed" in reason for reason in made.failed.values())
 
 
 def test_every_item_has_what_was_drawn(whole: Path) -> None:

@@ -43,7 +43,7 @@ def render_on_cluster(
     Parameters
     ----------
     scene : Scene
-        Its files have the digests that `lfmesh.files.inputs.pinned` notes, if it was given there.
+        Its files have the digests that `Scene.pinned` notes, if it was called.
     address : str
         Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
     workers : int, optional

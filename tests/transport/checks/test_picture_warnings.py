@@ -278,7 +278,6 @@ def test_a_white_image_says_what_a_render_says() -> None:
 
 @pytest.mark.parametrize("way", ["jobs", "shares", "resumed"])
 def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
-    from lfmesh.files.inputs import pinned
     from lfmesh.files.shares import merged, trace_share
     from lfmesh.transport.render.jobs import render_in_jobs
     from lfmesh.transport.render.tally import arrays_of
@@ -293,7 +292,7 @@ def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
             return render_in_jobs(given, map, blocks=2)
         if way == "shares":
             for share in (1, 2):
-                trace_share(pinned(given), home / str(share), share, 2)
+                trace_share(given.pinned(), home / str(share), share, 2)
             return merged([home / "1", home / "2"])
         lf.render(given, keep=lambda state, *, last: kept.append({k: np.copy(v) for k, v in arrays_of(state).items()}))
         return lf.render(given, saved=kept[1])

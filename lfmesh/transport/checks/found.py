@@ -46,7 +46,7 @@ HEAVY_SHARE = 0.01
 """Share of the blocks of pixels in which few paths may bring much of the light without a warning."""
 
 CUT_SHARE = 1e-3
-"""Share of the emitted energy that `max_events` may cut without a warning."""
+"""Share of the light that `max_events` may cut without a warning: of the emitted energy, or of what reaches targets."""
 
 
 def found(image: "Image") -> list[PictureWarning]:
@@ -96,7 +96,7 @@ def given_up(scene: Scene, ledger: Ledger, cut: float = CUT_SHARE) -> list[Pictu
     ledger : Ledger
         Need not close: rays may be followed without being booked where they end.
     cut : float
-        Share of the emitted energy that `max_events` may cut without a warning.
+        See `CUT_SHARE`.
     """
     return [*_lost(scene, ledger), *_cut(scene, ledger, cut)]
 
@@ -166,10 +166,12 @@ def _open(ledger: Ledger) -> Iterator[PictureWarning]:
 
 
 def _cut(scene: Scene, ledger: Ledger, most: float) -> Iterator[PictureWarning]:
-    if not ledger.depth > most * ledger.emitted:
+    # Of the importance that pixels send out, little reaches what they see: the cut part is compared with that.
+    whole = ledger.emitted if ledger.unit == "W" else ledger.reached_target + ledger.depth
+    if not ledger.depth > most * whole:
         return
     yield CutPathsWarning(
-        f"paths that carry {percent(ledger.depth / ledger.emitted)} of the light were cut after "
+        f"paths that carry {percent(ledger.depth / whole)} of the light were cut after "
         f"{scene.transport.max_events} events (max_events): the picture lacks what they would have brought; raise "
         "transport.max_events"
     )

@@ -21,6 +21,8 @@ from lfmesh.transport import world as worlds
 from lfmesh.transport.aiming.aim_proof import Missed
 from lfmesh.transport.render import render as renders
 from lfmesh.transport.render.blind_check import BlindSamples
+from lfmesh.transport.render.tracer import Tracer
+from tests.study.studies import small_scene
 from tests.transport.test_lost import ball_with_normals
 from tests.validation.test_order_of_surfaces import spoil_place
 
@@ -68,14 +70,14 @@ def lost(_: Patch, folder: Path) -> lf.Scene:
 
 
 def opened(patch: Patch, _: Path) -> lf.Scene:
-    ledger_of = renders.ledger_of
+    ledger_of = Tracer.ledger
 
     def with_more_emitted(*arguments: Any) -> lf.Ledger:
         ledger = ledger_of(*arguments)
         ledger.emitted *= 1.0 + 1e-6
         return ledger
 
-    patch.setattr(renders, "ledger_of", with_more_emitted)
+    patch.setattr(Tracer, "ledger", with_more_emitted)
     return scene()
 
 
@@ -326,3 +328,24 @@ def test_runs_without_a_list_of_warnings_tell_them_by_their_numbers(home: Path) 
 def test_a_warning_of_a_kind_that_this_version_does_not_know_is_kept() -> None:
     warning = PictureWarning.from_dict({"kind": "OfTheFutureWarning", "text": "something is wrong"})
     assert (type(warning), str(warning)) == (PictureWarning, "something is wrong")
+
+
+def test_cut_paths_are_measured_by_the_light_that_the_picture_lacks() -> None:
+    """Two walls that light each other: of the importance of all pixels a hundredth part reaches them at all."""
+    wall = {
+        "shape": {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0},
+        "material": {"reflectance": 0.8, "radiance_w_m2_sr": 1.0},
+    }
+    walls = [
+        wall | {"position_mm": (0.0, 0.0, -60.0)},
+        wall | {"position_mm": (30.0, 0.0, -30.0), "rotation_deg": (0.0, 90.0, 0.0)},
+    ]
+    room = small_scene(samples=64).changed({"targets": walls})
+    whole = lf.render(room)
+    with pytest.warns(lf.CutPathsWarning):
+        cut = lf.render(room.changed({"transport.max_events": 7}))
+    lacks = 1.0 - cut.mean.sum() / whole.mean.sum()
+    stated = cut.ledger.depth / (cut.ledger.depth + cut.ledger.reached_target)
+    assert lacks > 3e-3
+    assert 0.5 < stated / lacks < 2.0
+    assert cut.ledger.depth < 1e-4 * cut.ledger.emitted

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
-from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.application import WRONG_INPUT, app
+from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
 from lfmesh.cli.printing import list_files, say_note, wrapped
 from lfmesh.cli.progress import status
@@ -282,7 +282,7 @@ def _told(image: "Image", folder: Path) -> int:
         print(f"  lfmesh render --resume {folder} goes on with it.")
     if place != folder:
         return WRONG_INPUT
-    return 0 if image.complete else INTERRUPTED
+    return 0 if image.complete else code_of_last()
 
 
 def _saved(image: "Image", folder: Path) -> Path:

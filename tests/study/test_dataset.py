@@ -151,6 +151,19 @@ def test_another_seed_is_refused_in_a_folder(folder: Path, whole: Path, capsys: 
     assert (whole / "dataset.json").read_bytes() == before
 
 
+def test_a_dry_run_warns_of_what_the_check_of_an_item_warns_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = small_scene(samples=4, replicates=2, wavelengths_nm=[20_000.0])
+    (tmp_path / "scene.toml").write_text(scene.dump_toml())
+    draw = f'[[random]]\npath = "{DEPTH}"\nuniform = [-70.0, -50.0]\n'
+    (tmp_path / "data.toml").write_text(f'scene = "scene.toml"\ncount = 1\nparts = []\n{draw}')
+    for words in (["check", str(tmp_path / "scene.toml")], ["dataset", str(tmp_path / "data.toml"), "--dry-run"]):
+        assert main(words) == 0
+        said = capsys.readouterr()
+        assert "diffraction blurs" in " ".join((said.err + said.out).split())
+
+
 def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dataset", str(folder / "dataset.toml"), "-o", str(folder / "none"), "--count", "2", "--dry-run"]) == 0
     assert "textures/" in capsys.readouterr().out

@@ -1,9 +1,14 @@
 """Workers of dask.distributed, on this machine or behind a scheduler's address."""
 
+import threading
+import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from queue import Empty, SimpleQueue
 from typing import Any
 
+from lfmesh import provenance
 from lfmesh.errors import LfmeshError
 
 LOCAL = "local"
@@ -11,6 +16,16 @@ LOCAL = "local"
 
 RETRIES = 1
 """A task whose worker dies is tried again so many times."""
+
+SAID_SECONDS, ENDS_SECONDS = 10.0, 300.0
+"""So long nothing is said of a cluster without a worker or a scheduler that answers; so long it is waited for."""
+
+_ANSWER_SECONDS = 5.0
+"""Within which a scheduler that lives tells its workers."""
+
+
+class ClusterWarning(UserWarning):
+    """A cluster has no worker, or its scheduler does not answer."""
 
 
 @contextmanager
@@ -27,7 +42,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, or there is no scheduler at the address.
+        dask.distributed is not installed, there is no scheduler at the address, or a worker runs another program.
     """
     try:
         from distributed import Client, LocalCluster
@@ -38,6 +53,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
             LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
             Client(cluster) as client,
         ):
+            _refuse_other_programs(client)
             yield client
         return
     try:
@@ -45,7 +61,72 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     except (OSError, TimeoutError, ValueError) as error:
         raise LfmeshError(f"--dask {address}: no scheduler answers there: {error}") from None
     with client:
+        _refuse_other_programs(client)
         yield client
+
+
+def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
+    """Return the next future of a queue of those that are done, which its futures' callbacks fill.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    done : SimpleQueue
+
+    Raises
+    ------
+    LfmeshError
+        The scheduler is gone, or for `ENDS_SECONDS` it did not answer or had no worker.
+
+    Warns
+    -----
+    ClusterWarning
+        It is waited for a worker or the scheduler.
+    """
+    since, said = time.monotonic(), False
+    while True:
+        try:
+            future = done.get(timeout=1.0)
+            if future.status != "cancelled" or client.status == "running":
+                return future
+            # A scheduler that is gone cancels all futures; the client looks for it a while.
+            done.put(future)
+            time.sleep(0.5)
+        except Empty:
+            pass
+        lack = _lack_of(client)
+        now = time.monotonic()
+        if not lack:
+            since, said = now, False
+        elif client.status == "closed" or now - since > ENDS_SECONDS:
+            raise LfmeshError(f"--dask: {lack}; what is finished is kept, and the same command goes on with it")
+        elif now - since > SAID_SECONDS and not said:
+            said = True
+            warnings.warn(f"--dask: {lack}: waiting for up to {ENDS_SECONDS:.0f} s", ClusterWarning, stacklevel=2)
+
+
+def _lack_of(client: Any) -> str:
+    """Return in words what keeps a cluster from computing; "" if nothing does."""
+    if client.status != "running":
+        return "the scheduler is gone"
+    found: SimpleQueue[dict[str, int]] = SimpleQueue()
+    threading.Thread(target=lambda: found.put(client.nthreads()), daemon=True).start()
+    try:
+        return "" if found.get(timeout=_ANSWER_SECONDS) else "no worker has joined the scheduler"
+    except Empty:
+        return "the scheduler does not answer"
+
+
+def _refuse_other_programs(client: Any) -> None:
+    """Refuse workers whose lfmesh, or whose libraries that decide bits, are not those of this process."""
+    for worker, theirs in client.run(_program).items():
+        if said := provenance.difference(theirs):
+            raise LfmeshError(f"--dask: worker {worker} runs another program: {said}")
+
+
+def _program() -> dict[str, str]:
+    """Return the program of the process that this is called in: a worker calls its own."""
+    return provenance.program()
 
 
 def threads_of(client: Any) -> int:

@@ -7,7 +7,8 @@ wrong is a `PictureWarning`: a warning of Python, a line on the command line and
 import os
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -159,3 +160,49 @@ def warn_caller(found: Iterable[PictureWarning]) -> None:
         level, frame = level + 1, frame.f_back
     for each in found:
         warnings.warn(each, stacklevel=level)
+
+
+@contextmanager
+def collected() -> Iterator[list[PictureWarning]]:
+    """Collect the warnings of all pictures made inside, in place of showing them; others are shown as ever.
+
+    Yields
+    ------
+    list of PictureWarning
+        Grows while pictures are made.
+    """
+    found: list[PictureWarning] = []
+    usual = warnings.showwarning
+
+    def keep(message: Warning | str, category: type[Warning], *rest: Any, **options: Any) -> None:
+        if isinstance(message, PictureWarning):
+            found.append(message)
+        else:
+            usual(message, category, *rest, **options)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", PictureWarning)
+        warnings.showwarning = keep
+        yield found
+
+
+def summed_up(found: Mapping[str, Iterable[PictureWarning]], total: int, things: str) -> tuple[PictureWarning, ...]:
+    """Return one warning for each class of those of many pictures: how many have it, and what the first of them says.
+
+    Parameters
+    ----------
+    found : mapping
+        Warnings of each, by its name.
+    total : int
+        Number of all, those without warnings included.
+    things : str
+        Plural of their kind: "points".
+    """
+    by_kind: dict[type[PictureWarning], dict[str, PictureWarning]] = {}
+    for name, own in found.items():
+        for warning in own:
+            by_kind.setdefault(type(warning), {}).setdefault(name, warning)
+    return in_order(
+        kind(f"{len(own)} of {total} {things}, such as {next(iter(own))}: {next(iter(own.values()))}")
+        for kind, own in by_kind.items()
+    )

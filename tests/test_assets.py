@@ -133,6 +133,7 @@ def test_the_promised_scenes_are_there() -> None:
         "cover_glass",
         "glossy",
         "ground_glass",
+        "hot_metal",
         "polarised",
         "tank",
         *promised,

@@ -3,7 +3,6 @@
 A case passes when every ray has the right answer, or ends as LOST, which the ledger counts with its reason.
 """
 
-import warnings
 from collections.abc import Callable, Iterable
 
 from lfmesh.accuracy.hard import (
@@ -19,11 +18,12 @@ from lfmesh.accuracy.hard import (
     media,
     meshes,
     openings,
+    pictures,
     surfaces,
     tanks,
 )
 from lfmesh.accuracy.hard.outcome import Outcome
-from lfmesh.errors import PictureWarning
+from lfmesh.errors import collected
 
 CASES: tuple[Callable[[], Outcome], ...] = (
     aim.vertices_and_edges,
@@ -68,6 +68,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     covers.cover_of_1_nm,
     covers.cover_of_10_m,
     covers.grazing_a_cover,
+    covers.tilted_behind_a_cover,
     bright_sensors.sensor_that_detects_a_thousandth,
     bright_sensors.array_before_a_bright_sensor,
     meshes.target_100_m,
@@ -118,6 +119,12 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     lenses.two_roots,
     lenses.hyperboloid,
     lenses.oblate,
+    lenses.bulges_grazed,
+    pictures.pixels_wider_than_lenslets_views,
+    pictures.room_of_one_temperature,
+    pictures.wall_behind_a_block,
+    pictures.sums_of_a_red_band,
+    pictures.caustic_of_a_ball,
 )
 
 ALLOWED_LOSS = 1e-7
@@ -131,8 +138,7 @@ def run_all() -> list[Outcome]:
 
 def judged(case: Callable[[], Outcome]) -> Outcome:
     """Run one case without warnings: its outcome states what was lost."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PictureWarning)
+    with collected():
         return case()
 
 

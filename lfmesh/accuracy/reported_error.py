@@ -32,6 +32,7 @@ CROPS = {
     "glossy": (1.0, 0.5),
     "ground_glass": (-1.0, 0.5),
     "hexagonal": (-1.0, 0.5),
+    "hot_metal": (1.1, 0.5),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),
     "particles": (-1.0, 0.5),

@@ -10,16 +10,12 @@ import cyclopts
 from cyclopts import App
 
 import lfmesh
-from lfmesh.cli.interrupts import Terminated, terminate_as_interrupt
+from lfmesh.cli.interrupts import code_of_last, terminate_as_interrupt
 from lfmesh.cli.printing import warnings_in_words, wrapped
 from lfmesh.errors import LfmeshError
 
 CASE_FAILED = 1
 WRONG_INPUT = 2
-INTERRUPTED = 130
-"""128 + SIGINT, what a shell expects after Ctrl-C."""
-TERMINATED = 143
-"""128 + SIGTERM."""
 BROKEN_PIPE = 141
 """128 + SIGPIPE."""
 
@@ -70,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 0, 2 for wrong input (one message on standard error), 130 after Ctrl-C.
+        The exit code: 0, 2 for wrong input (one message on standard error), 128 and the number of the signal that
+        ended it: 130 after Ctrl-C.
     """
     _open_streams()
     try:
@@ -83,9 +80,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"{_one_paragraph(str(error))}\nSee: {command} --help")
     except LfmeshError as error:
         return _complain(str(error))
-    except KeyboardInterrupt as stop:
-        print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
-        return code_of(stop)
+    except KeyboardInterrupt:
+        with suppress(OSError):  # of a terminal that was closed
+            print("\nStopped before anything was finished; nothing was written.", file=sys.stderr)
+        return code_of_last()
+    except MemoryError as error:
+        return _complain(f"not enough memory: {_one_paragraph(str(error)) or 'nothing more can be allocated'}")
     except BrokenPipeError:
         # Our reader went away, as in `lfmesh schema | head`.
         _give_up_output()
@@ -97,19 +97,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(f"{where}: cannot be written or read: {error.strerror or error}")
 
 
-def code_of(stop: KeyboardInterrupt) -> int:
-    """Return the exit code of what Ctrl-C or SIGTERM has ended."""
-    return TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
-
-
-def stopped(stop: KeyboardInterrupt, out: Path, done: int, things: str) -> int:
+def stopped(out: Path, done: int, things: str) -> int:
     """Say what a command that goes on when it is given again can go on from; return its exit code."""
     if done:
         kept = f"{done} {things if done > 1 else things.removesuffix('s')} kept in {out}; the same command goes on."
     else:
         kept = f"none of its {things} is finished; the same command begins with the first."
     print("\n" + wrapped(f"Stopped: {kept}"), file=sys.stderr)
-    return code_of(stop)
+    return code_of_last()
 
 
 def _open_streams() -> None:

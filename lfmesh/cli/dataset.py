@@ -11,7 +11,7 @@ from lfmesh.cli.options import Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.cli.study import LISTED, progress_in_words
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, warn_caller
 
 if TYPE_CHECKING:
     from lfmesh.study.dataset import Dataset
@@ -62,12 +62,12 @@ def dataset(
                 say(progress_in_words(now, "items", "items"))
 
             made = loaded.make(out, workers=workers, shard=share, progress=report)
-    except KeyboardInterrupt as stop:
-        return stopped(stop, out, done, "items")
+    except KeyboardInterrupt:
+        return stopped(out, done, "items")
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
-    if made.warned:
-        say_note(f"{made.warned} items have warnings, which their lines of the index hold")
+    if made.noted:
+        say_note(f"{made.noted} items have notes, which their lines of the index hold")
     print(f"{made.done} of {made.count} items are done.")
     list_files([made.index])
     return CASE_FAILED if made.failed else 0
@@ -78,5 +78,16 @@ def _plan(loaded: "Dataset") -> int:
         print(f"  {number:>6}  {', '.join(f'{path} = {value}' for path, value in loaded.drawn(number).items())}")
     if len(loaded) > LISTED:
         print(f"  and {len(loaded) - LISTED} more")
+    with defer_interrupt():
+        from lfmesh.geometry.solved_camera import solved_camera
+        from lfmesh.transport.checks.foreseen import foreseen
+        from lfmesh.transport.world import build
+
+    first = loaded.scene(0)
+    wrong = foreseen(build(first))
+    warn_caller(wrong)
+    for note in solved_camera(first).report.warnings:
+        if note not in map(str, wrong):
+            say_note(note)
     print(f"{len(loaded)} items, all valid: raw images, {', '.join(loaded.file.parts) or 'nothing else'}")
     return 0

@@ -36,13 +36,12 @@ def frames(
     from lfmesh.scene import load
     from lfmesh.scene.particles import displaced, particle_vectors, write_vectors
 
-    first = overridden(load(scene), overrides)
+    first = overridden(load(scene), overrides).pinned()
     scenes = [displaced(first, number) for number in range(max(count, 1))]
     # Whatever can be wrong with the particles' files is said before anything is written.
     moves = [particle_vectors(frame) for frame in scenes[:-1]]
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render
 
     folders = [out / f"frame_{number}" for number in range(len(scenes))]
@@ -51,7 +50,7 @@ def frames(
     for number, (frame, folder) in enumerate(zip(scenes, folders, strict=True)):
         seeded = frame.changed({"transport.seed": frame.transport.seed + number})
         with progress() as report:
-            image = render(pinned(seeded), progress=report)
+            image = render(seeded, progress=report)
         if not image.complete:
             say_note(f"stopped in frame {number}; the frames before it are complete")
             raise KeyboardInterrupt

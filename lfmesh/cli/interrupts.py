@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: held back while libraries are imported, and alike for a render, which keeps what is finished."""
+"""Ctrl-C, SIGTERM and SIGHUP: held back while libraries are imported, and alike for a render, which keeps its work."""
 
 import signal
 import threading
@@ -6,29 +6,43 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a command as Ctrl-C does: of a job scheduler, and of a terminal that is closed."""
+
+_last = [signal.SIGINT]
+
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, as a job scheduler sends it."""
+    """One of `ENDING`."""
+
+
+def code_of_last() -> int:
+    """Return the exit code for the signal that came last, 128 and its number; that of Ctrl-C where none came."""
+    return 128 + _last[0]
 
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM end the body as Ctrl-C does, where nobody else has taken that signal."""
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+    """Let the signals of `ENDING` end the body as Ctrl-C does, where nobody else has taken them."""
+    _last[0] = signal.SIGINT
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGTERM, _terminate)
+    ours = [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, _terminate)
     try:
         yield
     finally:
-        if signal.getsignal(signal.SIGTERM) is _terminate:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in ours:
+            if signal.getsignal(number) is _terminate:
+                signal.signal(number, signal.SIG_DFL)
 
 
 @contextmanager
 def defer_interrupt() -> Iterator[None]:
     """Hold interrupts back until the body is done: libraries that catch everything while they are imported eat them."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
     ours = {
         number: handler for number, handler in before.items() if handler in (signal.default_int_handler, _terminate)
     }
@@ -43,9 +57,12 @@ def defer_interrupt() -> Iterator[None]:
     finally:
         for number, handler in ours.items():
             signal.signal(number, handler)
+    if came and came[0] in ENDING:
+        _terminate(came[0])
     if came:
-        raise Terminated if came[0] == signal.SIGTERM else KeyboardInterrupt
+        raise KeyboardInterrupt
 
 
-def _terminate(*_: Any) -> None:
+def _terminate(number: int, *_: Any) -> None:
+    _last[0] = signal.Signals(number)
     raise Terminated

@@ -77,8 +77,8 @@ def matrix(
                 inside=inside, say=lambda line: print(wrapped(line), flush=True),
                 progress=lambda done, total: report(f"{100 * done // total} % of the pixels"),
             )  # fmt: skip
-    except KeyboardInterrupt as stop:
-        return stopped(stop, blocks_folder(out), finished_blocks(out), "blocks")
+    except KeyboardInterrupt:
+        return stopped(blocks_folder(out), finished_blocks(out), "blocks")
     list_files([out])
     return 0
 

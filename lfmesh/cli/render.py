@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from lfmesh.cli.application import INTERRUPTED, WRONG_INPUT, app
-from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.application import WRONG_INPUT, app
+from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
 from lfmesh.cli.printing import list_files, say_note, wrapped
 from lfmesh.cli.progress import status
@@ -81,6 +81,7 @@ Examples:
     lfmesh render scene.toml -o run/ --samples 256 --threads 4
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
     lfmesh render --resume run/          go on with a render that was cut short
+    lfmesh render scene.toml -o run/ --restart
     lfmesh render scene.toml -o a/ --shard 1/3
     lfmesh render --merge a/ b/ c/ -o run/
     lfmesh render scene.toml -o run/ --dask tcp://10.0.0.1:8786
@@ -96,6 +97,9 @@ def render(
     resume: Annotated[
         Path | None, Parameter(help="Run folder of a render that was cut short or killed: go on with it.")
     ] = None,
+    restart: Annotated[
+        bool, Parameter(negative=(), help="Begin anew where a render into --out was cut short: what it kept is lost.")
+    ] = False,
     with_white: Annotated[
         bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
     ] = False,
@@ -131,7 +135,7 @@ def render(
         if with_white:
             raise LfmeshError("--white is for the whole run: give it with --merge")
         return _share(scene, out, share, overrides)
-    code = _render(scene, out, overrides, dask)
+    code = _render(scene, out, overrides, dask, restart=restart)
     return _white(out, None) if with_white and code == 0 else code
 
 
@@ -151,12 +155,13 @@ def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Ov
     scene = overridden(load(scene_file), overrides)
     _say_beforehand(scene)
     with defer_interrupt():
-        from lfmesh.files.inputs import pinned
         from lfmesh.files.shares import trace_share
 
     number, shares = share
     with status() as say:
-        count = trace_share(pinned(scene), folder, number, shares, lambda done, total: say(f"{done} of {total} pieces"))
+        count = trace_share(
+            scene.pinned(), folder, number, shares, lambda done, total: say(f"{done} of {total} pieces")
+        )
     print(f"{folder} holds the {count} pieces of share {number}/{shares}; when all shares are there:")
     print(f"  lfmesh render --merge {folder} ... -o run/")
     return 0
@@ -180,7 +185,9 @@ def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides
     return _told(image, out)
 
 
-def _render(scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None) -> int:
+def _render(
+    scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *, restart: bool = False
+) -> int:
     from lfmesh.geometry.solved_camera import solved_camera
     from lfmesh.scene import load
 
@@ -192,10 +199,13 @@ def _render(scene_file: Path, folder: Path, overrides: Overrides | None, dask: s
     with defer_interrupt():
         from lfmesh.files import run
 
+    if run.has_checkpoint(folder) and not restart:
+        raise FileError(
+            f"{folder} holds a render that was cut short: lfmesh render --resume {folder} goes on with it; --restart "
+            "begins anew"
+        )
     run.prepare(folder)
     _say_beforehand(scene)
-    if run.has_checkpoint(folder):
-        say_note(f"a render into {folder} was cut short and begins anew; --resume {folder} would go on with it.")
     return _traced(scene, folder, None, dask)
 
 
@@ -245,10 +255,9 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
     with defer_interrupt():
         from lfmesh.files import run
         from lfmesh.files.checkpoint import Checkpoints
-        from lfmesh.files.inputs import pinned
         from lfmesh.transport.render.render import render as trace_image
 
-    scene = pinned(scene)
+    scene = scene.pinned()
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
     with progress() as report:
         if dask is None:
@@ -273,7 +282,7 @@ def _told(image: "Image", folder: Path) -> int:
         print(f"  lfmesh render --resume {folder} goes on with it.")
     if place != folder:
         return WRONG_INPUT
-    return 0 if image.complete else INTERRUPTED
+    return 0 if image.complete else code_of_last()
 
 
 def _saved(image: "Image", folder: Path) -> Path:

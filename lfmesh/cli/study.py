@@ -77,8 +77,8 @@ def study(
                 say(progress_in_words(now))
 
             table = loaded.run(out, workers=workers, dask=dask, shard=share_of(shard), progress=report)
-    except KeyboardInterrupt as stop:
-        return stopped(stop, out, done, "units")
+    except KeyboardInterrupt:
+        return stopped(out, done, "units")
     return _report(table, out, parquet)
 
 

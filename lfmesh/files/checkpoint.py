@@ -1,28 +1,23 @@
 """The checkpoint in a run folder: the state of an interrupted render, from which it goes on to the same bits."""
 
-import json
 import time
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files.folder import staged_file
-from lfmesh.regular_file import read_arrays
+from lfmesh.files.sealed import read_sealed, write_sealed
 from lfmesh.scene import Scene
 from lfmesh.transport.render.tally import RenderState, arrays_of
 
 CHECKPOINT = "lfmesh-checkpoint.npz"
 
-FORMAT = 2
+FORMAT = 3
 """Of the file; a reader refuses any other."""
 
 SECONDS = 10.0
@@ -30,8 +25,6 @@ SECONDS = 10.0
 
 SHARE = 0.01
 """Of the time that checkpoints may take."""
-
-_FACTS = "facts"
 
 
 class CheckpointWarning(UserWarning):
@@ -62,11 +55,10 @@ class Checkpoints:
         self._due = now + max(SECONDS, (now - began) / SHARE)
 
     def _write(self, state: RenderState) -> None:
-        facts = json.dumps({"format": FORMAT, "lfmesh_version": lfmesh.__version__, **self._facts})
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with staged_file(self._folder, CHECKPOINT) as file:
-                np.savez(file, **{_FACTS: np.array(facts)}, **arrays_of(state))  # type: ignore[arg-type]
+                write_sealed(file, FORMAT, self._facts, arrays_of(state))
         except OSError as error:
             # Work that is done is not given up for that.
             reason = error.strerror or error
@@ -96,21 +88,14 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
     Raises
     ------
     FileError
-        There is none, it is damaged, or another version of lfmesh wrote it.
+        There is none, it is damaged, or another program wrote it.
     """
-    path = folder / CHECKPOINT
     try:
-        arrays = read_arrays(path)
-        facts = json.loads(str(arrays.pop(_FACTS)))
-        version = facts["format"], facts["lfmesh_version"]
-        scene = scene_from(facts, folder) if version == (FORMAT, lfmesh.__version__) else None
+        facts, arrays = read_sealed(folder / CHECKPOINT, FORMAT)
+        return Checkpoint(scene_from(facts, folder), arrays)
     except FileNotFoundError:
         raise FileError(f"{folder} has no checkpoint to go on from; render the scene again") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise FileError(f"{path} is damaged; delete it, and render the scene again") from None
-    if scene is None:
-        raise FileError(
-            f"{path} was written by lfmesh {version[1]} (format {version[0]}); this lfmesh {lfmesh.__version__} may not"
-            " go on to the same bits: render the scene again"
-        )
-    return Checkpoint(scene, arrays)
+    except FileError as error:
+        raise FileError(f"{error}; begin anew with lfmesh render --restart, or delete {folder / CHECKPOINT}") from None
+    except (ValueError, KeyError, TypeError):
+        raise FileError(f"{folder / CHECKPOINT} is damaged; delete it, and render the scene again") from None

@@ -33,13 +33,6 @@ class Source(NamedTuple):
         return all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in self.others)
 
 
-def pinned(scene: Scene) -> Scene:
-    """Return a scene whose files have to stay what they are now, as they are read more than once."""
-    names = dict.fromkeys(name for _, name in files_of(scene))
-    there = {name: path for name in names if (path := scene.resolve(name)).is_file()}
-    return scene.with_digests({name: digest_of(path) for name, path in there.items()})
-
-
 def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
     """Return a scene as a run in `home` keeps it: paths from there, and the digests of the files.
 

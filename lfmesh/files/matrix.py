@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.files.folder import staged_file
-from lfmesh.files.inputs import pinned
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.projection import (
     THRESHOLD,
@@ -86,7 +85,7 @@ def write_projection_matrix(
     if not path.parent.is_dir() or path.is_dir():
         why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise FileError(f"{path} cannot be written: {why}")
-    projector = Projector(pinned(scene), grid, channel, threshold, absorption=absorption, inside=inside)
+    projector = Projector(scene.pinned(), grid, channel, threshold, absorption=absorption, inside=inside)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:
@@ -153,6 +152,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
             csr_array((held["data"], held["indices"], held["indptr"]), shape=(rows, voxels)), held["stderr"],
             held["row_stderr"], held["dropped"], held["pixels"], grid, float(held["threshold"]),
             float(held["wavelength_nm"]),
+            tuple(map(PictureWarning.from_dict, json.loads(bytes(held.get("warnings", b"[]"))))),
         )  # fmt: skip
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
@@ -244,6 +244,9 @@ def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: ND
         "rotation_deg": grid.rotation_deg, "to_world": grid.to_world, "threshold": np.array(projector.threshold),
         "wavelength_nm": np.array(projector.wavelength_nm), "unit": np.array(UNIT.encode()),
     }  # fmt: skip
+    book = np.sum([_array(parts, number, "book") for number in range(blocks)], axis=0)
+    told = json.dumps([each.as_dict() for each in projector.warnings(book)])
+    small["warnings"] = np.array(told.encode())
     for own, name in PER_ROW.items():
         small[name] = np.concatenate([_array(parts, number, own) for number in range(blocks)])
     whole = parts / WHOLE

@@ -18,12 +18,15 @@ STACK, ALL_IN_FOCUS = "stack", "all_in_focus"
 def save_photograph(photograph: Photograph, folder: Path) -> list[Path]:
     """Add a photograph to a run folder as ``refocused_480mm.exr`` and ``.png``, both upright; return the files.
 
+    Those of methods other than "shift" have the method in their names: ``refocused_480mm_fourier.exr``.
+
     Raises
     ------
     FileError
         There is no complete run, or the folder cannot be written.
     """
-    name = f"refocused_{photograph.distance_mm:.10g}mm"
+    method = "" if photograph.method == "shift" else f"_{photograph.method}"
+    name = f"refocused_{photograph.distance_mm:.10g}mm{method}"
     parts = {"mean": photograph.mean, "stderr": photograph.stderr}
     with run.added(folder) as staging:
         _write(staging / f"{name}.exr", parts, photograph, _facts(photograph))

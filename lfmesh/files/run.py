@@ -259,9 +259,7 @@ def report_of(path: Path) -> dict[str, Any]:
     FileError
         There is no complete run, or another version of lfmesh wrote it.
     """
-    recover(path)
-    if not path.is_dir():
-        raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
+    _check_folder(path)
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
     if missing:
         raise FileError(f"{path} is no complete run: {' and '.join(missing)} missing; render it again")
@@ -280,6 +278,17 @@ def report_of(path: Path) -> dict[str, Any]:
     return report
 
 
+def _check_folder(path: Path) -> None:
+    """Raise if a run cannot be in a folder; finish what a process that died has left there."""
+    recover(path)
+    try:
+        why = None if path.is_dir() else "it is a file" if path.exists() else "it does not exist"
+    except OSError as error:
+        why = str(error.strerror)
+    if why is not None:
+        raise FileError(f"{path} is no run folder: {why}")
+
+
 def is_complete(path: Path) -> bool:
     """Whether a folder holds the run of a render that came to its end, and no checkpoint of a later one.
 
@@ -288,9 +297,7 @@ def is_complete(path: Path) -> bool:
     FileError
         It is no folder.
     """
-    recover(path)
-    if not path.is_dir():
-        raise FileError(f"{path} is no run folder: {'it is a file' if path.exists() else 'it does not exist'}")
+    _check_folder(path)
     report = _read_report(path)
     return report is not None and bool(report.get("complete")) and not has_checkpoint(path)
 

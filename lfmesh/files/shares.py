@@ -9,8 +9,6 @@ Shares may have a folder each, or one in common. The image is bitwise that of a 
 import json
 import math
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
 from lfmesh.files.run import scene_from, scene_metadata
-from lfmesh.regular_file import open_regular, read_arrays, read_text
+from lfmesh.files.sealed import read_sealed, write_sealed
+from lfmesh.provenance import difference, program
+from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.blind_check import BlindSamples
 from lfmesh.transport.render.image import Image
@@ -34,7 +33,7 @@ from lfmesh.transport.world import build
 
 FACTS, PIECES = "render.json", "pieces"
 
-FORMAT = 2
+FORMAT = 3
 """Of the folder; a reader refuses any other."""
 
 SECONDS = "tracing_seconds"
@@ -71,11 +70,15 @@ class Cut:
         """What must be the same for all shares."""
         return {
             "format": FORMAT,
-            "lfmesh_version": lfmesh.__version__,
+            "program": program(),
             "scene": self.scene.changed({"transport.threads": 0}).digest,
             "files": sorted(self.scene.digests.values()),
             "shares": self.shares,
         }
+
+    def facts_of(self, job: Job) -> dict[str, Any]:
+        """Return what a piece says that it is."""
+        return self.facts | {"replicate": job.replicate, "pixels": [job.block.first, job.block.last]}
 
 
 def trace_share(
@@ -86,7 +89,7 @@ def trace_share(
     Parameters
     ----------
     scene : Scene
-        With the digests of its files, see `lfmesh.files.inputs.pinned`.
+        With the digests of its files, see `Scene.pinned`.
     folder : Path
         New, or one in which a share of this render was begun.
     share, shares : int
@@ -114,13 +117,13 @@ def trace_share(
         if progress is not None:
             progress(done, len(mine))
         name = _name(job)
-        if not _is_whole(folder / PIECES / name):
+        if not _is_whole(folder / PIECES / name, cut.facts_of(job)):
             began = time.perf_counter()
             arrays = _packed(tracer.piece(job.replicate, job.block))
             arrays[SECONDS] = np.array(time.perf_counter() - began)
             try:
                 with staged_file(folder / PIECES, name) as file:
-                    np.savez(file, **arrays)  # type: ignore[arg-type]
+                    write_sealed(file, FORMAT, cut.facts_of(job), arrays)
             except OSError as error:
                 raise FileError(
                     f"{folder / PIECES / name} cannot be written: {error.strerror or error}; pieces that are there are "
@@ -167,7 +170,7 @@ def merged(folders: Sequence[Path]) -> Image:
         nonlocal seconds
         for job, place in zip(jobs, places, strict=True):
             assert place is not None
-            piece, own = _unpacked(place, job, tracer)
+            piece, own = _unpacked(place, cut, job, tracer)
             seconds += own
             yield piece
 
@@ -201,7 +204,7 @@ def _begin(folder: Path, cut: Cut) -> None:
 def _facts(folder: Path) -> dict[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(read_text(folder / FACTS))
-        version = facts["cut"]["format"], facts["cut"]["lfmesh_version"]
+        form, maker = facts["cut"]["format"], facts["cut"]["program"]
         known = isinstance(facts["cut"]["shares"], int) and isinstance(facts["scene_toml"], str)
     except FileNotFoundError:
         raise FileError(f"{folder} holds no share of a render: there is no {FACTS} in it") from None
@@ -209,10 +212,10 @@ def _facts(folder: Path) -> dict[str, Any]:
         known = False
     if not known:
         raise FileError(f"{folder / FACTS} is damaged: delete the folder, and trace its share again")
-    if version != (FORMAT, lfmesh.__version__):
+    other = f"format {form} in place of {FORMAT}" if form != FORMAT else difference(maker)
+    if other:
         raise FileError(
-            f"{folder} was written by lfmesh {version[1]} (format {version[0]}); this lfmesh {lfmesh.__version__} may "
-            "not go on to the same bits: trace its share again"
+            f"{folder} was written by another program ({other}), which may have had other bits: trace its share again"
         )
     return facts
 
@@ -226,11 +229,10 @@ def _found(folders: Sequence[Path], job: Job) -> Path | None:
     return next((place for place in places if place.exists()), None)
 
 
-def _is_whole(path: Path) -> bool:
+def _is_whole(path: Path, facts: dict[str, Any]) -> bool:
     try:
-        with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
-            return "number" in file.files
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
+        return read_sealed(path, FORMAT)[0] == facts
+    except (FileError, FileNotFoundError):
         return False
 
 
@@ -238,8 +240,6 @@ def _packed(piece: Piece) -> Arrays:
     """Return a piece as named arrays."""
     chunks = piece.chunks
     arrays: Arrays = {
-        "replicate": np.array(piece.replicate),
-        "pixels": np.array((piece.first, piece.last)),
         **arrays_of(piece.films, "films"),
         "number": np.array([chunk.number for chunk in chunks], np.int64),
         "book": np.array([chunk.book for chunk in chunks]),
@@ -254,17 +254,21 @@ def _packed(piece: Piece) -> Arrays:
     return arrays | (arrays_of(piece.blind, "blind") if piece.blind is not None else {})
 
 
-def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
+def _unpacked(path: Path, cut: Cut, job: Job, tracer: Tracer) -> tuple[Piece, float]:
     """Read a piece, and the seconds that it took.
 
     Raises
     ------
     FileError
-        The file is damaged, or of another piece.
+        The file is damaged, of another render, or of another piece.
     """
     pixels = job.block.last - job.block.first
     try:
-        held = read_arrays(path)
+        facts, held = read_sealed(path, FORMAT)
+        if facts != cut.facts_of(job):
+            raise FileError(
+                f"{path} is a piece of another render, or another piece: delete it, and run its share again"
+            )
         empty = tuple(Film.empty(pixels, tracer.channels) for _ in range(tracer.layout.from_pixels))
         films: tuple[Film, ...] = filled(empty, held, "films")
         blind: BlindSamples | None = None
@@ -287,9 +291,7 @@ def _unpacked(path: Path, job: Job, tracer: Tracer) -> tuple[Piece, float]:
             )
             for i, number in enumerate(held["number"])
         ]
-        if int(held["replicate"]) != job.replicate or held["pixels"].tolist() != [job.block.first, job.block.last]:
-            raise ValueError("another piece")
         seconds = float(held[SECONDS])
-    except (OSError, ValueError, KeyError, IndexError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
         raise FileError(f"{path} is damaged: delete it, and run its share again") from None
     return Piece(job.replicate, job.block.first, job.block.last, films, chunks, blind), seconds

@@ -157,7 +157,8 @@ def _photograph(camera: _Focused, distance_mm: float, step_mm: float) -> Photogr
     mean, stderr, _ = _rendered(camera, distance_mm, step_mm)
     scale = abs(camera.model.object_scale(distance_mm)) if math.isfinite(distance_mm) else math.inf
     waves = camera.scene.wavelengths_nm
-    return Photograph(mean, stderr, float(distance_mm), camera.model.f_number, step_mm * scale, waves, camera.unit)
+    f_number, unit = camera.model.f_number, camera.unit
+    return Photograph(mean, stderr, float(distance_mm), f_number, step_mm * scale, waves, unit, "patches")
 
 
 def _focused(image: Image, white: Image | None) -> _Focused:

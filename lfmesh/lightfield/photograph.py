@@ -32,6 +32,8 @@ class Photograph(Pictured):
     wavelengths_nm : tuple of float
     unit : str
         As the light field's.
+    method : str
+        That it was computed by.
     """
 
     mean: Array
@@ -41,6 +43,7 @@ class Photograph(Pictured):
     sample_mm: float
     wavelengths_nm: tuple[float, ...]
     unit: str
+    method: str = "shift"
 
     def __repr__(self) -> str:
         return (

@@ -15,16 +15,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import ClearAirWarning, LfmeshError, SceneError, warn_caller
+from lfmesh.errors import ClearAirWarning, LfmeshError, PictureWarning, SceneError, in_order, warn_caller
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.chords import Haze, Room, Rows, room_for, sum_rows
 from lfmesh.lightfield.voxel_box import VoxelBox
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import literal
+from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
+    COUNTERS,
     ENDED,
     LENS,
     OBJECT_FRAME,
@@ -43,9 +45,10 @@ from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.paths.automaton import COUNTS, STANDING
 from lfmesh.transport.regions.bodies import RANK
 from lfmesh.transport.regions.objects import admit_to_objects
-from lfmesh.transport.render.parts import Part
+from lfmesh.transport.render.parts import OWN_BOOK, Part
 from lfmesh.transport.render.render import warn_beforehand
 from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
@@ -96,6 +99,8 @@ class ProjectionMatrix:
         Entries smaller than this share of the largest one of their row were left out.
     wavelength_nm : float
         Of a band its centroid.
+    warnings : tuple of PictureWarning
+        By which it is or may be wrong.
     """
 
     matrix: "csr_array"
@@ -106,6 +111,7 @@ class ProjectionMatrix:
     grid: VoxelBox
     threshold: float
     wavelength_nm: float
+    warnings: tuple[PictureWarning, ...] = ()
 
     @property
     def dropped_share(self) -> float:
@@ -164,6 +170,7 @@ class Block(NamedTuple):
     error: NDArray[np.float32]
     row_error: Array
     dropped: Array
+    book: Array  # (slots,), sum over the replicates
 
 
 class Projector:
@@ -194,11 +201,13 @@ class Projector:
         self.grid = VoxelBox.of(grid)
         _check(scene, channel, threshold)
         self.absorption, self.inside = bool(absorption), inside
+        self._known: list[PictureWarning] = []
         if not absorption and (dimming := _dimming(scene)):
             clear = ClearAirWarning(
                 f"{', '.join(dimming)}: what media absorb and scatter is not in this projection matrix, whose voxels "
                 "are seen as through clear air; absorption = True puts it in"
             )
+            self._known.append(clear)
             warn_caller([clear])
         self.channel, self.threshold = int(channel), float(threshold)
         # What lights, targets, media and particles of the scene send is no part of the matrix.
@@ -213,7 +222,7 @@ class Projector:
                 "vertex, where z is below 0"
             )
         self.tracer = Tracer(self.world, check=False)
-        warn_beforehand(self.tracer)
+        self._known += warn_beforehand(self.tracer)
         self.parts = [_without_scattered(part) for part in self.tracer.parts if part.options.adjoint]
         self.replicates = self.world.scene.transport.replicates
         self.wavelength_nm = self.world.scene.wavelengths_nm[self.channel]
@@ -242,10 +251,26 @@ class Projector:
         some = pixels[np.unique(np.linspace(0, len(pixels) - 1, SAMPLED).astype(np.int64))]
         return float(self.rows(some).entries.mean())
 
+    def warnings(self, book: Array) -> tuple[PictureWarning, ...]:
+        """Return the warnings of a matrix, and warn of those that were not known before it was traced.
+
+        Parameters
+        ----------
+        book : (slots,) float64
+            Sum over the blocks.
+        """
+        ledger = ledger_of(book, np.zeros(COUNTERS, np.int64), self.world, 0, "m² sr")
+        found = given_up(self.world.scene, ledger)
+        warn_caller(found)
+        return in_order([*self._known, *found])
+
     def rows(self, pixels: Numbers, room: Room | None = None) -> Block:
         """Return the rows of increasing pixel numbers, whatever pixels they are traced with."""
+        book = np.zeros(len(self.world.slots))
         found = [
-            (replicate, some) for replicate in range(self.replicates) for some in self._segments(pixels, replicate)
+            (replicate, some)
+            for replicate in range(self.replicates)
+            for some in self._segments(pixels, replicate, book)
         ]
         counts = [len(some.pixel) for _, some in found]
         segments = Segments(*(np.concatenate(column) for column in zip(*(some for _, some in found), strict=True)))
@@ -254,9 +279,9 @@ class Projector:
         order = np.argsort(slot, kind="stable")
         first = np.searchsorted(slot[order], np.arange(len(pixels) * self.replicates + 1))
         ordered = Segments._make(column[order] for column in segments)
-        return self._summed(ordered, first, len(pixels), room or room_for(self.grid.voxels))
+        return self._summed(ordered, first, len(pixels), room or room_for(self.grid.voxels), book)
 
-    def _summed(self, segments: Segments, first: Numbers, count: int, room: Room) -> Block:
+    def _summed(self, segments: Segments, first: Numbers, count: int, room: Room, book: Array) -> Block:
         p, d = self.grid.in_voxels(segments.origin, segments.direction)
         weight = segments.weight / MM2
         moves = self.world.tables.frames[WORLD_FRAME, OBJECT_FRAME]
@@ -288,11 +313,11 @@ class Projector:
         order = np.lexsort((rows.column[:filled], row))
         return Block(
             np.diff(rows.end, prepend=0), rows.column[order], rows.value[order], rows.error[order], rows.row_error,
-            rows.dropped,
+            rows.dropped, book,
         )  # fmt: skip
 
-    def _segments(self, pixels: Numbers, replicate: int) -> Iterator[Segments]:
-        """Yield the pieces of the rays that a replicate sends from pixels."""
+    def _segments(self, pixels: Numbers, replicate: int, book: Array) -> Iterator[Segments]:
+        """Yield the pieces of the rays that a replicate sends from pixels; add what became of them to a book."""
         key = descendant(self.tracer.seed, replicate)
         lines = self.world.lines
         for part in self.parts:
@@ -302,6 +327,7 @@ class Projector:
             for some in source.parts(CHUNK):
                 work = self._launchers[part.number].launch(source, some)
                 segments = _in_object_space(work, part)
+                book += part.booked(work.book)[OWN_BOOK]
                 power = np.where(segments.place == self._place, self._power[segments.colour], 0.0)
                 yield segments._replace(weight=segments.weight * power)
 
@@ -338,6 +364,11 @@ def projection_matrix(
     say : callable, optional
         Called with lines for the user: the expected size, first of all.
 
+    Warns
+    -----
+    PictureWarning
+        The matrix is or may be wrong, as an image of the scene would be; `ProjectionMatrix.warnings` keeps them.
+
     Raises
     ------
     LfmeshError
@@ -368,6 +399,7 @@ def projection_matrix(
         projector.grid,
         projector.threshold,
         projector.wavelength_nm,
+        projector.warnings(np.sum([block.book for block in done], axis=0)),
     )
 
 

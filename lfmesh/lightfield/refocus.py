@@ -119,7 +119,7 @@ def _photographs(
         photographs.append(
             Photograph(
                 mean, stderr, float(distance), f_number or field.model.f_number, sample,
-                field.wavelengths_nm, field.unit,
+                field.wavelengths_nm, field.unit, method,
             )
         )  # fmt: skip
     return tuple(photographs)

@@ -71,7 +71,12 @@ class OwnGlass(Model):
         ):
             return data
         path = (info.context or {}).get("folder", Path()) / file
-        if not path.is_file():
+        try:
+            present = path.is_file()
+        except OSError:
+            # A name that no file can have.
+            present = False
+        if not present:
             # The field's own check says so.
             return data if (info.context or {}).get("folder") is not None else _refuse(f"no file {file!r}")
         try:

@@ -22,7 +22,7 @@ from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.finishes import Finish
 from lfmesh.scene.glass_in_air import in_its_air
 from lfmesh.scene.gltf_keys import GltfLights, GltfTargets, or_table
-from lfmesh.scene.inputs import file_stamp, found
+from lfmesh.scene.inputs import digest_of, file_stamp, files_of, found
 from lfmesh.scene.lights import Light
 from lfmesh.scene.media import Medium
 from lfmesh.scene.model import Fault, Location, Model
@@ -200,6 +200,15 @@ class Scene(Model, Shown):
         copy = self.model_copy()
         copy._digests, copy._found = dict(digests), {}
         return copy
+
+    def pinned(self) -> "Scene":
+        """Return the same scene, whose files have to stay what they are now, as they are read more than once.
+
+        Files that have digests already keep them.
+        """
+        names = dict.fromkeys(name for _, name in files_of(self) if name not in self._digests)
+        there = {name: path for name in names if (path := self.resolve(name)).is_file()}
+        return self.with_digests(self._digests | {name: digest_of(path) for name, path in there.items()})
 
     def changed(self, values: dict[str, Any]) -> "Scene":
         """Return a copy with some values replaced, checked like a file.

@@ -170,7 +170,7 @@ def fit_boards(
     """
     if not boards:
         raise LfmeshError("boards is empty: give one picture of a board or more, or use lf.fit")
-    start = solved_camera(scene).scene
+    start = solved_camera(scene.pinned()).scene
     parameters_of(start, also)
     distance = start.camera.mla.distance_mm if start.camera.mla is not None else None
     further = {FOCUS: FOCUS_REACH * float(distance or 0.0), **(also or {})}

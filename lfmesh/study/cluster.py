@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
-from lfmesh.cluster import RETRIES, connected, threads_of
+from lfmesh.cluster import RETRIES, connected, next_done, threads_of
 from lfmesh.regular_file import read_bytes
 from lfmesh.study.pool import Result, computed
 from lfmesh.study.unit import Unit
@@ -29,17 +30,15 @@ def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> I
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, or there is no scheduler at the address.
+        dask.distributed is not installed, there is no scheduler at the address, or it is gone.
     """
     with connected(address, workers) as client:
         yield from _through(client, units)
 
 
 def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result]:
-    from distributed import as_completed
-
     references: dict[Path, Any] = {}
-    running = as_completed()
+    done: SimpleQueue[Any] = SimpleQueue()
     owners: dict[str, Unit] = {}
     waiting = iter(units)
 
@@ -52,13 +51,14 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
             references[path] = client.scatter(read_bytes(path), broadcast=True, hash=False)
         future = client.submit(computed, unit, references[path], pure=False, retries=RETRIES)
         owners[future.key] = unit
-        running.add(future)
+        future.add_done_callback(done.put)
         return True
 
     for _ in range(AHEAD * threads_of(client)):
         if not submit():
             break
-    for future in running:
+    while owners:
+        future = next_done(client, done)
         unit = owners.pop(future.key)
         if future.status == "finished":
             content, reason = future.result()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, summed_up, warn_caller
 from lfmesh.files.json_values import plain_json
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.decode import decode
@@ -25,7 +25,7 @@ from lfmesh.lightfield.patches import patch_px, render_patches
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.refocus import refocus
 from lfmesh.lightfield.upright import Upright
-from lfmesh.lightfield.white import white_image
+from lfmesh.lightfield.white import white_scene
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.study.resolution import edge_mtf50, point_width
 from lfmesh.transport.render.image import Image
@@ -113,6 +113,7 @@ class Comparison:
     samples: int
     cameras: tuple[CameraResult, ...]
     pictures: tuple[Array, ...]
+    warnings: tuple[PictureWarning, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; what is not known or infinite is None."""
@@ -121,6 +122,7 @@ class Comparison:
                 "focus_mm": self.focus_mm,
                 "samples_per_pixel": self.samples,
                 "cameras": [asdict(camera) for camera in self.cameras],
+                "warnings": [each.as_dict() for each in self.warnings],
             }
         )
 
@@ -147,14 +149,22 @@ class _Camera:
 
     def __init__(self, name: str, scene: Scene, array_height_mm: float) -> None:
         self.name, self.scene = name, scene
-        self.white = white_image(measuring(scene))
+        self.warned: dict[str, tuple[PictureWarning, ...]] = {}
+        self.white = self.rendered("white plane", white_scene(measuring(scene)))
         # A conventional picture is as high as the sensor, the others as high as the array.
         self.heights = array_height_mm / scene.camera.sensor.size_mm[1] if scene.camera.mla is None else 1.0
 
-    def taken(self, targets: list[dict[str, Any]], **transport: Any) -> Image:
+    def rendered(self, what: str, scene: Scene) -> Image:
+        """Render a scene, and keep the warnings of its image by what it shows."""
+        with collected():
+            image = render(scene)
+        self.warned[f"{self.name}, {what}"] = image.warnings
+        return image
+
+    def taken(self, what: str, targets: list[dict[str, Any]], **transport: Any) -> Image:
         """Render other targets in place of the scene's."""
         scene = measuring(self.scene).changed({"targets": targets})
-        return render(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
+        return self.rendered(what, scene.changed({f"transport.{name}": value for name, value in transport.items()}))
 
     def picture(self, image: Image, distance_mm: float) -> tuple[Array, float]:
         """Return the upright picture, (t, s), focused on a plane, and the size of its samples there in mm."""
@@ -218,6 +228,11 @@ def compare(
     progress : callable, optional
         Called with what is being done, in words.
 
+    Warns
+    -----
+    PictureWarning
+        Some of the pictures are or may be wrong: one warning a class, see `Comparison.warnings`.
+
     Raises
     ------
     LfmeshError
@@ -234,19 +249,22 @@ def compare(
     distances = [_in_front(model, REACH * share**3) for share in np.linspace(1.0, -1.0, steps)]
     height = standard.camera.mla.size_mm[1] if standard.camera.mla is not None else math.nan
     results, pictures = [], []
+    warned: dict[str, tuple[PictureWarning, ...]] = {}
     for name, of in scenes.items():
         say(f"{name}: white plane and scene")
         camera = _Camera(name, of, height)
-        pictures.append(camera.picture(render(of), focus)[0])
+        pictures.append(camera.picture(camera.rendered("scene", of), focus)[0])
         edges = []
         for distance in distances:
             say(f"{name}: edge at {distance:.4g} mm")
             edges.append(_edge(camera, distance, focus))
         say(f"{name}: points")
         results.append(_result(camera, edges, focus, standard))
-    return Comparison(
-        focus, standard.transport.samples_each * standard.transport.replicates, tuple(results), tuple(pictures)
-    )
+        warned |= camera.warned
+    samples = standard.transport.samples_each * standard.transport.replicates
+    told = summed_up(warned, len(warned), "pictures")
+    warn_caller(told)
+    return Comparison(focus, samples, tuple(results), tuple(pictures), told)
 
 
 def _in_front(model: RayModel, share: float) -> float:
@@ -281,7 +299,7 @@ def edge_plane(report: FirstOrder, distance_mm: float, focus_mm: float | None = 
 def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
     """Measure a bright half-plane whose edge runs through the axis."""
     plane = edge_plane(solved_camera(camera.scene).report, distance_mm, focus_mm)
-    image = camera.taken([plane])
+    image = camera.taken(f"edge at {distance_mm:.4g} mm", [plane])
     as_taken = _sharpness(camera, image, focus_mm)
     refocused = math.nan if camera.name == CONVENTIONAL else _sharpness(camera, image, distance_mm)
     return Focus(distance_mm, as_taken, refocused)
@@ -345,7 +363,7 @@ def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tup
     ]
     # From the points to the sensor: the other way round, hardly any ray would meet one.
     replicates = camera.scene.transport.replicates
-    image = camera.taken(targets, method="forward", samples=POINT_SAMPLES * replicates)
+    image = camera.taken("points", targets, method="forward", samples=POINT_SAMPLES * replicates)
     return places, *camera.picture(image, focus_mm)
 
 

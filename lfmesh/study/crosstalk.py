@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from lfmesh.errors import warn_caller
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.scene import Scene
+from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import CURVED_FACE, SENSOR_FRAME, TRANSMIT, WORLD_FRAME, Event
+from lfmesh.transport.packets.packet import COUNTERS, CURVED_FACE, SENSOR_FRAME, TRANSMIT, WORLD_FRAME, Event
 from lfmesh.transport.packets.random import descendant, run_key
-from lfmesh.transport.settings import options_of
+from lfmesh.transport.settings import ledger_of, options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.trace import Status
@@ -56,6 +58,11 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
     (replicates, rows, columns, 2) float64, W
         Through the cell's own lenslet, and through all others.
 
+    Warns
+    -----
+    PictureWarning
+        The tracer lost light, or `max_events` cut paths.
+
     Raises
     ------
     LfmeshError
@@ -71,17 +78,21 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
     transport, sensor = world.scene.transport, tables.sensor
     pixels = sensor.rows * sensor.columns
 
-    def keep(work: Workspace, part: range) -> Array:
-        return _sums(world, work.ends(), work.vertices(), cells)
+    def keep(work: Workspace, part: range) -> tuple[Array, Array]:
+        return _sums(world, work.ends(), work.vertices(), cells), work.book.copy()
 
-    found = []
+    found, book = [], np.zeros(len(world.slots))
     for replicate in replicates:
         key = descendant(descendant(run_key(transport.seed), STREAM), replicate)
         some = _spread(pixels, key)
         source = PixelSource(some, transport.samples_each, key, world.lines.middle)
         # Added up in their order, whichever thread is done first.
-        light = sum(launcher.traced(source, keep, transport.threads, CHUNK), np.zeros((2, len(cells.data))))
+        light = np.zeros((2, len(cells.data)))
+        for sums, own in launcher.traced(source, keep, transport.threads, CHUNK):
+            light += sums
+            book += own
         found.append(pixels / len(some) * light)
+    warn_caller(given_up(scene, ledger_of(book, np.zeros(COUNTERS, np.int64), world, 0, "m² sr")))
     return np.stack(found).transpose(0, 2, 1).reshape(len(found), *centres.shape)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order, summed_up, warn_caller
 from lfmesh.files.folder import recover
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.paths import relative
@@ -24,7 +24,7 @@ from lfmesh.scene.inputs import digest_of, files_of
 from lfmesh.scene.toml import table
 from lfmesh.study.axes import is_number
 from lfmesh.study.dataset_file import DatasetFile, Draw, read_dataset
-from lfmesh.study.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera
+from lfmesh.study.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera, warnings_in
 from lfmesh.study.paths import value_at
 from lfmesh.study.plan import MOST_POINTS, in_a_line, path_faults, seed_of
 from lfmesh.study.pool import here, in_pool
@@ -35,7 +35,7 @@ from lfmesh.transport.world import build
 
 INDEX, FACTS = "index.jsonl", "dataset.json"
 
-FORMAT = 1
+FORMAT = 2
 """Of the folder; a reader refuses any other."""
 
 
@@ -51,15 +51,18 @@ class Made:
         Items that there are to be.
     failed : dict of str
         Why items of this run could not be made, by their number.
-    warned : int
-        Items whose line in the index has warnings.
+    warnings : tuple of PictureWarning
+        One for each class of those of items and cameras: how many have it, and what the first says.
+    noted : int
+        Items whose line in the index has notes.
     index : Path
     """
 
     done: int
     count: int
     failed: dict[int, str]
-    warned: int
+    warnings: tuple[PictureWarning, ...]
+    noted: int
     index: Path
 
 
@@ -132,14 +135,26 @@ class Dataset:
         faults += path_faults(file.changes, scene, "changes")
         if not faults and file.changes:
             self.base = scene.changed(file.changes)
+        self.base = self.base.pinned()
         self.candidates = tuple(draw.candidates(folder) for draw in file.random)
         for i, draw in enumerate(file.random):
             faults += [f"random[{i}].{line}" for line in self._draw_faults(draw, self.candidates[i])]
         if file.parts and self.base.camera.mla is None:
             faults.append(f"parts = {list(file.parts)}: need a camera with a microlens array; give parts = []")
+        if not faults:
+            self._pin_candidates()
         faults = faults or list(self._item_faults())
         if faults:
             raise refused(name, faults)
+
+    def _pin_candidates(self) -> None:
+        """Give the template the digests of all files that may be drawn: no item takes another."""
+        digests = self.base.digests
+        for draw, found in zip(self.file.random, self.candidates, strict=True):
+            if draw.files is not None:
+                there = {relative(self.folder / name, self.base.folder): self.folder / name for name in found}
+                digests |= {name: digest_of(path) for name, path in there.items()}
+        self.base = self.base.with_digests(digests)
 
     def _draw_faults(self, draw: Draw, candidates: tuple[Any, ...]) -> Iterator[str]:
         if draw.files is not None and not candidates:
@@ -256,6 +271,11 @@ class Dataset:
             Only this share of the items, such as (1, 3); several may work in one folder.
         progress : callable, optional
 
+        Warns
+        -----
+        PictureWarning
+            Pictures of some items or cameras are or may be wrong: one warning a class, see `Made.warnings`.
+
         Raises
         ------
         KeyboardInterrupt
@@ -333,6 +353,7 @@ class _Making:
         finally:
             made = self._indexed()
             self._log("stopped", done=made.done, failed=len(self.failed))
+        warn_caller(made.warnings)
         return made
 
     def _with_cameras(self, missing: list[Item]) -> Iterator[Item]:
@@ -370,12 +391,18 @@ class _Making:
 
     def _indexed(self) -> Made:
         """Write the index: a line for each item that is there, by this process and others, in their order."""
-        items = map(self.dataset.item, range(len(self.dataset)))
-        known = [facts for item in items if (facts := self._facts(item)) is not None]
+        wanted = map(self.dataset.item, range(len(self.dataset)))
+        known = [facts for item in wanted if (facts := self._facts(item)) is not None]
         lines = [json.dumps(facts, ensure_ascii=False, sort_keys=True) + "\n" for facts in known]
         write_whole(self.folder / INDEX, "".join(lines))
-        warned = sum("warnings" in facts for facts in known)
-        return Made(len(known), len(self.dataset), self.failed, warned, self.folder / INDEX)
+        items = {f"item {facts['item']}": warnings_in(facts) for facts in known}
+        cameras = {name: self._camera_warnings(name) for name in sorted({f["camera"] for f in known if f["camera"]})}
+        told = in_order([*summed_up(items, len(items), "items"), *summed_up(cameras, len(cameras), "cameras")])
+        noted = sum("notes" in facts for facts in known)
+        return Made(len(known), len(self.dataset), self.failed, told, noted, self.folder / INDEX)
+
+    def _camera_warnings(self, name: str) -> tuple[PictureWarning, ...]:
+        return warnings_in(self._known(self.folder / name, Path(name).name) or {})
 
     def _fail(self, number: int, reason: str) -> None:
         self.failed[number] = reason

@@ -7,13 +7,13 @@ cameras/KEY/     the run folder of the white image, calibration.json, camera.exr
 import json
 import shutil
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import lfmesh
-from lfmesh.errors import FileError
+from lfmesh.errors import FileError, PictureWarning, collected, in_order
 from lfmesh.files import run
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.camera_model import write_camera_model
@@ -172,6 +172,11 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
     return facts
 
 
+def warnings_in(facts: Mapping[str, Any]) -> tuple[PictureWarning, ...]:
+    """Return the warnings of a folder's pictures, from what it says of itself."""
+    return tuple(map(PictureWarning.from_dict, facts.get("warnings", ())))
+
+
 def _traced(scene: Scene, threads: int) -> Image:
     """Render in some threads; the image does not tell in how many."""
     image = render(scene.changed({"transport.threads": threads}))
@@ -182,14 +187,19 @@ def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -
     """Make a folder beside its place, and move it there when it is complete, with what was warned about."""
     try:
         # As deep as its place, so that relative paths stay what they are.
-        with staged(folder.parent.parent) as outer, warnings.catch_warnings(record=True) as warned:
+        with (
+            staged(folder.parent.parent) as outer,
+            warnings.catch_warnings(record=True) as noted,
+            collected() as found,
+        ):
             warnings.simplefilter("always", UserWarning)
             staging = outer / folder.name
             staging.mkdir()
             facts = write(staging)
-            notes = list(dict.fromkeys(str(w.message) for w in warned if issubclass(w.category, UserWarning)))
-            if notes:
-                facts["warnings"] = notes
+            if found:
+                facts["warnings"] = [each.as_dict() for each in in_order(found)]
+            if notes := list(dict.fromkeys(str(w.message) for w in noted if issubclass(w.category, UserWarning))):
+                facts["notes"] = notes
             files = sorted(path for path in staging.rglob("*") if path.is_file())
             sizes = {path.relative_to(staging).as_posix(): path.stat().st_size for path in files}
             kept = {**facts, "digest": digest, "lfmesh_version": lfmesh.__version__, "files": sizes}

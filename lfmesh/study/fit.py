@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, PictureWarning, summed_up, warn_caller
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
@@ -113,6 +113,8 @@ class Fit:
         whatever single lenslets do.
     left_out : int
         Micro-images that lie far beside the fit.
+    warnings : tuple of PictureWarning
+        One for each class of those of the simulated white images.
     """
 
     scene: Scene
@@ -124,6 +126,7 @@ class Fit:
     residuals_px: Array
     sigma_px: float
     left_out: int
+    warnings: tuple[PictureWarning, ...]
 
     def __repr__(self) -> str:
         return f"<Fit: {len(self.estimates)} parameters, {self.used} micro-images, {self.rms_px:.3g} pixels rms>"
@@ -178,6 +181,11 @@ def fit(
     progress : callable, optional
         Called with what is being done.
 
+    Warns
+    -----
+    PictureWarning
+        Some of the simulated white images are or may be wrong: one warning a class, see `Fit.warnings`.
+
     Raises
     ------
     LfmeshError
@@ -185,10 +193,17 @@ def fit(
     """
     if samples < 2:
         raise LfmeshError(f"samples = {samples}: must be 2 or more, one for each of two replicates")
-    start = solved_camera(scene).scene
+    start = solved_camera(scene.pinned()).scene
     model = FitModel(start, parameters_of(start, also), samples + samples % 2)
     light = light_of(white, start, orientation)
-    return _Search(model, light, progress or (lambda _: None)).run()
+    try:
+        return _Search(model, light, progress or (lambda _: None)).run()
+    finally:
+        warn_caller(_warnings(model))
+
+
+def _warnings(model: FitModel) -> tuple[PictureWarning, ...]:
+    return summed_up(model.warned, len(model.warned), "simulated white images")
 
 
 class _Search:
@@ -343,6 +358,7 @@ class _Search:
             residuals_px=np.where(used[..., None], self.residuals(self.steps), np.nan),
             sigma_px=self.sigma,
             left_out=int(self.outliers.sum()),
+            warnings=_warnings(self.model),
         )
 
     def _pitch_slopes(self, derivative: Array, used: NDArray[np.bool_]) -> Array:

@@ -85,6 +85,7 @@ def facts(fit: Fit) -> dict[str, Any]:
         "sigma_px": fit.sigma_px,
         "micro_images": fit.used,
         "left_out": fit.left_out,
+        "warnings": [each.as_dict() for each in fit.warnings],
         "orientation": f"shifts and tilts are those of the camera frame; residuals {ON_SENSOR}",
         "residuals_px": fit.residuals_px.tolist() if fit.used <= LISTED else None,
     }

@@ -6,12 +6,12 @@ simulated white image of the camera.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError, SceneError
+from lfmesh.errors import LfmeshError, PictureWarning, SceneError, collected
 from lfmesh.lightfield.calibration import calibrate
 from lfmesh.lightfield.ray_model import RayModel
 from lfmesh.lightfield.white import white_image
@@ -129,11 +129,14 @@ class FitModel:
     parameters : tuple of Parameter
     samples : int
         A pixel, of the simulated white images.
+    warned : dict
+        Warnings of the white images simulated so far, by the name of each.
     """
 
     scene: Scene
     parameters: tuple[Parameter, ...]
     samples: int
+    warned: dict[str, tuple[PictureWarning, ...]] = field(default_factory=dict)
 
     @property
     def reach(self) -> Array:
@@ -179,7 +182,10 @@ class FitModel:
             "transport.seed": camera.transport.seed + number,
             "transport.target_error": None,
         }
-        return np.ascontiguousarray(white_image(camera.changed(settings)).mean.sum(axis=2))
+        with collected():
+            image = white_image(camera.changed(settings))
+        self.warned[f"image {len(self.warned) + 1}"] = image.warnings
+        return np.ascontiguousarray(image.mean.sum(axis=2))
 
     def beside(self, light: Array, steps: Array) -> Array:
         """Return how far micro-images of a simulated white image lie beside the chief rays, (rows, columns, 2) pixels.

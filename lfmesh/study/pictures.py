@@ -8,14 +8,17 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import warn_caller
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.lightfield.white import white_scene
 from lfmesh.scene import Scene
 from lfmesh.study.compare import edge_plane, measuring
 from lfmesh.study.crosstalk import lenslet_light
+from lfmesh.transport.checks.found import books
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import warn_beforehand
+from lfmesh.transport.render.tally import Work
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
 
@@ -42,6 +45,8 @@ class Camera:
 def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
     """Trace some replicates of some pictures; each of `PICTURES` is bitwise that of `lf.render` of the same scene.
 
+    Warnings are those of `lf.render`, without what takes a whole image: the blind check, and errors of single pixels.
+
     Parameters
     ----------
     camera : Camera
@@ -66,12 +71,16 @@ def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:
 def _films(scene: Scene, replicates: Sequence[int]) -> Array:
     tracer = Tracer(build(scene), check=False)
     warn_beforehand(tracer)
-    films = []
+    films, layout = [], tracer.layout
+    book, work = np.zeros(layout.book), Work(np.zeros(layout.counters, np.int64))
     for replicate in replicates:
-        tally = tracer.layout.tally()
+        tally = layout.tally()
         tally.restart(replicate)
         tally.merge([tracer.piece(replicate, tracer.plan.whole())])
         films.append(reduce(np.add, [film.power for film in tally.films]).reshape(tracer.shape))
+        book += tally.book
+        work.add(tally.work)
+    warn_caller(books(scene, tracer.ledger(book, work, len(films))))
     return np.stack(films)
 
 

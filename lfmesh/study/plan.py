@@ -5,7 +5,8 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
-from lfmesh.scene.inputs import digest_of, files_of
 from lfmesh.scene.literals import literal
 from lfmesh.scene.toml import table
 from lfmesh.study.axes import Axis, is_number
@@ -59,12 +59,13 @@ class Plan:
     ----------
     study : StudyFile
     base : Scene
-        The reference camera, with nothing left to solve unless the study refocuses.
+        The reference camera, with nothing left to solve unless the study refocuses, and with the digests of all files
+        that any point reads: no unit takes another.
     axes : tuple of Axis
         Those of a template included.
     points : list of Point
     scenes : tuple of Scene
-        Of a study of scene files; else empty.
+        Of a study of scene files, with the digests of their files; else empty.
     """
 
     study: StudyFile
@@ -72,7 +73,6 @@ class Plan:
     axes: tuple[Axis, ...]
     points: list[Point]
     scenes: tuple[Scene, ...] = ()
-    inputs: dict[str, str] = field(default_factory=dict)
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -116,7 +116,7 @@ class Plan:
         """SHA-256 of all that the results follow from: scene, files that it reads, points, metrics."""
         facts = {
             "scenes": [scene.digest for scene in self.scenes or (self.base,)],
-            "inputs": self.inputs,
+            "inputs": [scene.digests for scene in self.scenes or (self.base,)],
             "paths": [axis.path for axis in self.axes],
             "points": [point.values for point in self.points],
             "metrics": self.metrics,
@@ -196,7 +196,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
     if faults:
         raise refused(name, faults)
     points = [Point(i, ()) for i in range(len(scenes))] if scenes else list(_points(study, axes, ready_scene))
-    plan = Plan(study, ready_scene, axes, points, scenes, _inputs(scenes or (ready_scene,)))
+    plan = Plan(study, _pinned(ready_scene, axes), axes, points, tuple(scene.pinned() for scene in scenes))
     faults = list(_point_faults(plan))
     if faults:
         raise refused(name, faults)
@@ -354,16 +354,14 @@ def in_a_line(error: LfmeshError) -> str:
     return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 
-def _inputs(scenes: Sequence[Scene]) -> dict[str, str]:
-    """Return the SHA-256 of every file that the scenes read, by its name in them.
-
-    Raises
-    ------
-    FileError
-        One of them is missing.
-    """
-    names = {(name, scene.resolve(name)) for scene in scenes for _, name in files_of(scene)}
-    return {name: digest_of(path) for name, path in sorted(names) if path.is_file()}
+def _pinned(base: Scene, axes: tuple[Axis, ...]) -> Scene:
+    """Return the reference camera's scene with the digests of its files, and of those that axes name."""
+    digests = base.pinned().digests
+    for axis in axes:
+        for value in dict.fromkeys(value for value in axis.values or () if isinstance(value, str)):
+            with suppress(LfmeshError):  # a value that is not valid is found with its point
+                digests |= base.changed({axis.path: value}).pinned().digests
+    return base.with_digests(digests)
 
 
 def summary_of(plan: Plan) -> dict[str, Any]:

@@ -44,6 +44,7 @@ def page(table: Table) -> str:
         failed=[
             (plan.label(row.point), row.point.number, row.fault) for row in table.failed if row.fault != "not done"
         ],
+        warned=[str(each) for each in table.warnings],
         missing=sum(row.fault == "not done" for row in table.rows),
         axes=[
             {
@@ -59,7 +60,7 @@ def page(table: Table) -> str:
         efficiency=Markup(figures.efficiency_figure(table)) if table.efficiency() else "",
         pictures=_pictures(table, done),
         fields=_fields(table, done),
-        heading=["point", *(axis.path for axis in plan.axes), *(column.title for column in table.columns)],
+        heading=["point", *(axis.path for axis in plan.axes), *(column.title for column in table.columns), "warnings"],
         rows=[_cells(table, row) for row in table.rows[:MOST_ROWS]],
         more=max(0, len(table.rows) - MOST_ROWS),
         confidence=CONFIDENCE,
@@ -169,9 +170,9 @@ def _slope_cells(each: Sensitivity) -> list[str]:
 def _cells(table: Table, row: Row) -> list[str]:
     values = [literal(table.value_of(row, i)) for i in range(len(table.plan.axes))]
     if row.fault:
-        return [str(row.point.number), *values, row.fault, *[""] * (len(table.columns) - 1)]
+        return [str(row.point.number), *values, row.fault, *[""] * (len(table.columns) - 1), row.warned_of]
     estimates = [row.estimates[column.name] for column in table.columns]
-    return [str(row.point.number), *values, *(written(each.value, each.stderr) for each in estimates)]
+    return [str(row.point.number), *values, *(written(each.value, each.stderr) for each in estimates), row.warned_of]
 
 
 def written(value: float, error: float) -> str:

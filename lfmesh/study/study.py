@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.files.whole import write_whole
 from lfmesh.regular_file import read_bytes
 from lfmesh.scene import Scene
@@ -168,6 +168,11 @@ class Study:
             Only this share of the units, such as (1, 3); `merged` puts the shares together.
         progress : callable, optional
 
+        Warns
+        -----
+        PictureWarning
+            Pictures of some points are or may be wrong: one warning a class, see `Table.warnings`.
+
         Raises
         ------
         KeyboardInterrupt
@@ -193,7 +198,13 @@ class Study:
         run = Run(self.plan, Path(into))
         for folder in map(Path, folders):
             run.take(folder)
-        return run.written()
+        return _warned(run.written())
+
+
+def _warned(table: Table) -> Table:
+    """Warn of what may be wrong with the pictures behind a table, a line for each class."""
+    warn_caller(table.warnings)
+    return table
 
 
 def check_workers(workers: int | None) -> None:
@@ -251,7 +262,7 @@ class Run:
             self.written()
             raise
         self.folder.log("finished", done=self.new, failed=len(self.faults))
-        return self.written()
+        return _warned(self.written())
 
     def _missing(self, units: list[tuple[int, int]]) -> list[tuple[int, int]]:
         """Return the units that have no outcome yet; those that cannot be read are among them, and are named."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
 from lfmesh.study.axes import is_number
 from lfmesh.study.metrics import Column, columns_of
 from lfmesh.study.plan import Plan, Point
@@ -39,6 +39,8 @@ class Row:
     maps : dict of (rows, columns, 2) float64
         Mean over the batches.
     preview : (h, w) uint8, or None
+    warnings : tuple of PictureWarning
+        Of all batches.
     """
 
     point: Point
@@ -47,6 +49,12 @@ class Row:
     seconds: float = 0.0
     maps: Mapping[str, Array] = field(default_factory=dict)
     preview: NDArray[np.uint8] | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+    @property
+    def warned_of(self) -> str:
+        """Classes of the warnings, in words; "" where there are none."""
+        return "; ".join(dict.fromkeys(type(each).__name__ for each in self.warnings))
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,13 @@ class Table:
         """Points without metrics."""
         return [row for row in self.rows if row.fault]
 
+    @property
+    def warnings(self) -> tuple[PictureWarning, ...]:
+        """One warning for each class of those of the points: how many have it, and what the first says."""
+        known = [row for row in self.rows if row.estimates]
+        found = {f"point {row.point.number}": row.warnings for row in known}
+        return summed_up(found, len(known), "points")
+
     def value_of(self, row: Row, axis: int) -> Any:
         """Return what an axis is at a row's point."""
         value = row.point.values[axis]
@@ -110,6 +125,7 @@ class Table:
                 record[column.name] = None if estimate is None else estimate.value
                 record[f"{column.name}_stderr"] = None if estimate is None else estimate.stderr
             record["fault"] = row.fault
+            record["warnings"] = row.warned_of
             records.append(record)
         return records
 
@@ -241,8 +257,9 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
     fault = next((outcome.fault for outcome in known if outcome.fault), "")
     if not fault and len(known) < len(mine):
         fault = faults.get(point.number, "not done")
+    found = in_order(warning for outcome in known for warning in outcome.warnings)
     if fault:
-        return Row(point, {}, fault)
+        return Row(point, {}, fault, warnings=found)
     estimates = {
         column.name: column.estimate(_joined([outcome.columns[column.name] for outcome in known]))
         for column in columns_of(plan.metrics)
@@ -252,7 +269,7 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
         for name in known[0].maps
         if all(name in outcome.maps for outcome in known)
     }
-    return Row(point, estimates, "", sum(outcome.seconds for outcome in known), maps, known[0].preview)
+    return Row(point, estimates, "", sum(outcome.seconds for outcome in known), maps, known[0].preview, found)
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:

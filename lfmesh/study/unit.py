@@ -8,7 +8,7 @@ import json
 import time
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_order
 from lfmesh.lightfield.upright import Upright
+from lfmesh.provenance import program, refuse_other
 from lfmesh.regular_file import read_bytes
 from lfmesh.study.metrics import METRICS, Comparison, columns_of, pictures_of
 from lfmesh.study.pictures import Camera, Films, films
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 """Of the bytes of an outcome; a reader refuses any other."""
 
 PREVIEW_PX = 200
@@ -50,6 +51,8 @@ class Unit:
     replicates : range
     threads : int
         In which it is traced; does not change the outcome.
+    program : dict of str
+        That planned it, see `lfmesh.provenance.program`.
     """
 
     study: str
@@ -60,9 +63,17 @@ class Unit:
     metrics: tuple[str, ...]
     replicates: range
     threads: int = 0
+    program: dict[str, str] = field(default_factory=program)
 
     def compute(self, given: "Reference") -> bytes:
-        """Return the unit's outcome as bytes, given the reference's films."""
+        """Return the unit's outcome as bytes, given the reference's films.
+
+        Raises
+        ------
+        LfmeshError
+            Another program computes it than the one that planned it.
+        """
+        refuse_other(self.program)
         return run_unit(self, given)
 
 
@@ -83,6 +94,8 @@ class Outcome:
         Displacement of each centre, pixels.
     preview : (h, w) uint8, or None
         Upright picture of the raw image.
+    warnings : tuple of PictureWarning
+        Of the pictures that its values are made of, those of the reference left out.
     """
 
     point: int
@@ -92,6 +105,16 @@ class Outcome:
     fault: str | None = None
     maps: dict[str, Array] = field(default_factory=dict)
     preview: NDArray[np.uint8] | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures."""
+
+    films: Films
+    seconds: float
+    warnings: tuple[PictureWarning, ...] = ()
 
 
 Reference = bytes | Path
@@ -101,9 +124,11 @@ Reference = bytes | Path
 def reference_films(unit: Unit) -> bytes:
     """Trace the reference's replicates of a unit's batch, and return their films as bytes."""
     began = time.perf_counter()
-    traced = films(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
+    with collected() as found:
+        traced = films(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
+    facts = {"study": unit.study, "batch": unit.batch, "format": FORMAT, "warnings": _as_dicts(found)}
     arrays: dict[str, Any] = {f"film.{name}": power for name, power in traced.items()}
-    arrays["facts"] = np.array(json.dumps({"study": unit.study, "batch": unit.batch, "format": FORMAT}))
+    arrays["facts"] = np.array(json.dumps(facts))
     arrays["seconds"] = np.array(time.perf_counter() - began)
     return _bytes_of(arrays)
 
@@ -119,21 +144,27 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
     Raises
     ------
     FileError
-        The reference's films cannot be read.
+        The reference's films, or a file of the scene, cannot be read, or it has changed since the study was planned.
     """
-    known, known_seconds = opened_reference(reference)
-    try:
-        outcome = _outcome(unit, known, known_seconds)
-    except LfmeshError as error:
-        outcome = Outcome(unit.point, unit.batch, fault=" ".join(str(error).split()))
+    known = opened_reference(reference)
+    with collected() as found:
+        try:
+            outcome = _outcome(unit, known)
+        except FileError:
+            # The machine's fault, not the point's: the unit is tried again when the study goes on.
+            raise
+        except LfmeshError as error:
+            outcome = Outcome(unit.point, unit.batch, fault=" ".join(str(error).split()))
+    outcome.warnings = in_order([*(known.warnings if unit.point == 0 else ()), *found])
     return packed(outcome, unit.study)
 
 
-def _outcome(unit: Unit, known: Films, known_seconds: float) -> Outcome:
+def _outcome(unit: Unit, reference: Traced) -> Outcome:
     began = time.perf_counter()
+    known = reference.films
     if unit.point == 0:
         own: Films = known
-        seconds = known_seconds
+        seconds = reference.seconds
     else:
         own = films(_in_threads(unit.camera, unit.threads), pictures_of(unit.metrics), unit.replicates)
         seconds = time.perf_counter() - began
@@ -175,6 +206,7 @@ def packed(outcome: Outcome, study: str) -> bytes:
         "batch": outcome.batch,
         "seconds": outcome.seconds,
         "fault": outcome.fault,
+        "warnings": _as_dicts(outcome.warnings),
     }
     arrays: dict[str, Any] = {"facts": np.array(json.dumps(facts))}
     arrays |= {f"column.{name}": values for name, values in outcome.columns.items()}
@@ -208,14 +240,23 @@ def unpacked(content: bytes, study: str, point: int, batch: int, metrics: tuple[
             raise FileError("belongs to another study or unit")
         fault, seconds = facts["fault"], float(facts["seconds"])
         columns = {} if fault else {column.name: arrays[f"column.{column.name}"] for column in columns_of(metrics)}
+        found = _warnings_in(facts)
     except (ValueError, KeyError, TypeError):
         raise FileError("is damaged") from None
     maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
-    return Outcome(point, batch, columns, seconds, fault, maps, arrays.get("preview"))
+    return Outcome(point, batch, columns, seconds, fault, maps, arrays.get("preview"), found)
 
 
-def opened_reference(reference: Reference) -> tuple[Films, float]:
-    """Return the films of a reference, and the seconds that they took.
+def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:
+    return [each.as_dict() for each in in_order(found)]
+
+
+def _warnings_in(facts: Mapping[str, Any]) -> tuple[PictureWarning, ...]:
+    return tuple(map(PictureWarning.from_dict, facts["warnings"]))
+
+
+def opened_reference(reference: Reference) -> Traced:
+    """Return the films of a reference.
 
     Raises
     ------
@@ -229,16 +270,16 @@ def opened_reference(reference: Reference) -> tuple[Films, float]:
 
 
 @lru_cache(maxsize=2)
-def _opened_file(path: Path) -> tuple[Films, float]:
+def _opened_file(path: Path) -> Traced:
     try:
         return _films_in(_arrays_of(read_bytes(path)))
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _films_in(arrays: Mapping[str, NDArray[Any]]) -> tuple[Films, float]:
+def _films_in(arrays: Mapping[str, NDArray[Any]]) -> Traced:
     found = {name.removeprefix("film."): power for name, power in arrays.items() if name.startswith("film.")}
-    return found, float(arrays["seconds"])
+    return Traced(found, float(arrays["seconds"]), _warnings_in(json.loads(str(arrays["facts"]))))
 
 
 def is_reference(content: bytes, study: str, batch: int) -> bool:

@@ -223,6 +223,19 @@ def test_ctrl_c_keeps_the_finished_replicates(
     assert json.loads(Path("run/report.json").read_text())["complete"] is False
 
 
+def test_too_little_memory_is_one_line(
+    renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Renderer, *_: object, **__: object) -> Image:
+        return np.zeros((1 << 26, 1 << 26))  # type: ignore[return-value]
+
+    monkeypatch.setattr(Renderer, "__call__", full)
+    assert main(["render", "scene.toml", "-o", "run"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("lfmesh: not enough memory: Unable to allocate 32.0 PiB")
+    assert said.count("\n") == 1
+
+
 def test_sigterm_ends_a_render_as_ctrl_c_does(
     renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,7 +33,7 @@ COMMANDS = {
 }
 """What yields the parts of their work, what these are called, and where they are kept."""
 
-SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
+SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
 @pytest.fixture
@@ -125,6 +125,6 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
     monkeypatch.setattr("lfmesh.transport.engine.MOST_EVENTS_EACH", 1 << 60)
     monkeypatch.setattr(Workspace, "_take", take)
     monkeypatch.setattr(Tally, "restart", restart)
-    assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[signal.SIGINT]
+    assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
     assert time.monotonic() < until
     assert "1 of 4 replicates were finished" in capsys.readouterr().out

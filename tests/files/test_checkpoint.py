@@ -10,12 +10,14 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import lfmesh
+import lfmesh as lf
+from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.errors import FileError
 from lfmesh.files import checkpoint, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.folder import STAGING
+from lfmesh.files.sealed import read_sealed, write_sealed
 from lfmesh.transport.render.tally import Layout
 from lfmesh.transport.render.tracer import Tracer
 from tests.cameras import as_text, close_up_camera
@@ -152,7 +154,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(cut_short: Path, capsys: py
         place = contents.index(arrays["first.means.0.mean"].tobytes())
     for damaged in (contents[: len(contents) // 2], b"", b"text", contents[:place] + b"\0\1" + contents[place + 2 :]):
         path.write_bytes(damaged)
-        assert "is damaged; delete it" in refusal(capsys)
+        assert "is damaged; begin anew with" in refusal(capsys)
     path.write_bytes(contents)
     assert main(["render", "--resume", "run"]) == 0
 
@@ -160,19 +162,20 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(cut_short: Path, capsys: py
 def test_the_checkpoint_of_another_version_is_refused_in_one_line(
     cut_short: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written = lfmesh.__version__
-    monkeypatch.setattr(lfmesh, "__version__", "99.0")
+    written = provenance.program()
+    monkeypatch.setattr(provenance, "program", lambda: written | {"lfmesh": "99.0", "numba": "0.1"})
     said = refusal(capsys)
-    assert f"was written by lfmesh {written}" in said
-    assert "this lfmesh 99.0 may not go on to the same bits" in said
+    assert f"lfmesh {written['lfmesh']}, here 99.0" in said
+    assert f"numba {written['numba']}, here 0.1" in said
+    assert "numpy" not in said
 
 
 def test_a_state_that_does_not_fit_its_scene_is_refused_in_one_line(
     cut_short: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with np.load(cut_short / CHECKPOINT) as file:
-        arrays = dict(file)
-    np.savez(cut_short / CHECKPOINT, **arrays | {"first.means.0.mean": np.zeros((3, 3, 1))})
+    facts, arrays = read_sealed(cut_short / CHECKPOINT, checkpoint.FORMAT)
+    with (cut_short / CHECKPOINT).open("wb") as file:
+        write_sealed(file, checkpoint.FORMAT, facts, arrays | {"first.means.0.mean": np.zeros((3, 3, 1))})
     assert "is not that of this scene's render: first.means.0.mean has another size" in refusal(capsys)
 
 
@@ -217,13 +220,40 @@ def test_a_file_that_changes_while_it_is_rendered_does_not_pass_for_what_was_ren
         scene.resolve(scene.targets[0].material.texture or "")
 
 
-def test_a_render_that_begins_anew_says_what_is_lost(
+def test_a_render_that_was_cut_short_begins_anew_only_where_that_is_asked_for(
     cut_short: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     capsys.readouterr()
-    assert main(["render", "scene.toml", "-o", "run", "--seed", "5"]) == 0
-    assert "begins anew; --resume run would go on with it" in " ".join(capsys.readouterr().err.split())
+    assert main(["render", "scene.toml", "-o", "run", "--seed", "5"]) == 2
+    said = capsys.readouterr().err
+    assert "--resume run goes on with it; --restart begins anew" in said
+    assert said.count("\n") == 1
+    assert main(["render", "--resume", "run"]) == 0
+    assert lf.open_run("run").scene.transport.seed == 0
+
+
+def test_a_damaged_checkpoint_does_not_stand_in_the_way_of_a_restart(cut_short: Path) -> None:
+    (cut_short / CHECKPOINT).write_bytes(b"damaged")
+    assert main(["render", "scene.toml", "-o", "run", "--seed", "5", "--restart"]) == 0
     assert not (cut_short / CHECKPOINT).exists()
+    assert lf.open_run("run").scene.transport.seed == 5
+
+
+def test_an_edited_checkpoint_is_refused(cut_short: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Any number of any array, with the zip's checksums made right: a count, a mean that is no number."""
+    path = cut_short / CHECKPOINT
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in arrays.keys() - {"facts"}:
+        if arrays[name].size:
+            edited = arrays[name].copy()
+            edited.flat[edited.size // 2] = np.nan if edited.dtype.kind == "f" else edited.flat[edited.size // 2] + 1
+            np.savez(path, **arrays | {name: edited})
+            with pytest.raises(FileError, match="is damaged"):
+                checkpoint.read(cut_short, run.scene_from)
+    digest, facts = arrays["facts"]
+    np.savez(path, **arrays | {"facts": np.array([digest, facts.replace("60.0", "61.0", 1)])})
+    assert "is damaged" in refusal(capsys)
 
 
 def test_checkpoints_take_a_hundredth_of_the_time_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,7 +287,7 @@ def test_a_full_disk_does_not_end_a_render(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(checkpoint, "SECONDS", 0.0)
-    monkeypatch.setattr(checkpoint.np, "savez", full)
+    monkeypatch.setattr(checkpoint, "write_sealed", full)
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "Note: run/lfmesh-checkpoint.npz cannot be written: No space left on device; the render goes on" in said

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.errors import FileError, LfmeshError
-from lfmesh.files.inputs import pinned
+from lfmesh.files import sealed
 from lfmesh.files.shares import FACTS, PIECES, merged, trace_share
 from lfmesh.transport.render.tracer import Tracer
 from tests.cameras import close_up_camera
@@ -36,7 +37,9 @@ def scene_of() -> Callable[[str], lf.Scene]:
     def scene(name: str) -> lf.Scene:
         changes, lights = SCENES[name]
         bodies = {"targets": [PLANE], "lights": list(lights)}
-        return pinned(lf.Scene(camera=close_up_camera(20, 16), **bodies).changed({"transport.replicates": 4} | changes))
+        return (
+            lf.Scene(camera=close_up_camera(20, 16), **bodies).changed({"transport.replicates": 4} | changes).pinned()
+        )
 
     return scene
 
@@ -103,10 +106,15 @@ def test_nothing_but_the_whole_is_merged(scene_of: Callable[[str], lf.Scene], tm
     with pytest.raises(FileError, match="no share"):
         merged([one, tmp_path])
     pieces = sorted((two / PIECES).iterdir())
-    # A piece under the name of another one, and one that was cut short.
+    # A piece under the name of another one, the same of another render, and one that was cut short.
     shutil.copy(pieces[0], pieces[1])
-    with pytest.raises(FileError, match="damaged"):
+    with pytest.raises(FileError, match="another piece"):
         merged([one, two])
+    shutil.copy(other / PIECES / pieces[1].name, pieces[1])
+    with pytest.raises(FileError, match="a piece of another render"):
+        merged([one, two])
+    trace_share(scene, two, 2, 2)
+    same_bits(merged([one, two]), lf.render(scene))
     pieces[1].write_bytes(pieces[1].read_bytes()[:200])
     with pytest.raises(FileError, match="damaged"):
         merged([one, two])
@@ -116,6 +124,20 @@ def test_nothing_but_the_whole_is_merged(scene_of: Callable[[str], lf.Scene], tm
     (one / FACTS).write_text("{}")
     with pytest.raises(FileError, match="damaged"):
         merged([one, two])
+
+
+def test_shares_of_another_program_are_refused_and_of_another_processor_warned_of(
+    scene_of: Callable[[str], lf.Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, own = scene_of("reflections"), provenance.program()
+    trace_share(scene, tmp_path / "a", 1, 1)
+    with monkeypatch.context() as patched:
+        patched.setattr(sealed, "processor", lambda: "another")
+        with pytest.warns(sealed.ProcessorWarning, match="here another"):
+            merged([tmp_path / "a"])
+    monkeypatch.setattr(provenance, "program", lambda: own | {"sources": "others"})
+    with pytest.raises(FileError, match=f"sources {own['sources']}, here others"):
+        merged([tmp_path / "a"])
 
 
 def test_another_number_of_threads_is_the_same_render(scene_of: Callable[[str], lf.Scene], tmp_path: Path) -> None:

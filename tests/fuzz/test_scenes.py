@@ -4,6 +4,7 @@ import math
 import re
 import tomllib
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
 import tomlkit
@@ -117,10 +118,10 @@ def changed(edits: list[tuple[tuple[int, int], str]]) -> str:
     return text
 
 
-def is_read_or_refused(text: str) -> None:
+def is_read_or_refused(text: str, folder: str | Path = ".") -> None:
     """Insist on a report, or on one refusal of bounded length."""
     try:
-        scene = loads(text)
+        scene = loads(text, folder)
         lines = first_order(scene).lines()
         for placement in placements(scene):
             lines += placement.lines()

@@ -41,8 +41,10 @@ def test_white_then_decode_then_refocus(folder: Path, capsys: pytest.CaptureFixt
     assert {"refocused_480mm.exr", "refocused_480mm.png", "refocused_620mm.exr"} <= {p.name for p in folder.iterdir()}
     assert capsys.readouterr().err == ""
 
-    assert main(["refocus", str(folder), "--stack", "300:800:100", "--all-in-focus", "--method", "fourier"]) == 0
-    assert {"stack.exr", "stack.png", "all_in_focus.exr"} <= {path.name for path in folder.iterdir()}
+    more = ["--stack", "300:800:100", "--all-in-focus", "--distance-mm", "480", "--method", "fourier"]
+    assert main(["refocus", str(folder), *more]) == 0
+    made = {"stack.exr", "stack.png", "all_in_focus.exr", "refocused_480mm.exr", "refocused_480mm_fourier.exr"}
+    assert made <= {path.name for path in folder.iterdir()}
 
 
 def test_render_makes_the_white_image_where_asked(camera: Callable[..., Scene], tmp_path: Path) -> None:

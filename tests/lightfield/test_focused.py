@@ -132,7 +132,7 @@ def test_the_command_joins_patches(tmp_path: Path, capsys: pytest.CaptureFixture
     words = ["--distance-mm", "500", "--stack", "490:510:20", "--all-in-focus", "--method", "patches"]
     assert main(["refocus", str(folder), *words]) == 0
     expected = lf.render_patches(lf.open_run(folder), 500.0)
-    with OpenEXR.File(str(folder / "refocused_500mm.exr"), separate_channels=True) as file:
+    with OpenEXR.File(str(folder / "refocused_500mm_patches.exr"), separate_channels=True) as file:
         written = [channel.pixels for channel in file.parts[0].channels.values()]
     assert any(np.array_equal(w, expected.mean[..., 0].astype(np.float32), equal_nan=True) for w in written)
     assert (folder / "stack.exr").exists()

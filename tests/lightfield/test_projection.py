@@ -42,7 +42,8 @@ def plate(z_mm, radiance=2.0, side=40.0):
 
 def pieces(projector, pixels):
     """Return all pieces of rays of all replicates, one after another."""
-    found = [s for r in range(projector.replicates) for s in projector._segments(pixels, r)]
+    book = np.zeros(len(projector.world.slots))
+    found = [s for r in range(projector.replicates) for s in projector._segments(pixels, r, book)]
     return [np.concatenate(column) for column in zip(*found, strict=True)][:5]
 
 
@@ -452,6 +453,35 @@ def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, 
     with pytest.raises(FileError, match="GB are free"):
         lf.write_projection_matrix(camera(), box(), tmp_path / "m.npz")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", ["npz", "h5"])
+def test_a_matrix_warns_of_light_that_it_lacks_as_an_image_does(ending, tmp_path, monkeypatch):
+    """In Python and in its file; the warning is that of all its blocks, of those that an earlier run had made, too."""
+    monkeypatch.setattr("lfmesh.lightfield.projection.RAYS_AT_ONCE", 1 << 8)
+    # Half of the view is behind glass, whose faces are two events more.
+    block = {"refractor": {"index": 1.5, "box_mm": [30.0, 30.0, 3.0]}, "position_mm": [15.3, 0.0, -40.0]}
+    scene = camera((block,), max_events=4)
+    with pytest.warns(lf.CutPathsWarning) as told:
+        made = projection_matrix(scene, box())
+    assert made.warnings == (told[0].message,)
+    usual, done = files.staged_file, []
+
+    def cut_short(folder, name):
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(name)
+        return usual(folder, name)
+
+    path = tmp_path / f"m.{ending}"
+    monkeypatch.setattr(files, "staged_file", cut_short)
+    with pytest.raises(KeyboardInterrupt):
+        files.write_projection_matrix(scene, box(), path)
+    monkeypatch.setattr(files, "staged_file", usual)
+    with pytest.warns(lf.CutPathsWarning) as told:
+        files.write_projection_matrix(scene, box(), path)
+    assert (told[0].message,) == files.open_projection_matrix(path).warnings == made.warnings
+    assert projection_matrix(scene.changed({"transport.max_events": 6}), box()).warnings == ()
 
 
 def test_a_damaged_file_is_refused(tmp_path):

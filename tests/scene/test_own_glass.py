@@ -11,6 +11,7 @@ from lfmesh.scene.files import load_lens
 from lfmesh.scene.glasses import glass_lines
 from lfmesh.scene.own_glass import OwnGlass
 from lfmesh.transport.tables.media import MediumList
+from tests.cameras import bench_camera
 
 SCENE = """
 schema_version = 1
@@ -131,3 +132,8 @@ def test_a_script_gives_it_to_the_array_and_to_bodies() -> None:
     array = lf.MicrolensArray(count=(4, 4), pitch_mm=0.1, radius_mm=0.2, thickness_mm=0.3, glass=glass)
     for medium in (body.medium, array.medium):
         assert refractive_index(medium, 587.5618) == pytest.approx(1.49, abs=1e-15)
+
+
+def test_a_table_whose_name_no_file_can_have_is_refused_in_a_line(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="File name too long"):
+        lf.loads(bench_camera(4, 4).replace("index = 1.5", f'glass = {{ table = "{"x" * 300}" }}', 1), tmp_path)

@@ -1,6 +1,7 @@
 """Three cameras on one scene: what measures them is right, and they differ as optics say."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -140,11 +141,15 @@ def test_the_command_writes_a_table_a_figure_and_numbers(tmp_path: Path, capsys:
     )
     out = tmp_path / "out"
     assert main(["compare", str(file), "-o", str(out), "--steps", "3", "--samples", "8"]) == 0
-    said = capsys.readouterr().out
+    said, told = capsys.readouterr()
     assert all(name in said for name in (CONVENTIONAL, STANDARD, FOCUSED, "MTF50", "refocus range"))
     numbers = json.loads((out / "comparison.json").read_text())
     assert [camera["name"] for camera in numbers["cameras"]] == [CONVENTIONAL, STANDARD, FOCUSED]
     assert numbers["cameras"][0]["edges"][0]["refocused"] is None
+    # Eight samples are few: each kind of warning is said once, with the number of pictures, and kept.
+    assert all(re.match(r"\d+ of 18 pictures, such as ", each["text"]) for each in numbers["warnings"])
+    assert {each["kind"] for each in numbers["warnings"]} >= {"TooFewSamplesWarning"}
+    assert told.count("Warning:") == len(numbers["warnings"])
     assert (out / "comparison.png").stat().st_size > 10_000
 
 

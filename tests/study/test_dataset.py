@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,22 @@ def test_items_do_not_depend_on_their_count_or_on_other_draws() -> None:
     assert len({many.scene(i).transport.seed for i in range(9)}) == 9
 
 
+def test_an_item_whose_file_has_changed_since_the_dataset_was_read_fails(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        Picture.fromarray(np.full((4, 4), 90, np.uint8)).save(tmp_path / f"{name}.png")
+    draws = [{"path": TEXTURE, "files": "*.png"}]
+    scene = small_scene(samples=4, replicates=2)
+    data = lf.Dataset(scene, draws, folder=tmp_path, count=6, parts=[])
+    drawn = [Path(data.drawn(number)[TEXTURE]).name for number in range(6)]
+    assert len(set(drawn)) == 2
+    Picture.fromarray(np.full((4, 4), 200, np.uint8)).save(tmp_path / "b.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lf.PictureWarning)
+        made = data.make(tmp_path / "data", workers=0)
+    assert sorted(made.failed) == [number for number, name in enumerate(drawn) if name == "b.png"]
+    assert all("b.png has changed" in reason for reason in made.failed.values())
+
+
 def test_every_item_has_what_was_drawn(whole: Path) -> None:
     lines = index_of(whole)
     assert [line["item"] for line in lines] == [0, 1, 2]
@@ -134,6 +151,19 @@ def test_another_seed_is_refused_in_a_folder(folder: Path, whole: Path, capsys: 
     assert (whole / "dataset.json").read_bytes() == before
 
 
+def test_a_dry_run_warns_of_what_the_check_of_an_item_warns_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = small_scene(samples=4, replicates=2, wavelengths_nm=[20_000.0])
+    (tmp_path / "scene.toml").write_text(scene.dump_toml())
+    draw = f'[[random]]\npath = "{DEPTH}"\nuniform = [-70.0, -50.0]\n'
+    (tmp_path / "data.toml").write_text(f'scene = "scene.toml"\ncount = 1\nparts = []\n{draw}')
+    for words in (["check", str(tmp_path / "scene.toml")], ["dataset", str(tmp_path / "data.toml"), "--dry-run"]):
+        assert main(words) == 0
+        said = capsys.readouterr()
+        assert "diffraction blurs" in " ".join((said.err + said.out).split())
+
+
 def test_a_dry_run_lists_and_writes_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dataset", str(folder / "dataset.toml"), "-o", str(folder / "none"), "--count", "2", "--dry-run"]) == 0
     assert "textures/" in capsys.readouterr().out
@@ -165,3 +195,20 @@ def test_a_file_that_is_no_picture_is_named_before_anything_is_rendered(tmp_path
     (tmp_path / "broken.png").write_text("no picture")
     with pytest.raises(lf.LfmeshError, match=r"item 0 .*broken\.png"):
         lf.Dataset(small_scene(), [{"path": TEXTURE, "files": "*.png"}], folder=tmp_path, count=1)
+
+
+def test_items_and_cameras_whose_pictures_may_be_wrong_are_warned_of(tmp_path: Path) -> None:
+    """The white image of a camera is shared: it has a warning of its own, whichever items use it."""
+    random = [{"path": "transport.max_events", "values": [2, 6]}]
+    dataset = lf.Dataset(small_scene(samples=32, replicates=2), random, count=3, seed=1, parts=["white"])
+    cut = [number for number in range(3) if dataset.drawn(number)["transport.max_events"] == 2]
+    assert 0 < len(cut) < 3
+    with pytest.warns(lf.CutPathsWarning) as told:
+        made = dataset.make(tmp_path, workers=0)
+    assert tuple(each.message for each in told) == made.warnings
+    assert [str(each).partition(":")[0] for each in made.warnings] == [
+        f"{len(cut)} of 3 items, such as item {cut[0]}",
+        f"1 of 2 cameras, such as {index_of(tmp_path)[cut[0]]['camera']}",
+    ]
+    kinds = [[each["kind"] for each in line.get("warnings", [])] for line in index_of(tmp_path)]
+    assert [number for number in range(3) if "CutPathsWarning" in kinds[number]] == cut

@@ -1,6 +1,7 @@
 """A camera's assembly errors come back from its white image within the errors the fit states, or it says why not."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,15 +128,28 @@ def test_stated_intervals_cover_the_truth_over_fifty_draws() -> None:
 def test_files_of_a_fit(found: lf.Fit, taken: Any, tmp_path: Path) -> None:
     from lfmesh.study.fit_files import write_fit
 
-    scene, table, picture = write_fit(found, tmp_path / "new" / "fitted")
+    warning = lf.CutPathsWarning("paths were cut")
+    scene, table, picture = write_fit(replace(found, warnings=(warning,)), tmp_path / "new" / "fitted")
     assert lf.load(scene).camera == found.scene.camera
     values = json.loads(table.read_text())
     assert values["known_together"][0]["coefficients"].keys() == {PITCH, DISTANCE}
     by_path = {each["path"]: each for each in values["parameters"]}
+    assert values["warnings"] == [warning.as_dict()]
     assert by_path[DISTANCE]["kept"]
     assert by_path[DISTANCE]["standard_error"] is None
     assert np.shape(values["covariance"]) == (7, 7)
     assert len(np.unique(np.asarray(PIL.Image.open(picture)))) > 10
+
+
+def test_warnings_of_simulated_images_are_those_of_the_fit_even_if_there_is_none(found: lf.Fit, taken: Any) -> None:
+    assert found.warnings == ()
+    scene, _, picture = taken
+    dark = scene.changed({"transport.max_events": 2})
+    with (
+        pytest.warns(lf.CutPathsWarning, match="1 of 1 simulated white images, such as image 1"),
+        pytest.raises(lf.LfmeshError, match="black"),
+    ):
+        lf.fit(picture, dark, samples=8)
 
 
 def test_places_are_the_phase_of_a_lattice_whatever_the_background() -> None:

@@ -9,10 +9,12 @@ import sys
 import threading
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 
 import lfmesh as lf
@@ -158,6 +160,80 @@ def test_a_point_that_cannot_be_traced_is_named_and_the_others_go_on(
     assert failed["reason"]
     assert failed["reason"] in (out / "table.csv").read_text().replace('""', '"')
     assert "could not be traced" in (out / "report.html").read_text()
+
+
+CUT_SHORT = "transport.max_events"
+
+
+def cut_short(**settings: Any) -> lf.Study:
+    """Return a study whose second point cuts paths that carry light."""
+    axes = [{"path": CUT_SHORT, "values": [6, 2]}]
+    return lf.Study(small_scene(samples=8), axes=axes, metrics=["light"], **settings)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_points_whose_pictures_may_be_wrong_are_warned_of(workers: int, tmp_path: Path) -> None:
+    """As their own renders warn: once for all of them in Python, in table and report by their class and share."""
+    with pytest.warns(lf.PictureWarning) as told:
+        table = cut_short().run(tmp_path, workers=workers)
+    (warning,) = (each.message for each in told)
+    with pytest.warns(lf.CutPathsWarning) as own:
+        lf.render(table.plan.scene_of(table.plan.points[2]))
+    assert isinstance(warning, lf.CutPathsWarning)
+    assert str(warning) == f"1 of 3 points, such as point 2: {own[0].message}"
+    assert table.warnings == (warning,)
+    assert [row.warned_of for row in table.rows] == ["", "", "CutPathsWarning"]
+    assert (tmp_path / "table.csv").read_text().splitlines()[-1].endswith(",CutPathsWarning")
+    assert str(warning) in (tmp_path / "report.html").read_text()
+
+
+def test_warnings_of_a_studys_reference_are_those_of_its_first_point(tmp_path: Path) -> None:
+    axes = [{"path": CUT_SHORT, "values": [6]}]
+    study = lf.Study(small_scene(samples=8, max_events=2), axes=axes, metrics=["light"])
+    with pytest.warns(lf.CutPathsWarning, match="1 of 2 points, such as point 0"):
+        study.run(tmp_path / "a", workers=0)
+    with pytest.warns(lf.CutPathsWarning, match="1 of 2 points, such as point 0"):
+        study.merge([tmp_path / "a"], tmp_path / "b")
+
+
+TEXTURED = PLANE | {"material": {"reflectance": 0.8, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}}
+
+
+def test_a_file_that_changes_while_a_study_runs_makes_points_fail_and_is_in_no_value(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files that an axis names among them; put back, the study goes on to the table of one without the change."""
+    for name, grey in (("chart.png", 200), ("other.png", 90)):
+        PIL.Image.new("L", (4, 4), grey).save(tmp_path / name)
+    scene = small_scene().changed({"targets": [TEXTURED]}).in_folder(tmp_path)
+    axes = [{"path": "targets[0].material.texture", "values": ["other.png", "chart.png"]}]
+    study = lf.Study(scene, axes=axes, metrics=["light"])
+    study.run(tmp_path / "whole", workers=0)
+    contents = {name: (tmp_path / name).read_bytes() for name in ("chart.png", "other.png")}
+    for name in contents:
+        PIL.Image.new("L", (4, 4), 255).save(tmp_path / name)
+    out = tmp_path / "out"
+    with pytest.raises(lf.LfmeshError, match=r"chart\.png has changed"):
+        study.run(out, workers=0)
+    (tmp_path / "chart.png").write_bytes(contents["chart.png"])
+    study.run(out, workers=0)
+    (failed,) = (line for line in logged(out) if line["event"] == "failed")
+    assert failed["point"] == 1
+    assert "other.png has changed" in failed["reason"]
+    (tmp_path / "other.png").write_bytes(contents["other.png"])
+    study.run(out, workers=0)
+    assert (out / "table.csv").read_text() == (tmp_path / "whole" / "table.csv").read_text()
+    # Changed between two runs, it is another study.
+    PIL.Image.new("L", (4, 4), 255).save(tmp_path / "other.png")
+    with pytest.raises(lf.LfmeshError, match="holds another study"):
+        lf.Study(scene, axes=axes, metrics=["light"]).run(out, workers=0)
+
+
+def test_a_unit_that_another_program_planned_is_not_computed(tmp_path: Path) -> None:
+    ((unit, _),) = units(shifted(1, ("chief_rays",)), 1, tmp_path)
+    content, reason = pool.computed(replace(unit, program={**unit.program, "numba": "0.1"}), tmp_path)
+    assert content is None
+    assert f"numba 0.1, here {unit.program['numba']}" in reason
 
 
 def test_another_study_does_not_go_into_the_same_folder(tmp_path: Path) -> None:

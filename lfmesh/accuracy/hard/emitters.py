@@ -4,19 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.accuracy.hard.outcome import Outcome, case, surfaces_of
+from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
 from lfmesh.scene.targets import Material, Plane
-from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import build
 
 HALF_MM = 0.1
 """Half the side of the patch that is lit."""
 
 REFLECTANCE, RADIANCE = 0.6, 7.0
 SEEDS = 16
-MOST_SIGMAS, LARGEST_SIGMA = 4.0, 0.01
+LARGEST_SIGMA = 0.01
 
 
 def _sheet(start: tuple[float, float], end: tuple[float, float], width: float, **material: Any) -> Target:
@@ -37,8 +35,7 @@ def _powers(patch: dict[str, float], others: list[Target]) -> Array:
         camera=Camera(focus_mm=60.0, lens=Lens(surfaces=tuple(lens)), sensor=Sensor(pixels=(12, 12), pixel_mm=0.025)),
         targets=(_sheet((-HALF_MM, -60.0), (HALF_MM, -60.0), 2.0 * HALF_MM, **patch), *others),
     ).changed({"transport.samples": 256, "transport.replicates": 1, "transport.split": "transmit"})
-    world = build(scene)
-    return np.array([Renderer(world.reseeded(seed)).image().mean.sum() for seed in range(SEEDS)])
+    return np.array([image.mean.sum() for image in images_of(scene, range(SEEDS))])
 
 
 def _irradiance(corners: Array, at: Array) -> float:

@@ -5,15 +5,18 @@ import numpy as np
 from lfmesh.accuracy.hard.outcome import (
     Outcome,
     case,
+    cut,
     disk,
     faces_of,
     lens_scene,
+    on_sensor,
     outcome,
+    sensor_z,
     surfaces_of,
     through_lens,
     tilted,
 )
-from lfmesh.accuracy.hard.truth import Array
+from lfmesh.accuracy.hard.truth import Array, at_plane, through
 from lfmesh.scene import Surface
 from lfmesh.scene.sections import Biconic, Toroid
 from lfmesh.transport.trace import Status, trace
@@ -278,6 +281,33 @@ def two_roots() -> Outcome:
         f"{int(judged.sum())} rays, {int((roots > 2).sum())} of them with four roots, meet the first, to 1e-10 mm",
         f"{int((error < 1e-10).sum())} do, {int(lost.sum())} lost; error {error.max(initial=0.0):.1e} mm",
         len(error) > 1000 and bool((error < 1e-10).all()),
+    )  # fmt: skip
+
+
+@case
+def bulges_grazed() -> Outcome:
+    """Graze aspheres that bulge between the chords of their meshes, and are spheres to 1e-14 mm."""
+    spheres, aspheres = (
+        lens_scene(
+            [
+                Surface(radius_mm=7.0, asphere_mm=term, thickness_mm=12.0, index=1.3, semi_diameter_mm=5.9, stop=True),
+                Surface(radius_mm=-6.2, asphere_mm=term, semi_diameter_mm=5.9),
+            ],
+            sensor_mm=1e4, distance=20.0,
+        )
+        for term in ((), (1e-17,))
+    )  # fmt: skip
+    draw = np.random.default_rng(0)
+    n = 40_000
+    d = draw.normal(size=(n, 3))
+    # Half of them nearly square to the axis.
+    d[:, 2] = np.abs(d[:, 2]) * np.where(np.arange(n) < n // 2, 0.2, 2.0)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    o = np.column_stack([draw.uniform(-6.0, 6.0, (n, 2)), draw.uniform(-3.0, 3.0, n)]) - 40.0 * d
+    true = through(faces_of(spheres), o, d)
+    return on_sensor(
+        trace(build(aspheres), o, d, split="transmit"), at_plane(true.p, true.d, sensor_z(spheres)), true.weight, 1e-9,
+        stopped=cut(spheres, true), relative=1e-8,
     )  # fmt: skip
 
 

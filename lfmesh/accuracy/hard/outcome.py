@@ -1,10 +1,11 @@
 """What a hard case returns, and the scenes and comparisons that the cases share."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, through
 from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor, Surface, Target
 from lfmesh.scene.refractor import FacetLevel
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.trace import Paths, Status, trace
 from lfmesh.transport.world import World, build
 
@@ -180,6 +183,65 @@ def outcome(paths: Paths | Sequence[Paths], expected: str, got: str, passed: boo
         sum(ledger.emitted for ledger in ledgers),
         sum(ledger.requeries for ledger in ledgers),
     )
+
+
+def images_of(scene: Scene, seeds: Iterable[int], **transport: Any) -> list[Image]:
+    """Return the images of a scene by seed, without the blind check; the scene is built once for all.
+
+    Parameters
+    ----------
+    scene : Scene
+    seeds : iterable of int
+    **transport
+        Settings in place of the scene's.
+    """
+    world = build(scene.changed({f"transport.{name}": value for name, value in transport.items()}))
+    return [Renderer(world.reseeded(seed), check=False).image() for seed in seeds]
+
+
+def of_images(images: Sequence[Image], expected: str, got: str, passed: bool) -> Outcome:
+    """Return an outcome with the ledgers of images, each packet's power counted as 1.
+
+    Parameters
+    ----------
+    images : sequence of Image
+    expected, got : str
+        In words.
+    passed : bool
+        Apart from the ledgers, which have to close as well.
+    """
+    ledgers = [image.ledger for image in images]
+    closes = max(abs(ledger.imbalance) for ledger in ledgers)
+    if not closes < 1e-9:
+        got += f"; the books are {closes:.1e} out of balance"
+    return Outcome(
+        "", expected, got, bool(passed and closes < 1e-9),
+        sum(ledger.lost_share * ledger.packets for ledger in ledgers),
+        float(sum(ledger.packets for ledger in ledgers)),
+        sum(ledger.requeries for ledger in ledgers),
+    )  # fmt: skip
+
+
+MOST_SIGMAS = 4.0
+"""By which two estimates may differ: by chance once in some thousand comparisons of a few seeds."""
+
+
+def same_light(images: Sequence[Image], others: Sequence[Image], largest: float) -> Outcome:
+    """Compare the power of two sets of images by the scatter over their seeds.
+
+    Parameters
+    ----------
+    images, others : sequence of Image
+    largest : float
+        Relative standard error of the ratio that still tells something.
+    """
+    one, other = (np.array([image.mean.sum() for image in each]) for each in (images, others))
+    ratio = float(one.mean() / other.mean())
+    sigma = float(np.hypot(*(each.std(ddof=1) / np.sqrt(len(each)) / each.mean() for each in (one, other))))
+    return of_images(
+        [*images, *others], f"the same light, to {largest:.1%}", f"{ratio:.4f} ± {sigma:.4f} of it",
+        sigma < largest and abs(ratio - 1.0) < MOST_SIGMAS * sigma,
+    )  # fmt: skip
 
 
 def on_sensor(

@@ -51,7 +51,7 @@ UNMET, UNMET_SHARE = 10.0, 0.05
 the pixels with light that may be such pixels without a warning."""
 
 CUT_SHARE = 1e-3
-"""Share of the emitted energy that `max_events` may cut without a warning."""
+"""Share of the light that `max_events` may cut without a warning: of the emitted energy, or of what reaches targets."""
 
 _AS_NOISE = (
     "by samples that go anywhere, as noise that the error may not show; take many more samples, and compare with "
@@ -91,7 +91,25 @@ def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list
 def books(scene: Scene, ledger: Ledger) -> list[PictureWarning]:
     """Return the warnings of a ledger, and of that of lamps' own packets beside it."""
     ledgers = [each for each in (ledger, ledger.lamps) if each is not None]
-    return [warning for each in ledgers for warning in (*_lost(scene, each), *_open(each), *_cut(scene, each))]
+    found: list[PictureWarning] = []
+    for each in ledgers:
+        nothing_came = each.sensor + each.reached_target <= 0.0
+        found += [*given_up(scene, each, 0.0 if nothing_came else CUT_SHARE), *_open(each)]
+    return found
+
+
+def given_up(scene: Scene, ledger: Ledger, cut: float = CUT_SHARE) -> list[PictureWarning]:
+    """Return the warnings of paths that were lost or cut, of any tracing that keeps a book.
+
+    Parameters
+    ----------
+    scene : Scene
+    ledger : Ledger
+        Need not close: rays may be followed without being booked where they end.
+    cut : float
+        See `CUT_SHARE`.
+    """
+    return [*_lost(scene, ledger), *_cut(scene, ledger, cut)]
 
 
 def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
@@ -170,12 +188,13 @@ def _open(ledger: Ledger) -> Iterator[PictureWarning]:
         )
 
 
-def _cut(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
-    nothing_came = ledger.sensor + ledger.reached_target <= 0.0 < ledger.depth
-    if not nothing_came and not ledger.depth > CUT_SHARE * ledger.emitted:
+def _cut(scene: Scene, ledger: Ledger, most: float) -> Iterator[PictureWarning]:
+    # Of the importance that pixels send out, little reaches what they see: the cut part is compared with that.
+    whole = ledger.emitted if ledger.unit == "W" else ledger.reached_target + ledger.depth
+    if not ledger.depth > most * whole:
         return
     yield CutPathsWarning(
-        f"paths that carry {percent(ledger.depth / ledger.emitted)} of the light were cut after "
+        f"paths that carry {percent(ledger.depth / whole)} of the light were cut after "
         f"{scene.transport.max_events} events (max_events): the picture lacks what they would have brought; raise "
         "transport.max_events"
     )

@@ -1,13 +1,14 @@
 """Jobs: pieces of a render that other processes trace, folded to the same bits as in a single process."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from typing import Any
 
 from numpy.typing import NDArray
 
+from lfmesh.provenance import program, refuse_other
 from lfmesh.scene import Scene, loads
 from lfmesh.transport.engine import CHUNK
 from lfmesh.transport.render.adaptive import Counts
@@ -41,6 +42,8 @@ class Job:
         Samples of each pixel in a second stage, see `lfmesh.transport.render.adaptive.samples_of`.
     threads : int, optional
         In place of the scene's.
+    program : dict of str
+        That asks for it, see `lfmesh.provenance.program`.
     """
 
     scene: str
@@ -51,6 +54,7 @@ class Job:
     chunk: int
     levels: Counts | None = None
     threads: int | None = None
+    program: dict[str, str] = field(default_factory=program)
 
 
 Reduce = Callable[[Iterable[Job]], Iterable[Piece]]
@@ -63,7 +67,14 @@ Map = Callable[[Callable[[Job], Piece], Iterable[Job]], Iterable[Piece]]
 
 
 def traced(job: Job) -> Piece:
-    """Trace a job; a process that traces several jobs of a scene builds its world once."""
+    """Trace a job; a process that traces several jobs of a scene builds its world once.
+
+    Raises
+    ------
+    LfmeshError
+        Another program asks for it than the one that would trace it.
+    """
+    refuse_other(job.program)
     tracer = _tracer(job.scene, job.folder, job.digests, job.chunk, job.threads)
     return tracer.piece(job.replicate, job.block, job.levels)
 

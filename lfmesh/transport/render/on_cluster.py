@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import groupby
+from queue import SimpleQueue
 from typing import Any
 
 from numpy.typing import NDArray
 
-from lfmesh.cluster import LOCAL, RETRIES, connected, threads_of
+from lfmesh.cluster import LOCAL, RETRIES, connected, next_done, threads_of
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
@@ -43,7 +44,7 @@ def render_on_cluster(
     Parameters
     ----------
     scene : Scene
-        Its files have the digests that `lfmesh.files.inputs.pinned` notes, if it was given there.
+        Its files have the digests that `Scene.pinned` notes, if it was called.
     address : str
         Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
     workers : int, optional
@@ -56,7 +57,7 @@ def render_on_cluster(
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, no scheduler answers, or a worker cannot trace the scene.
+        dask.distributed is not installed, no scheduler answers or it is gone, or a worker cannot trace the scene.
     """
     with connected(address, workers or os.cpu_count() or 1) as client:
         threads = threads_of(client)
@@ -76,16 +77,19 @@ def _pieces(client: Any, jobs: Iterable[Job]) -> Iterator[Piece]:
             tree = [submit(_joined, *tree[i : i + WIDTH]) for i in range(0, len(tree), WIDTH)]
         waiting.append((tree[0], count))
         while sum(count for _, count in waiting) > AHEAD * threads_of(client):
-            yield _result(waiting.popleft()[0])
+            yield _result(client, waiting.popleft()[0])
     while waiting:
-        yield _result(waiting.popleft()[0])
+        yield _result(client, waiting.popleft()[0])
 
 
 def _joined(*pieces: Piece) -> Piece:
     return joined(pieces)
 
 
-def _result(future: Any) -> Piece:
+def _result(client: Any, future: Any) -> Piece:
+    done: SimpleQueue[Any] = SimpleQueue()
+    future.add_done_callback(done.put)
+    next_done(client, done)
     try:
         piece: Piece = future.result()
     except LfmeshError:

@@ -15,17 +15,15 @@ from lfmesh.notebook import watched
 from lfmesh.scene import Scene
 from lfmesh.transport.checks.foreseen import foreseen
 from lfmesh.transport.checks.found import found, proofs
-from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.certainty import Certainty, Estimate
 from lfmesh.transport.render.compile_ahead import compiled_ahead
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.parts import LAMP_BOOK, OWN_BOOK, finds_all, in_words
+from lfmesh.transport.render.parts import finds_all, in_words
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.tables.interfaces import coating_errors
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import build
@@ -286,7 +284,7 @@ def _image(tracer: Tracer, state: RenderState, refinement: Refinement | None) ->
     for mean in first.means[max(own, 1) :]:
         total.add_estimate(mean)
     variance = total.variance()
-    ledger = _ledger(tracer, first)
+    ledger = tracer.ledger(first.book, first.work, first.count)
     # The energy is of the first stage, in which all pixels have the same samples; the work is of both stages.
     work = first.work
     if state.second is not None:
@@ -335,12 +333,3 @@ def _certainty(tracer: Tracer, first: StageSum) -> Certainty | None:
         for mean, part in zip(first.means, tracer.parts, strict=True)
     ]
     return Certainty.of(estimates, scene, first.count)
-
-
-def _ledger(tracer: Tracer, first: StageSum) -> Ledger:
-    book, unit = first.book / max(first.count, 1), "m² sr" if tracer.adjoint else "W"
-    counts = first.work.counts
-    ledger = ledger_of(book[OWN_BOOK], counts, tracer.world, first.work.packets, unit)
-    if any(part.book == LAMP_BOOK for part in tracer.parts):
-        ledger.lamps = ledger_of(book[LAMP_BOOK], np.zeros_like(counts), tracer.world, 0, "W")
-    return ledger

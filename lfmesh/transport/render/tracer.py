@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.paths.automaton import GHOSTS
@@ -22,9 +23,10 @@ from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.render.ghost_check import compare_ghosts
 from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
-from lfmesh.transport.render.parts import BOOKS, Part, blind_part, parts_of
+from lfmesh.transport.render.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
+from lfmesh.transport.settings import ledger_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
@@ -113,6 +115,23 @@ class Tracer:
     def _blind_part(self) -> Part:
         part = blind_part(self.world)
         return part if self.order is None or self.order.holds else part.by_meshes()
+
+    def ledger(self, book: NDArray[np.float64], work: Work, replicates: int) -> Ledger:
+        """Return the mean ledger of replicates.
+
+        Parameters
+        ----------
+        book : (BOOKS, slots) float64
+            Sum over the replicates.
+        work : Work
+            Of all of them.
+        replicates : int
+        """
+        mean, unit = book / max(replicates, 1), "m² sr" if self.adjoint else "W"
+        ledger = ledger_of(mean[OWN_BOOK], work.counts, self.world, work.packets, unit)
+        if any(part.book == LAMP_BOOK for part in self.parts):
+            ledger.lamps = ledger_of(mean[LAMP_BOOK], np.zeros_like(work.counts), self.world, 0, "W")
+        return ledger
 
     def pool(self) -> Threads:
         """Return the threads to trace in."""

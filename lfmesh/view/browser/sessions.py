@@ -143,6 +143,8 @@ class Sessions:
             return web.Response(text=_start_page(), content_type="text/html")
         if request.path != WEBSOCKET:
             return await handler(request)
+        if request.headers.get("Upgrade", "").lower() != "websocket":
+            return web.Response(status=426, headers={"Upgrade": "websocket"}, text=f"{WEBSOCKET}: websockets only.\n")
         if len(self._open) >= MOST_SOCKETS:
             return web.Response(status=503, text=FULL + "\n")
         tab = request.query.get("tab", "")

@@ -22,6 +22,8 @@ from lfmesh.transport.aiming import aim_proof
 from lfmesh.transport.aiming.aim_proof import Missed
 from lfmesh.transport.render import render as renders
 from lfmesh.transport.render.blind_check import BlindSamples
+from lfmesh.transport.render.tracer import Tracer
+from tests.study.studies import small_scene
 from tests.transport.test_lost import ball_with_normals
 from tests.validation.test_order_of_surfaces import spoil_place
 
@@ -69,14 +71,14 @@ def lost(_: Patch, folder: Path) -> lf.Scene:
 
 
 def opened(patch: Patch, _: Path) -> lf.Scene:
-    ledger_of = renders.ledger_of
+    ledger_of = Tracer.ledger
 
     def with_more_emitted(*arguments: Any) -> lf.Ledger:
         ledger = ledger_of(*arguments)
         ledger.emitted *= 1.0 + 1e-6
         return ledger
 
-    patch.setattr(renders, "ledger_of", with_more_emitted)
+    patch.setattr(Tracer, "ledger", with_more_emitted)
     return scene()
 
 
@@ -308,7 +310,6 @@ def test_a_white_image_says_what_a_render_says() -> None:
 
 @pytest.mark.parametrize("way", ["jobs", "shares", "resumed"])
 def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
-    from lfmesh.files.inputs import pinned
     from lfmesh.files.shares import merged, trace_share
     from lfmesh.transport.render.jobs import render_in_jobs
     from lfmesh.transport.render.tally import arrays_of
@@ -323,7 +324,7 @@ def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
             return render_in_jobs(given, map, blocks=2)
         if way == "shares":
             for share in (1, 2):
-                trace_share(pinned(given), home / str(share), share, 2)
+                trace_share(given.pinned(), home / str(share), share, 2)
             return merged([home / "1", home / "2"])
         lf.render(given, keep=lambda state, *, last: kept.append({k: np.copy(v) for k, v in arrays_of(state).items()}))
         return lf.render(given, saved=kept[1])
@@ -357,3 +358,24 @@ def test_runs_without_a_list_of_warnings_tell_them_by_their_numbers(home: Path) 
 def test_a_warning_of_a_kind_that_this_version_does_not_know_is_kept() -> None:
     warning = PictureWarning.from_dict({"kind": "OfTheFutureWarning", "text": "something is wrong"})
     assert (type(warning), str(warning)) == (PictureWarning, "something is wrong")
+
+
+def test_cut_paths_are_measured_by_the_light_that_the_picture_lacks() -> None:
+    """Two walls that light each other: of the importance of all pixels a hundredth part reaches them at all."""
+    wall = {
+        "shape": {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0},
+        "material": {"reflectance": 0.8, "radiance_w_m2_sr": 1.0},
+    }
+    walls = [
+        wall | {"position_mm": (0.0, 0.0, -60.0)},
+        wall | {"position_mm": (30.0, 0.0, -30.0), "rotation_deg": (0.0, 90.0, 0.0)},
+    ]
+    room = small_scene(samples=64).changed({"targets": walls})
+    whole = lf.render(room)
+    with pytest.warns(lf.CutPathsWarning):
+        cut = lf.render(room.changed({"transport.max_events": 7}))
+    lacks = 1.0 - cut.mean.sum() / whole.mean.sum()
+    stated = cut.ledger.depth / (cut.ledger.depth + cut.ledger.reached_target)
+    assert lacks > 3e-3
+    assert 0.5 < stated / lacks < 2.0
+    assert cut.ledger.depth < 1e-4 * cut.ledger.emitted

@@ -11,8 +11,8 @@ import pytest
 from distributed import Client, LocalCluster
 
 import lfmesh as lf
+from lfmesh import provenance
 from lfmesh.errors import LfmeshError
-from lfmesh.files.inputs import pinned
 from lfmesh.transport.render.on_cluster import render_on_cluster
 from lfmesh.transport.render.progress import Progress
 from tests.cameras import close_up_camera
@@ -33,7 +33,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> lf.Scene:
     PIL.Image.fromarray(pixels).save(folder / "chart.png")
     transport = {"replicates": 3, "samples": 24, "target_error": 0.05}
     scene = lf.Scene(camera=close_up_camera(20, 16), targets=[PLANE], transport=transport)
-    return pinned(scene.in_folder(folder))
+    return scene.in_folder(folder).pinned()
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,15 @@ def test_a_cluster_has_the_same_bits(cluster: Any, scene: lf.Scene) -> None:
         assert getattr(image, name).tobytes() == getattr(whole, name).tobytes()
     assert image.ledger == whole.ledger
     assert [report.replicate for report in reports if report.stage == "tracing"] == [1, 2, 3]
+
+
+def test_a_cluster_of_another_program_is_refused(
+    cluster: Any, scene: lf.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = provenance.program()
+    monkeypatch.setattr(provenance, "program", lambda: own | {"embreex": "0.1"})
+    with pytest.raises(LfmeshError, match=rf"worker tcp.* runs another program: embreex {own['embreex']}, here 0\.1"):
+        render_on_cluster(scene, cluster.scheduler_address)
 
 
 def test_a_worker_that_dies_costs_its_pieces_alone(cluster: Any, scene: lf.Scene) -> None:

@@ -606,6 +606,12 @@ def test_whoever_does_not_have_the_token_is_refused(server: Server) -> None:
     assert server.token not in admitted.headers["Location"]
 
 
+def test_a_websocket_that_is_asked_for_as_a_page_is_refused_in_words(server: Server) -> None:
+    refusal = server.answer("/ws")
+    assert refusal.status == 426
+    assert b"websockets only" in refusal.read()
+
+
 def test_only_this_machine_is_served(server: Server) -> None:
     assert server.host == "127.0.0.1"
     for address in other_addresses():

@@ -1,0 +1,103 @@
+"""Files of arrays that state their own content: what they belong to, which program wrote them, and a digest.
+
+A zip's checksums find a disk's errors; the digest finds files that were changed, or put together from two.
+"""
+
+import hashlib
+import json
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError
+from lfmesh.provenance import difference, processor, program
+from lfmesh.regular_file import open_regular
+
+Arrays = dict[str, NDArray[Any]]
+
+_FACTS = "facts"
+
+
+class ProcessorWarning(UserWarning):
+    """Parts of a result were computed by another kind of processor, whose last bits may differ."""
+
+
+def write_sealed(file: IO[bytes], form: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays, and what they belong to.
+
+    Parameters
+    ----------
+    file : binary file
+    form : int
+        Number of the format; a reader refuses any other.
+    facts : dict
+        Values of JSON.
+    arrays : dict of arrays
+    """
+    stated = {
+        "format": form,
+        "program": program(),
+        "processor": processor(),
+        "facts": facts,
+        "arrays": {name: _digest(array) for name, array in arrays.items()},
+    }
+    text = json.dumps(stated, ensure_ascii=False, sort_keys=True)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    np.savez(file, **{_FACTS: np.array([digest, text])}, **arrays)  # type: ignore[arg-type]
+
+
+def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
+    """Read what `write_sealed` wrote: the facts and the arrays.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    FileError
+        It is damaged, was changed, or another program wrote it.
+
+    Warns
+    -----
+    ProcessorWarning
+        Another kind of processor computed it.
+    """
+    try:
+        with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
+            digest, text = (str(entry) for entry in file[_FACTS])
+            stated = json.loads(text)
+            found, known = stated["format"], stated["program"]
+            if hashlib.sha256(text.encode()).hexdigest() != digest:
+                raise ValueError("its facts were changed")
+            other = f"format {found} in place of {form}" if found != form else difference(known)
+            if other:
+                raise FileError(f"{path} was written by another program ({other}), which may have had other bits")
+            if {*file.files} != {*stated["arrays"], _FACTS}:
+                raise ValueError("it has other arrays")
+            arrays = {name: file[name] for name in stated["arrays"]}
+        if any(_digest(arrays[name]) != known for name, known in stated["arrays"].items()):
+            raise ValueError("its arrays were changed")
+        facts, where = dict(stated["facts"]), stated["processor"]
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError):
+        raise FileError(f"{path} is damaged") from None
+    if where != processor():
+        warnings.warn(
+            f"{path} was computed by another kind of processor ({where}, here {processor()}): bits of the whole may "
+            "differ from those of either",
+            ProcessorWarning,
+            stacklevel=2,
+        )
+    return facts, arrays
+
+
+def _digest(array: NDArray[Any]) -> str:
+    found = hashlib.sha256(f"{array.dtype.str} {array.dtype.descr} {array.shape}".encode())
+    found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()

@@ -36,6 +36,13 @@ RED = {
     "targets[0].material.reflectance": {"wavelengths_nm": [380, 570, 630, 780], "values": [0.05, 0.05, 0.8, 0.8]},
 }
 """Bands, and a coloured target: wavelengths matter."""
+LIT = {
+    "targets[0].material": {"reflectance": 0.6},
+    "targets[1].material.radiance_w_m2_sr": 0.0,
+    "lights": [{"kind": "point", "position_mm": [-60.0, 150.0, -260.0], "power_w": 10.0}],
+    "camera.sensor.pixel_mm": 0.5,
+}
+"""The forward method starts no light in a liquid: a lamp outside lights what is in the tank, seen by large pixels."""
 FEW_PARTICLES = {"camera.sensor.pixel_mm": 1.0, "particles[0].count": 300}
 """Over the whole field, so that each is drawn in a picture of few pixels."""
 
@@ -46,8 +53,10 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "red chart in bands, 64 replicates": ("lit_chart", RED | {"transport.replicates": 64, "transport.samples": 256}),
     "a sensor that reflects": ("coated", {"camera.sensor.reflectance": 0.3}),
     **{f"{name}, forward": (name, FORWARD) for name in (
-        "aquarium", "coated", "conventional", "emitting_plane", "fog", "glossy", "lit_chart", "tank",
+        "aquarium", "coated", "conventional", "emitting_plane", "fog", "glossy", "lit_chart",
     )},
+    "a lit tank": ("tank", LIT),
+    "a lit tank, forward": ("tank", FORWARD | LIT),
 }  # fmt: skip
 """Scenes of the assets, and what is changed in them."""
 

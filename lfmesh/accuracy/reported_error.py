@@ -19,11 +19,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CROPS = {
+    "anamorphic": (-1.0, 0.5),
     "aquarium": (-1.0, 0.5),
     "coated": (-1.0, 0.5),
     "color_checker": (-1.0, 0.5),
     "conventional": (-1.0, 0.5),
     "cover_glass": (-1.0, 0.5),
+    "crossed_cylinders": (-1.0, 0.5),
     "emitting_plane": (-0.5, 0.5),
     "first_light": (-1.0, 0.5),
     "flame": (0.0, 0.5),

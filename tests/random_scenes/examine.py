@@ -1,6 +1,7 @@
 """Random cameras and scenes before the judge, each within a time limit, and failing ones made as small as can be."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from typing import Any
 
 from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw, smaller
 from tests.random_scenes.judge import Verdict, judge, ways
@@ -11,7 +12,10 @@ IN_SUITE = 12
 """Numbers of each kind that the suite examines; they have no features that compile kernels of their own."""
 
 LONGEST_S = 600.0
-"""A judgement that has not ended by then does not end; compiling may take minutes."""
+"""A judgement that has not ended by then is slow, or does not end; compiling may take minutes."""
+
+FEWER = 8
+"""Part of the samples with which a judgement that took too long is made once more."""
 
 FAILURES = ("silent", "endless")
 
@@ -26,6 +30,30 @@ def verdict_on(kind: Kind, number: int, without: Collection[str], attempt: int |
     return judge(ways(draw(kind, number, without, attempt).scene), samples)
 
 
+def judged(longest_s: float, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a judgement returns; one that takes too long, as where paths are long, is made with fewer samples.
+
+    Parameters
+    ----------
+    longest_s : float
+        Of each of the two attempts.
+    function : callable
+        Makes the judgement.
+    *arguments : object
+        The last one is the number of samples.
+
+    Raises
+    ------
+    TookTooLongError
+        It does not end with fewer samples either.
+    """
+    *scene, samples = arguments
+    try:
+        return within(longest_s, function, *scene, samples)
+    except TookTooLongError:
+        return within(longest_s, function, *scene, max(1, samples // FEWER))
+
+
 def outcome(drawn: Drawn, samples: int, longest_s: float = LONGEST_S) -> tuple[str, str]:
     """Return in one word how the judgement of a drawn scene ends, and the verdict in words.
 
@@ -37,7 +65,7 @@ def outcome(drawn: Drawn, samples: int, longest_s: float = LONGEST_S) -> tuple[s
     longest_s : float
     """
     try:
-        verdict = within(longest_s, verdict_on, drawn.kind, drawn.number, drawn.without, drawn.attempt, samples)
+        verdict = judged(longest_s, verdict_on, drawn.kind, drawn.number, drawn.without, drawn.attempt, samples)
     except TookTooLongError as error:
         return "endless", str(error)
     return verdict.outcome, str(verdict)

@@ -2,12 +2,14 @@
 
 import time
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import lfmesh as lf
 from tests.cameras import camera_without_array
+from tests.random_scenes import examine
 from tests.random_scenes.judge import (
     FEW_HITS,
     SCREEN,
@@ -117,3 +119,15 @@ def test_a_call_that_never_ends_is_ended() -> None:
         within(0.2, time.sleep, 3600.0)
     with pytest.raises(RuntimeError, match="TypeError"):
         within(60.0, sum, 1)
+
+
+def test_a_judgement_that_takes_too_long_is_made_again_with_fewer_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    def in_time(limit: float, function: Callable[..., float], *arguments: float) -> float:
+        if arguments[-1] > limit:
+            raise TookTooLongError
+        return function(*arguments)
+
+    monkeypatch.setattr(examine, "within", in_time)
+    assert [examine.judged(12.0, max, 0, samples) for samples in (12, 96)] == [12, 96 // examine.FEWER]
+    with pytest.raises(TookTooLongError):
+        examine.judged(12.0, max, 0, 192)

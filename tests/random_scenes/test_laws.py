@@ -8,10 +8,9 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from tests.random_scenes.examine import LONGEST_S
+from tests.random_scenes.examine import LONGEST_S, judged
 from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw
 from tests.random_scenes.judge import Estimate, Verdict, judge
-from tests.random_scenes.time_limit import within
 from tests.random_scenes.transforms import Tables, cut, isothermal, moved, scaled, split_sources
 
 SAMPLES, LONG_SAMPLES = 16, 96
@@ -115,5 +114,5 @@ def test_the_image(law: Law, kind: Kind, number: int) -> None:
     in_suite = number < IN_SUITE
     without = OWN_KERNELS if in_suite else frozenset()
     samples = SAMPLES if in_suite else LONG_SAMPLES
-    verdict, text = within(LONGEST_S, verdict_on, law, kind, number, without, samples)
+    verdict, text = judged(LONGEST_S, verdict_on, law, kind, number, without, samples)
     assert not verdict.silent, f"{verdict}\n\n{text}"

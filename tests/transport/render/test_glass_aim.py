@@ -81,7 +81,7 @@ TANK = {
 DROPPED = {"shape": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": [0.5, 0.2, -62.0],
            "material": {"reflectance": 0.8}}  # fmt: skip
 CASES = {
-    "tilted plate": (scene(WALL, glass(40.0, 40.0, 10.0, turned=(0.0, 35.0, 0.0))), 16384, 128, 0.02),
+    "tilted plate": (scene(WALL, glass(40.0, 40.0, 10.0, turned=(0.0, 35.0, 0.0))), 16384, 1024, 0.02),
     "edges": (scene(WALL, glass(3.0, 4.0, 20.0, turned=(5.0, 8.0, 0.0))), 32768, 512, 0.02),
     "sphere in a tank": (scene(DROPPED, tanks=[TANK]), 16384, 4096, 0.04),
     "wall behind a tank": (scene(WALL, tanks=[TANK]), 32768, 2048, 0.04),

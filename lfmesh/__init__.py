@@ -47,25 +47,25 @@ if TYPE_CHECKING:
     from lfmesh.files.exports.export import export_field, export_raw
     from lfmesh.files.matrix import open_projection_matrix, write_projection_matrix
     from lfmesh.files.run import open_run, open_white, save, save_white
-    from lfmesh.geometry.solved_camera import first_order
-    from lfmesh.lightfield.calibration import Calibration, calibrate
-    from lfmesh.lightfield.camera_model import CameraModel, camera_model
-    from lfmesh.lightfield.centres import estimate_centres
-    from lfmesh.lightfield.decode import decode
-    from lfmesh.lightfield.depth import DepthMap, estimate_depth
-    from lfmesh.lightfield.depth_truth import DepthTruth, depth_truth
+    from lfmesh.geometry.lens.solved_camera import first_order
+    from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
+    from lfmesh.lightfield.calibration.centres import estimate_centres
+    from lfmesh.lightfield.calibration.white import white_image
     from lfmesh.lightfield.detector import Detector, Exposed
-    from lfmesh.lightfield.field import LightField
-    from lfmesh.lightfield.focused import focused
-    from lfmesh.lightfield.object_rays import object_rays
-    from lfmesh.lightfield.patches import patches_in_focus, render_patches
-    from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
-    from lfmesh.lightfield.projection import ProjectionMatrix, projection_matrix
-    from lfmesh.lightfield.ray_model import RayModel
-    from lfmesh.lightfield.reconstruction import Reconstruction, reconstruct, volume_quality
-    from lfmesh.lightfield.refocus import focal_stack, refocus
-    from lfmesh.lightfield.voxel_box import VoxelBox
-    from lfmesh.lightfield.white import white_image
+    from lfmesh.lightfield.photographs.depth import DepthMap, estimate_depth
+    from lfmesh.lightfield.photographs.depth_truth import DepthTruth, depth_truth
+    from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph, all_in_focus
+    from lfmesh.lightfield.photographs.refocus import focal_stack, refocus
+    from lfmesh.lightfield.rays.camera_model import CameraModel, camera_model
+    from lfmesh.lightfield.rays.object_rays import object_rays
+    from lfmesh.lightfield.rays.ray_model import RayModel
+    from lfmesh.lightfield.views.decode import decode
+    from lfmesh.lightfield.views.field import LightField
+    from lfmesh.lightfield.views.focused import focused
+    from lfmesh.lightfield.views.patches import patches_in_focus, render_patches
+    from lfmesh.lightfield.volumes.projection import ProjectionMatrix, projection_matrix
+    from lfmesh.lightfield.volumes.reconstruction import Reconstruction, reconstruct, volume_quality
+    from lfmesh.lightfield.volumes.voxel_box import VoxelBox
     from lfmesh.scene import (
         ArrayForm,
         BackFace,
@@ -99,13 +99,13 @@ if TYPE_CHECKING:
         loads,
         solved,
     )
-    from lfmesh.scene.particles import Particles, displaced, particle_vectors
-    from lfmesh.study.board_corners import BoardCorners
-    from lfmesh.study.board_fit import BoardFit, fit_boards
-    from lfmesh.study.board_pictures import Board
-    from lfmesh.study.dataset import Dataset
-    from lfmesh.study.fit import Fit, fit
-    from lfmesh.study.study import Study
+    from lfmesh.scene.light.particles import Particles, displaced, particle_vectors
+    from lfmesh.study.datasets.dataset import Dataset
+    from lfmesh.study.fits.board_corners import BoardCorners
+    from lfmesh.study.fits.board_fit import BoardFit, fit_boards
+    from lfmesh.study.fits.board_pictures import Board
+    from lfmesh.study.fits.fit import Fit, fit
+    from lfmesh.study.sweeps.study import Study
     from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
@@ -262,25 +262,25 @@ _HOMES = {
     "lfmesh.files.exports.export": ["export_field", "export_raw"],
     "lfmesh.files.matrix": ["open_projection_matrix", "write_projection_matrix"],
     "lfmesh.files.run": ["open_run", "open_white", "save", "save_white"],
-    "lfmesh.geometry.solved_camera": ["first_order"],
-    "lfmesh.lightfield.calibration": ["Calibration", "calibrate"],
-    "lfmesh.lightfield.camera_model": ["CameraModel", "camera_model"],
-    "lfmesh.lightfield.centres": ["estimate_centres"],
-    "lfmesh.lightfield.decode": ["decode"],
-    "lfmesh.lightfield.depth": ["DepthMap", "estimate_depth"],
-    "lfmesh.lightfield.depth_truth": ["DepthTruth", "depth_truth"],
+    "lfmesh.geometry.lens.solved_camera": ["first_order"],
+    "lfmesh.lightfield.calibration.calibration": ["Calibration", "calibrate"],
+    "lfmesh.lightfield.rays.camera_model": ["CameraModel", "camera_model"],
+    "lfmesh.lightfield.calibration.centres": ["estimate_centres"],
+    "lfmesh.lightfield.views.decode": ["decode"],
+    "lfmesh.lightfield.photographs.depth": ["DepthMap", "estimate_depth"],
+    "lfmesh.lightfield.photographs.depth_truth": ["DepthTruth", "depth_truth"],
     "lfmesh.lightfield.detector": ["Detector", "Exposed"],
-    "lfmesh.lightfield.field": ["LightField"],
-    "lfmesh.lightfield.object_rays": ["object_rays"],
-    "lfmesh.lightfield.focused": ["focused"],
-    "lfmesh.lightfield.patches": ["patches_in_focus", "render_patches"],
-    "lfmesh.lightfield.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
-    "lfmesh.lightfield.projection": ["ProjectionMatrix", "projection_matrix"],
-    "lfmesh.lightfield.ray_model": ["RayModel"],
-    "lfmesh.lightfield.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
-    "lfmesh.lightfield.refocus": ["focal_stack", "refocus"],
-    "lfmesh.lightfield.voxel_box": ["VoxelBox"],
-    "lfmesh.lightfield.white": ["white_image"],
+    "lfmesh.lightfield.views.field": ["LightField"],
+    "lfmesh.lightfield.rays.object_rays": ["object_rays"],
+    "lfmesh.lightfield.views.focused": ["focused"],
+    "lfmesh.lightfield.views.patches": ["patches_in_focus", "render_patches"],
+    "lfmesh.lightfield.photographs.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
+    "lfmesh.lightfield.volumes.projection": ["ProjectionMatrix", "projection_matrix"],
+    "lfmesh.lightfield.rays.ray_model": ["RayModel"],
+    "lfmesh.lightfield.volumes.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
+    "lfmesh.lightfield.photographs.refocus": ["focal_stack", "refocus"],
+    "lfmesh.lightfield.volumes.voxel_box": ["VoxelBox"],
+    "lfmesh.lightfield.calibration.white": ["white_image"],
     "lfmesh.scene": [
         *["Scene", "Camera", "Lens", "Surface", "MicrolensArray", "ArrayForm", "BackFace", "Sensor", "Pose", "Target"],
         *["Material", "Plane", "Disk", "Sphere", "Box", "Cylinder", "PointLight", "DirectionalLight"],
@@ -300,13 +300,13 @@ _HOMES = {
             "solved",
         ],
     ],
-    "lfmesh.scene.particles": ["Particles", "displaced", "particle_vectors"],
-    "lfmesh.study.dataset": ["Dataset"],
-    "lfmesh.study.board_corners": ["BoardCorners"],
-    "lfmesh.study.board_fit": ["BoardFit", "fit_boards"],
-    "lfmesh.study.board_pictures": ["Board"],
-    "lfmesh.study.fit": ["Fit", "fit"],
-    "lfmesh.study.study": ["Study"],
+    "lfmesh.scene.light.particles": ["Particles", "displaced", "particle_vectors"],
+    "lfmesh.study.datasets.dataset": ["Dataset"],
+    "lfmesh.study.fits.board_corners": ["BoardCorners"],
+    "lfmesh.study.fits.board_fit": ["BoardFit", "fit_boards"],
+    "lfmesh.study.fits.board_pictures": ["Board"],
+    "lfmesh.study.fits.fit": ["Fit", "fit"],
+    "lfmesh.study.sweeps.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger"],
     "lfmesh.transport.render.progress": ["Progress"],

@@ -1,4 +1,4 @@
-"""Where the scenes, lenses, meshes and charts that come with lfmesh lie."""
+"""Paths of the scenes, lenses, meshes and charts that come with lfmesh."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What notebooks ask for: a result's key figures and picture, and the progress of a render.
+"""Results and progress in notebooks: key figures, pictures, bars.
 
 What makes them stands above all results, and brings matplotlib; `show_by` registers it.
 """

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lfmesh.lightfield.focused import focused
+from lfmesh.lightfield.views.focused import focused
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene, Surface, first_order, load, loads, solved
 

@@ -10,7 +10,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh import cluster
-from lfmesh.study.study_folder import logged
+from lfmesh.study.sweeps.study_folder import logged
 from lfmesh.transport.render.on_cluster import render_on_cluster
 from tests.study.studies import shifted, small_scene
 

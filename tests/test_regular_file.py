@@ -14,7 +14,7 @@ import pytest
 import lfmesh
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.files.mesh_file import load_mesh
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.regular_file import open_text, read_bytes, read_text, why_no_file
 from lfmesh.scene import loads
@@ -201,9 +201,9 @@ OWN = {
     *["optics/cie.py", "optics/rgb_spectra.py"],  # tables that come with lfmesh
     *["kernel_cache.py", "view/browser/page.py", "view/browser/sessions.py", "view/output/html.py"],  # our own files
     *[
-        "geometry/cad_file.py",
-        "geometry/cad_child.py",
-        "geometry/step_surfaces.py",
+        "geometry/files/cad_file.py",
+        "geometry/files/cad_child.py",
+        "geometry/files/step_surfaces.py",
     ],  # what our own process wrote, or was looked at before
     *["accuracy/lens_accuracy.py"],  # /proc
 }

@@ -47,7 +47,7 @@ from lfmesh.accuracy import analytic
 from lfmesh.accuracy.lens_accuracy import Bundle, bare, bundle, lens_alone
 from lfmesh.assets import asset_path
 from lfmesh.geometry.frame import points
-from lfmesh.geometry.levels import SURFACE_LEVEL
+from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import Workspace

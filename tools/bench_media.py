@@ -1,4 +1,4 @@
-"""Whether renders of particles and of a flame are as exact, as quick and as small as they are said to be.
+"""True if renders of particles and of a flame are as exact, as quick and as small as they are said to be.
 
     tools/bench media                                 a million particles on the Lytro class's sensor, and the flame
     tools/bench media --of particles --packets 32 64 128 --split both

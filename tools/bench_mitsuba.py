@@ -16,7 +16,7 @@ import numpy as np
 from bench_peers import imported, mitsuba_lens, mitsuba_mesh
 from numpy.typing import NDArray
 
-from lfmesh.geometry.targets import target_mesh
+from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 

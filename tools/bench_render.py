@@ -25,7 +25,7 @@ from bench_report import COLOURS, Report, Table, ask_child, deliver, guarded, pa
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.geometry.levels import SURFACE_LEVEL
+from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.packets.random import descendant
@@ -69,7 +69,7 @@ WAY_COLUMNS = {
 
 @dataclass(frozen=True)
 class RenderFigures:
-    """What one render took."""
+    """Time and memory of one render."""
 
     samples: int
     threads: int

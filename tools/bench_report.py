@@ -1,4 +1,4 @@
-"""What the commands of tools/bench share: measuring in turns, and saying the result as table, JSON and figure.
+"""Common parts of the commands of tools/bench: measuring in turns, and results as table, JSON and figure.
 
 Contenders are measured in turns, round after round, so that whatever else the machine does meets all of them alike. A
 ratio of two is the median of its rounds' ratios, each of which compares neighbours in time.
@@ -46,7 +46,7 @@ class Contender:
 
 @dataclass
 class Clock:
-    """What a contender took, round by round, s."""
+    """Times of a contender, round by round, s."""
 
     wall: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
@@ -84,7 +84,7 @@ def in_turns(contenders: Sequence[Contender], rounds: int) -> dict[str, Clock]:
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times better one is than another: the median of the rounds, and the quartiles they lie between."""
+    """Ratio between two contenders: the median of the rounds, and their quartiles."""
 
     name: str
     value: float
@@ -127,7 +127,7 @@ class Table:
 
 @dataclass
 class Report:
-    """What a command found out.
+    """Results of a command.
 
     Attributes
     ----------

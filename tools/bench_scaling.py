@@ -1,4 +1,4 @@
-"""How time and memory grow with samples, pixels, lenslets, target triangles and threads.
+"""Growth of time and memory with samples, pixels, lenslets, target triangles and threads.
 
     tools/bench scaling                               both engines, every series
     tools/bench scaling --series lenslets --json figures.json

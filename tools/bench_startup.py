@@ -1,4 +1,4 @@
-"""What a user waits for before the first ray: imports, help, compiling on a fresh install, loading what is compiled.
+"""Waiting time before the first ray: imports, help, compiling on a fresh install, loading compiled kernels.
 
     tools/bench startup
     tools/bench startup --rounds 5 --json figures.json
@@ -41,7 +41,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class StartupRow:
-    """What a fresh process took for a step: wall-clock time and time of the processor, medians over the rounds."""
+    """Time of a step in a fresh process: by the clock and of the processor, medians over the rounds."""
 
     step: str
     seconds: float

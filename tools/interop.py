@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.rays.ray_model import RayModel
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class NoEnvironmentError(Exception):
 
 @dataclass(frozen=True)
 class Result:
-    """What a decoder made of a raw image.
+    """Result of a decoder for a raw image.
 
     Attributes
     ----------

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.lenslets import lenslets
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.array.lenslets import lenslets
 from lfmesh.optics.glass import AIR, refractive_index
 from lfmesh.scene import BackFace, Lens, Scene, solved
 
@@ -114,7 +114,7 @@ class LensletArray:
 
     @property
     def spherical(self) -> bool:
-        """Whether all lenslets are spheres."""
+        """True if all lenslets are spheres."""
         return not self.conic.any() and not self.terms.any() and bool(self.bends.all())
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy import analytic
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.array.lenslets import cell_pattern
 from lfmesh.geometry.frame import points
-from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.lenslets import cell_pattern
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.trace import trace

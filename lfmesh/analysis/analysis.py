@@ -12,10 +12,10 @@ from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_sca
 from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.report import airy_disk_mm
+from lfmesh.scene.first_order.report import airy_disk_mm
 from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 
 from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.geometry import frame as frames
-from lfmesh.lightfield.calibration import Calibration, calibrate
-from lfmesh.lightfield.chief_rays import Plate, plate_of
+from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
+from lfmesh.lightfield.rays.chief_rays import Plate, plate_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequential.reflections import Arrived, follow_through_mla
 from lfmesh.transport.tables.tables import Tables
@@ -93,7 +93,7 @@ class ArrayRays:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Where the chief rays of all lenslets land."""
+        """Points on the sensor of the chief rays of all lenslets."""
         return calibrate(self.world.scene)
 
     @cached_property

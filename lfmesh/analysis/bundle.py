@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.element_poses import pose_of
-from lfmesh.geometry.levels import EXACT
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.sequential.reflections import Arrived, follow_sequence

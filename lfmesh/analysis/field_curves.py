@@ -1,4 +1,4 @@
-"""What changes over the field of a lens: foci, distortion, lateral colour, illumination; and over its zones."""
+"""Foci, distortion, lateral colour and illumination of a lens over its field, and its foci over its zones."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.analysis.quadrature import integral
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.sequential.reflections import follow_sequence
 from lfmesh.transport.sequential.sequences import image_path
 from lfmesh.transport.trace import at_wavelength

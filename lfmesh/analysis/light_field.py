@@ -17,14 +17,14 @@ from lfmesh.analysis.array_rays import ArrayRays, Landed, even_points
 from lfmesh.analysis.bundle import LensRays
 from lfmesh.analysis.field_curves import paraxial_scale
 from lfmesh.analysis.spots import half_contrast
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.decode import sampling_of, view_count
-from lfmesh.lightfield.depth import BORDER
-from lfmesh.lightfield.focused import lenslet_blur_px
-from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.lightfield.upright import Upright
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.photographs.depth import BORDER
+from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.lightfield.views.decode import sampling_of, view_count
+from lfmesh.lightfield.views.focused import lenslet_blur_px
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.scene.solve import lenslet_focal_length_mm
+from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ class PhotographMtf:
 
 @dataclass(frozen=True)
 class LightFieldAnalysis:
-    """What a plenoptic camera adds to its lens.
+    """Properties that a plenoptic camera adds to those of its lens.
 
     Attributes
     ----------

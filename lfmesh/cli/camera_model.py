@@ -34,7 +34,7 @@ def camera_model(
     """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""
     with defer_interrupt():
         from lfmesh.files.camera_model import check_model_path, write_camera_model
-        from lfmesh.lightfield import camera_model as models
+        from lfmesh.lightfield.rays import camera_model as models
         from lfmesh.scene import load
     check_model_path(out)
     loaded = load(scene)

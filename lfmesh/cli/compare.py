@@ -41,7 +41,7 @@ def compare(
     loaded = overridden(load(scene), overrides)
     with defer_interrupt():
         from lfmesh.accuracy.report import prepare
-        from lfmesh.study import compare as comparing
+        from lfmesh.study.cameras import compare as comparing
 
     prepare(out)
     with status() as say, warnings.catch_warnings():

@@ -14,8 +14,8 @@ from lfmesh.cli.study import LISTED, progress_in_words
 from lfmesh.errors import LfmeshError, warn_caller
 
 if TYPE_CHECKING:
-    from lfmesh.study.dataset import Dataset
-    from lfmesh.study.study import Progress
+    from lfmesh.study.datasets.dataset import Dataset
+    from lfmesh.study.sweeps.study import Progress
 
 
 @app.command(
@@ -44,7 +44,7 @@ def dataset(
     What is finished is kept whatever happens; the same command goes on. Exits with 1 if an item could not be made.
     """
     with defer_interrupt():
-        from lfmesh.study.dataset import Dataset
+        from lfmesh.study.datasets.dataset import Dataset
 
     share = share_of(shard)
     loaded = Dataset.load(template, count=count, seed=seed)
@@ -79,7 +79,7 @@ def _plan(loaded: "Dataset") -> int:
     if len(loaded) > LISTED:
         print(f"  and {len(loaded) - LISTED} more")
     with defer_interrupt():
-        from lfmesh.geometry.solved_camera import solved_camera
+        from lfmesh.geometry.lens.solved_camera import solved_camera
         from lfmesh.transport.checks.foreseen import foreseen
         from lfmesh.transport.world import build
 

@@ -64,7 +64,7 @@ def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"
         from lfmesh.files import run
         from lfmesh.files.calibration import read_calibration
         from lfmesh.files.exports.export import export_raw
-        from lfmesh.lightfield.ray_model import RayModel
+        from lfmesh.lightfield.rays.ray_model import RayModel
 
     image, recorded = run.open_run(folder), run.open_white(folder)
     RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for

@@ -13,8 +13,8 @@ from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
-    from lfmesh.study.board_fit import BoardFit
-    from lfmesh.study.fit import Estimate, Fit
+    from lfmesh.study.fits.board_fit import BoardFit
+    from lfmesh.study.fits.fit import Estimate, Fit
 
 
 @app.command(
@@ -78,8 +78,8 @@ def fit(
     with defer_interrupt():
         from lfmesh.files.white_picture import read_white
         from lfmesh.scene import load
-        from lfmesh.study.fit import fit as fit_camera
-        from lfmesh.study.fit_files import write_fit
+        from lfmesh.study.fits.fit import fit as fit_camera
+        from lfmesh.study.fits.fit_files import write_fit
 
     with status() as say:
         found = fit_camera(
@@ -110,9 +110,9 @@ def _with_boards(
     with defer_interrupt():
         from lfmesh.files.white_picture import read_picture, read_white
         from lfmesh.scene import load
-        from lfmesh.study.board_files import read_corners, write_board_fit
-        from lfmesh.study.board_fit import fit_boards
-        from lfmesh.study.board_pictures import Board
+        from lfmesh.study.fits.board_files import read_corners, write_board_fit
+        from lfmesh.study.fits.board_fit import fit_boards
+        from lfmesh.study.fits.board_pictures import Board
 
     pictures, lists, size = boards
     every = [Board(picture=read_picture(path, "picture of the board"), **size) for path in pictures]

@@ -12,8 +12,8 @@ from lfmesh.cli.printing import list_files, say_note, wrapped
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
-    from lfmesh.lightfield.field import LightField
-    from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
+    from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
+    from lfmesh.lightfield.views.field import LightField
 
 MOST_PLANES = 1000
 """Of a focal stack."""
@@ -133,8 +133,8 @@ def depth(
     """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error."""
     with defer_interrupt():
         from lfmesh.files import depth as depth_files
-        from lfmesh.lightfield.depth import estimate_depth
-        from lfmesh.lightfield.depth_truth import depth_truth
+        from lfmesh.lightfield.photographs.depth import estimate_depth
+        from lfmesh.lightfield.photographs.depth_truth import depth_truth
 
     field = field_of(run)
     estimate = estimate_depth(field, near_mm=near_mm, far_mm=far_mm)
@@ -211,8 +211,8 @@ def field_of(folder: Path) -> "LightField":
 def _decoded(folder: Path, centres: str, divide: bool, views: int | None) -> "LightField":
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.lightfield.centres import estimate_centres
-        from lfmesh.lightfield.decode import decode as decode_image
+        from lfmesh.lightfield.calibration.centres import estimate_centres
+        from lfmesh.lightfield.views.decode import decode as decode_image
 
     image = run.open_run(folder)
     recorded = run.open_white(folder)
@@ -240,9 +240,9 @@ def _refocused(
 ) -> Photographs:  # fmt: skip
     """Photograph planes from the views of a light field."""
     with defer_interrupt():
-        from lfmesh.lightfield.photograph import all_in_focus
-        from lfmesh.lightfield.refocus import focal_stack
-        from lfmesh.lightfield.refocus import refocus as focus_on
+        from lfmesh.lightfield.photographs.photograph import all_in_focus
+        from lfmesh.lightfield.photographs.refocus import focal_stack
+        from lfmesh.lightfield.photographs.refocus import refocus as focus_on
 
     field = field_of(run)
     single = [focus_on(field, distance, f_number=f_number, method=method) for distance in distances]
@@ -254,7 +254,7 @@ def _patched(run: Path, distances: list[float], planes: list[float], everywhere:
     """Photograph planes from the raw image of a focused plenoptic camera."""
     with defer_interrupt():
         from lfmesh.files.run import open_run, open_white
-        from lfmesh.lightfield.patches import patch_stack, patches_in_focus, render_patches
+        from lfmesh.lightfield.views.patches import patch_stack, patches_in_focus, render_patches
 
     image, white = open_run(run), open_white(run)
     single = [render_patches(image, distance, white=white) for distance in distances]

@@ -14,7 +14,7 @@ from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
-    from lfmesh.lightfield.voxel_box import VoxelBox
+    from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 
 Triple = tuple[float, float, float]
 
@@ -85,7 +85,7 @@ def matrix(
 
 def _box(given: Voxels) -> "VoxelBox":
     """Return the box of voxels that was asked for."""
-    from lfmesh.lightfield.voxel_box import VoxelBox, read_box
+    from lfmesh.lightfield.volumes.voxel_box import VoxelBox, read_box
 
     if given.grid is not None:
         if given.counts is not None or given.size_mm is not None:

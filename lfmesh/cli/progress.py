@@ -1,4 +1,4 @@
-"""What is being done, on standard error: a status line on a terminal, elsewhere plain lines."""
+"""Progress of a command on standard error: a status line on a terminal, elsewhere plain lines."""
 
 import sys
 import time

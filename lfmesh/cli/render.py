@@ -40,11 +40,11 @@ def check(scene: SceneFile, /) -> int:
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
-    from lfmesh.geometry.placement import placements
-    from lfmesh.geometry.solved_camera import first_order, mesh_lines, solved_camera
-    from lfmesh.geometry.tanks import tank_lines
+    from lfmesh.geometry.lens.solved_camera import first_order, mesh_lines, solved_camera
+    from lfmesh.geometry.objects.placement import placements
+    from lfmesh.geometry.objects.tanks import tank_lines
     from lfmesh.scene import Finish, load
-    from lfmesh.scene.glasses import glass_lines
+    from lfmesh.scene.materials.glasses import glass_lines
 
     loaded = load(scene)
     with defer_interrupt():
@@ -188,7 +188,7 @@ def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides
 def _render(
     scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *, restart: bool = False
 ) -> int:
-    from lfmesh.geometry.solved_camera import solved_camera
+    from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene import load
 
     scene = overridden(load(scene_file), overrides)
@@ -211,7 +211,7 @@ def _render(
 
 def _say_beforehand(scene: "Scene") -> None:
     """Print what a scene and its first-order report tell, before the seconds that importing the tracer takes."""
-    from lfmesh.geometry.solved_camera import solved_camera
+    from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene.advice import doubtful
 
     camera = solved_camera(scene)
@@ -311,9 +311,9 @@ def _saved(image: "Image", folder: Path) -> Path:
 def _white(folder: Path, overrides: Overrides | None) -> int:
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.lightfield.calibration import calibrate
-        from lfmesh.lightfield.centres import estimate_centres
-        from lfmesh.lightfield.white import white_image
+        from lfmesh.lightfield.calibration.calibration import calibrate
+        from lfmesh.lightfield.calibration.centres import estimate_centres
+        from lfmesh.lightfield.calibration.white import white_image
 
     # An image that cannot be decoded needs no white one: calibrating says so before the render.
     scene = run.open_run(folder).scene

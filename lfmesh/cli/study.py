@@ -13,8 +13,8 @@ from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
-    from lfmesh.study.study import Progress, Study
-    from lfmesh.study.table import Table
+    from lfmesh.study.sweeps.study import Progress, Study
+    from lfmesh.study.sweeps.table import Table
 
 study_app = App(
     name="study",
@@ -60,7 +60,7 @@ def study(
     if template is not None:
         return _write_template(template, study, out)
     with defer_interrupt():
-        from lfmesh.study.study import Study
+        from lfmesh.study.sweeps.study import Study
 
     loaded = Study.load(study)
     if dry_run:
@@ -92,7 +92,7 @@ def merge(
 ) -> int:
     """Put the shares of a study together; the table is bitwise that of a study that was not divided."""
     with defer_interrupt():
-        from lfmesh.study.study import Study
+        from lfmesh.study.sweeps.study import Study
 
     return _report(Study.load(study).merge(folders, out), out, parquet)
 
@@ -100,7 +100,7 @@ def merge(
 def _write_template(name: str, scene: Path, out: Path | None) -> int:
     with defer_interrupt():
         from lfmesh.scene import load
-        from lfmesh.study.error_modes import template_text
+        from lfmesh.study.tolerances.error_modes import template_text
 
     if out is None:
         raise LfmeshError("--template needs --out, the study file to write: -o study.toml")
@@ -113,7 +113,7 @@ def _write_template(name: str, scene: Path, out: Path | None) -> int:
 
 def _plan(loaded: "Study", workers: int | None) -> int:
     from lfmesh.files.words import duration
-    from lfmesh.study.study import probe
+    from lfmesh.study.sweeps.study import probe
 
     plan = loaded.plan
     for point in plan.points[:LISTED]:
@@ -154,7 +154,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
-    from lfmesh.study.study import PAGE, PARQUET, TABLE
+    from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
     if parquet:

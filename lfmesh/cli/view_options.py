@@ -12,7 +12,7 @@ from lfmesh.cli.options import Whole
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Launches:
-    """Which rays start, and where."""
+    """Options for the rays that start."""
 
     rays: Annotated[
         list[str] | None,
@@ -36,7 +36,7 @@ class Launches:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Selection:
-    """Which of their paths are drawn and reported."""
+    """Options for the paths that are drawn and reported."""
 
     filter: Annotated[
         str | None, Parameter(help='Paths to draw and report: "hits(mla) and not ghost", "reflects(L3b)", ...')
@@ -55,7 +55,7 @@ class Selection:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Looks:
-    """How scene and rays are drawn."""
+    """Options for drawing scene and rays."""
 
     colour: Annotated[
         Literal["wavelength", "power", "events", "status", "path", "field"] | None,
@@ -75,7 +75,7 @@ class Looks:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Reports:
-    """What is said of the rays without drawing them: the path table printed, or as CSV; ghosts as a figure."""
+    """Options for reports on rays without a drawing: a table of paths, printed or as CSV; a figure of ghosts."""
 
     table: Annotated[bool, Parameter(negative=(), help="Print the path table.")] = False
     paths: Annotated[Path | None, Parameter(help="CSV to write the path table to.")] = None
@@ -103,7 +103,7 @@ class Files:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Serving:
-    """Whether, and where, the browser's page is served."""
+    """Options for serving the browser's page."""
 
     browser: Annotated[bool, Parameter(negative=(), help="Show it on a page in the browser, with much more.")] = False
     host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1"

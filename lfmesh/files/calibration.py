@@ -9,8 +9,8 @@ import numpy as np
 
 import lfmesh
 from lfmesh.errors import FileError
-from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.upright import ON_SENSOR
+from lfmesh.lightfield.calibration.calibration import Calibration
+from lfmesh.lightfield.views.upright import ON_SENSOR
 from lfmesh.regular_file import read_text
 
 FORMAT = 2

@@ -13,8 +13,8 @@ import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import exr
 from lfmesh.files.whole import make_like_any_other
-from lfmesh.lightfield.camera_model import CameraModel
-from lfmesh.lightfield.upright import ON_SENSOR
+from lfmesh.lightfield.rays.camera_model import CameraModel
+from lfmesh.lightfield.views.upright import ON_SENSOR
 
 FORMAT = 1
 """Of the file."""

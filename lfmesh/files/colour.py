@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.optics.cie import named_spectrum, observer
-from lfmesh.scene.bands import VISIBLE_NM, Centroids, Passband
+from lfmesh.scene.camera.bands import VISIBLE_NM, Centroids, Passband
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 import lfmesh
 from lfmesh.files import exr, run
-from lfmesh.lightfield.depth import DepthMap
-from lfmesh.lightfield.depth_truth import DepthTruth
-from lfmesh.lightfield.field import mosaic
-from lfmesh.lightfield.upright import ON_SENSOR, UPRIGHT
+from lfmesh.lightfield.photographs.depth import DepthMap
+from lfmesh.lightfield.photographs.depth_truth import DepthTruth
+from lfmesh.lightfield.views.field import mosaic
+from lfmesh.lightfield.views.upright import ON_SENSOR, UPRIGHT
 
 VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
 

@@ -12,10 +12,10 @@ import lfmesh
 from lfmesh.files import run
 from lfmesh.files.colour import fitted_weights, srgb_encode, srgb_weights, white_signals
 from lfmesh.files.preview import white_point
-from lfmesh.lightfield.demosaic import demosaicked
 from lfmesh.lightfield.detector import Exposed
-from lfmesh.lightfield.upright import UPRIGHT
-from lfmesh.scene.bands import RGB_NM, channel_labels
+from lfmesh.lightfield.views.demosaic import demosaicked
+from lfmesh.lightfield.views.upright import UPRIGHT
+from lfmesh.scene.camera.bands import RGB_NM, channel_labels
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
 from lfmesh.regular_file import why_no_file
-from lfmesh.scene.bands import channel_labels
+from lfmesh.scene.camera.bands import channel_labels
 
 METADATA = "lfmesh"
 """Attribute of the first part that holds the metadata as JSON: EXR floats are float32, its lists get lost."""
@@ -24,7 +24,7 @@ METADATA = "lfmesh"
 
 @dataclass(frozen=True)
 class SpectralImage:
-    """What an EXR file holds.
+    """Content of an EXR file.
 
     Attributes
     ----------

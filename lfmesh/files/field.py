@@ -10,8 +10,8 @@ from lfmesh.errors import FileError
 from lfmesh.files import exr, run
 from lfmesh.files.folder import saved
 from lfmesh.files.picture import write_picture
-from lfmesh.lightfield.field import LightField, from_mosaic, mosaic
-from lfmesh.lightfield.upright import UPRIGHT
+from lfmesh.lightfield.views.field import LightField, from_mosaic, mosaic
+from lfmesh.lightfield.views.upright import UPRIGHT
 
 FORMAT = 2
 """Of the file; a reader refuses any other."""

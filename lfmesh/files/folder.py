@@ -49,7 +49,7 @@ class Entry(NamedTuple):
         return cls(path.stat().st_size, digest_of(path))
 
     def fits(self, path: Path) -> bool:
-        """Whether a file is as it was saved."""
+        """Tell whether a file is as it was saved."""
         return path.stat().st_size == self.bytes and digest_of(path) == self.sha256
 
 
@@ -58,7 +58,7 @@ Manifest = dict[str, Entry]
 
 
 def is_safe(name: Any) -> bool:
-    """Whether a name from a file on disk stays inside the run: a plain name, or one in the folder of copied inputs."""
+    """Tell whether a name from a file on disk stays inside the run: a plain name, or one of the copied inputs."""
     if not isinstance(name, str) or not name or "\\" in name or ":" in name:
         return False
     parts = PurePosixPath(name).parts
@@ -109,7 +109,7 @@ def saved(folder: Path, name: str) -> Path | None:
 
 
 def is_forgotten(path: Path) -> bool:
-    """Whether nobody works in a staging folder (or on a staged file) any more."""
+    """Tell whether nobody works in a staging folder (or on a staged file) any more."""
     with _lock(path, wait=False) as locked:
         if locked is None:
             return time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS
@@ -185,7 +185,7 @@ def staged_file(folder: Path, name: str) -> Iterator[Any]:
 
 
 class Change(NamedTuple):
-    """What a change does, besides moving in what is staged.
+    """Effects of a change besides moving in the staged files.
 
     Attributes
     ----------

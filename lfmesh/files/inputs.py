@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from lfmesh.errors import FileError
 from lfmesh.files.paths import relative
-from lfmesh.geometry.mesh_file import companions
+from lfmesh.geometry.files.mesh_file import companions
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES, digest_of, files_of
 
@@ -29,7 +29,7 @@ class Source(NamedTuple):
 
     @property
     def movable(self) -> bool:
-        """Whether all it reads lies in its folder or below."""
+        """True if all it reads lies in its folder or below."""
         return all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in self.others)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import Lattice, cell_of, centre, is_inside
+from lfmesh.geometry.array.lattice import Lattice, cell_of, centre, is_inside
 from lfmesh.kernels.decorators import kernel
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ import lfmesh
 from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.files.folder import staged_file
 from lfmesh.files.whole import make_like_any_other
-from lfmesh.lightfield.projection import (
+from lfmesh.lightfield.volumes.projection import (
     THRESHOLD,
     ProjectionMatrix,
     Projector,
@@ -30,7 +30,7 @@ from lfmesh.lightfield.projection import (
     pixels_of,
     size_in_words,
 )
-from lfmesh.lightfield.voxel_box import VoxelBox
+from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.regular_file import open_regular, read_arrays, read_text
 from lfmesh.scene import Scene
 

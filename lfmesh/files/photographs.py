@@ -9,8 +9,8 @@ import numpy as np
 import lfmesh
 from lfmesh.files import exr, run
 from lfmesh.files.picture import write_animation, write_picture
-from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
-from lfmesh.lightfield.upright import UPRIGHT
+from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.views.upright import UPRIGHT
 
 STACK, ALL_IN_FOCUS = "stack", "all_in_focus"
 

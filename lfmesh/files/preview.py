@@ -8,7 +8,7 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from lfmesh.files.colour import srgb_encode, to_display
-from lfmesh.scene.bands import channel_labels
+from lfmesh.scene.camera.bands import channel_labels
 
 WHITE_PERCENTILE = 99.5
 """Of the pixels that got light: a few glints must not darken the whole picture."""
@@ -62,7 +62,7 @@ def write_preview(
     ----------
     path : Path
     power : (H, W, wavelengths) float64, W
-        Upright: see `lfmesh.lightfield.upright`.
+        Upright: see `lfmesh.lightfield.views.upright`.
     wavelengths_nm : tuple of float
     stderr : (H, W, wavelengths) float64, W, optional
         Of `power`; pixels that are hardly known do not set the exposure.

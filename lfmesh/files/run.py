@@ -40,15 +40,15 @@ from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.files.scene_file import save_scene
-from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.upright import UPRIGHT, Upright
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.calibration.calibration import Calibration
+from lfmesh.lightfield.views.upright import UPRIGHT, Upright
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
-from lfmesh.scene.transport import REPLICATES
+from lfmesh.scene.settings.transport import REPLICATES
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
@@ -290,7 +290,7 @@ def _check_folder(path: Path) -> None:
 
 
 def is_complete(path: Path) -> bool:
-    """Whether a folder holds the run of a render that came to its end, and no checkpoint of a later one.
+    """Tell whether a folder holds the run of a render that came to its end, and no checkpoint of a later one.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def is_complete(path: Path) -> bool:
 
 
 def has_checkpoint(path: Path) -> bool:
-    """Whether a render into a folder was cut short and can go on."""
+    """Tell whether a render into a folder was cut short and can go on."""
     return (path / CHECKPOINT).is_file()
 
 

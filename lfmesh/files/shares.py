@@ -67,7 +67,7 @@ class Cut:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What must be the same for all shares."""
+        """Values that all shares have in common."""
         return {
             "format": FORMAT,
             "program": program(),

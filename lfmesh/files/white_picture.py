@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
 from lfmesh.files import exr, run
-from lfmesh.geometry.texture import FORMATS, opened
+from lfmesh.geometry.objects.texture import FORMATS, opened
 from lfmesh.regular_file import why_no_file
 from lfmesh.transport.render.image import Image
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.literals import percent
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
@@ -20,7 +20,7 @@ DARK_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Noise:
-    """How well the pixels are known.
+    """Standard errors of the pixels, summed up.
 
     Attributes
     ----------
@@ -263,7 +263,7 @@ def _refined(refinement: Refinement) -> str:
 
 
 def _ends(image: Image) -> list[tuple[str, float]]:
-    """Where packets end physically, largest first; what roulette and aimed sampling booked are no places."""
+    """Places where packets end physically, largest first; entries of roulette and aimed sampling are no places."""
     ledger = image.ledger
     ends = [(_ended(name), share) for name, share in ledger.absorbed.items()]
     ends += [

@@ -1,13 +1,14 @@
 """Other people's files: lens files of other design programs, read and written, and scenes as glTF files.
 
-Importing this part registers its readers in the scene's table (`lfmesh.scene.lens_readers`), so that `camera.lens = {
-file = "x.zmx" }` works without the scene knowing of them, and that of glTF scenes (`lfmesh.scene.gltf_keys`).
+Importing this part registers its readers in the scene's table (`lfmesh.scene.camera.lens_readers`), so that
+`camera.lens = { file = "x.zmx" }` works without the scene knowing of them, and that of glTF scenes
+(`lfmesh.scene.objects.gltf_keys`).
 """
 
 from lfmesh.imports.gltf_scene import GltfScene, read_gltf, with_gltf
 from lfmesh.imports.lens_file import read_lens, read_lens_file, write_lens_file
-from lfmesh.scene import gltf_keys
-from lfmesh.scene.lens_readers import register
+from lfmesh.scene.camera.lens_readers import register
+from lfmesh.scene.objects import gltf_keys
 
 __all__ = ["GltfScene", "read_gltf", "read_lens", "read_lens_file", "with_gltf", "write_lens_file"]
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Paraxial, load_lens
+from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.files import LIBRARY, library
-from lfmesh.scene.lens import Lens
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
-from lfmesh.scene.lens import Lens
+from lfmesh.scene.camera.lens import Lens
 
 MOST_SURFACES = 1000
 

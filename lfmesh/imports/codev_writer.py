@@ -6,9 +6,9 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev import COEFFICIENTS
 from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm, table_of
 from lfmesh.optics.glass import D_LINE_NM, Medium
-from lfmesh.scene.lens import Lens, Surface
-from lfmesh.scene.own_glass import OwnGlass
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.materials.own_glass import OwnGlass
 
 
 def written(lens: Lens) -> tuple[bytes, list[str]]:

@@ -2,7 +2,7 @@
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
-from lfmesh.scene.own_glass import OwnGlass
+from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
 """Difference between the catalogue's nd and the one that a file gives beside the name, above which it is said."""

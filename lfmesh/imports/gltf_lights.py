@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import MeshError
-from lfmesh.geometry.gltf_nodes import Node
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.mesh_file import MM_PER_UNIT
+from lfmesh.geometry.files.gltf_nodes import Node
+from lfmesh.geometry.files.mesh_file import MM_PER_UNIT
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import DirectionalLight, PointLight, Scene, SpotLight
 

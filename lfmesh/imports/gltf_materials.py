@@ -1,9 +1,9 @@
-"""What of an object's material and mesh a glTF file holds and a target does not take over."""
+"""Properties of a glTF object's material and mesh that a target does not take over."""
 
 from collections.abc import Iterator
 from typing import Any
 
-from lfmesh.geometry.gltf_nodes import Node
+from lfmesh.geometry.files.gltf_nodes import Node
 
 _MAPS = {"normalTexture": "its normal map", "emissiveTexture": "its emission"}
 

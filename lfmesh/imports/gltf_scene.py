@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import MeshError, SceneError
-from lfmesh.geometry.gltf_nodes import Node, node_called, nodes_of, not_read, primitives_of
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.mesh_file import MM_PER_UNIT, gltf_document
-from lfmesh.geometry.solved_camera import first_order
+from lfmesh.geometry.files.gltf_nodes import Node, node_called, nodes_of, not_read, primitives_of
+from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document
+from lfmesh.geometry.lens.solved_camera import first_order
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.imports.gltf_lights import light_of
 from lfmesh.imports.gltf_materials import left_out
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene import Pose, Scene, Target
-from lfmesh.scene.gltf_keys import GltfKeys
-from lfmesh.scene.lights import Light
+from lfmesh.scene.light.lights import Light
+from lfmesh.scene.objects.gltf_keys import GltfKeys
 
 MOST_OBJECTS = 10_000
 """Of one file: each is a target with a mesh of its own."""

@@ -7,7 +7,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports import codev, codev_writer, zemax, zemax_writer
 from lfmesh.imports.report import Report
 from lfmesh.scene import load_lens, toml
-from lfmesh.scene.lens import Lens
+from lfmesh.scene.camera.lens import Lens
 
 _READERS = {".zmx": zemax.read, ".seq": codev.read}
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}

@@ -14,9 +14,9 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
-from lfmesh.scene.lens import Lens, Surface
-from lfmesh.scene.paraxial import Paraxial, Ray
-from lfmesh.scene.sections import AZIMUTHS
+from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.sections import AZIMUTHS
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
@@ -73,7 +73,7 @@ class FieldPoint:
 
 @dataclass
 class Prescription:
-    """What a lens file says, from the object to the image.
+    """Content of a lens file, from the object to the image.
 
     Attributes
     ----------

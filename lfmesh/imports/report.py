@@ -1,4 +1,4 @@
-"""What became of each line of a file that was imported: taken, approximated, without effect, unknown or refused."""
+"""Verdict on each line of an imported file: taken, approximated, without effect, unknown or refused."""
 
 import warnings
 from collections import Counter
@@ -15,7 +15,7 @@ _MOST_FAULTS = 20
 
 
 class Verdict(Enum):
-    """What became of a line."""
+    """Verdict on a line."""
 
     TAKEN = "taken"
     APPROXIMATED = "approximated"
@@ -42,13 +42,13 @@ class Line:
 
     @property
     def place(self) -> str:
-        """Where it stands, and what it says."""
+        """Place of the line, and its text."""
         return f"line {self.number}: {_cut(self.text)}" if self.number else _cut(self.text)
 
 
 @dataclass
 class Report:
-    """What became of the lines of one file.
+    """Verdicts on the lines of one file.
 
     Attributes
     ----------

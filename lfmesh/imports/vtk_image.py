@@ -102,7 +102,7 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
 
 @lru_cache(maxsize=64)
 def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
-    """Whether VTK can read a file, the one with this stamp, without crashing and in the memory that it may need."""
+    """Tell whether VTK can read the file with this stamp without crashing and in the memory that it may need."""
     # In words that are no numbers there are no points: VTK is told to keep to what every file may take.
     with open_regular(path) as file:
         found = _EXTENT.search(file.read(HEAD))
@@ -110,7 +110,7 @@ def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
     extent = [int(word) for word in words] if all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words) else []
     points = math.prod(extent[i + 1] - extent[i] + 1 for i in (0, 2, 4)) if len(extent) == 6 else 0
     most = LIBRARY_BYTES + BYTES_A_POINT * max(points, 0) + BYTES_A_BYTE * path.stat().st_size
-    # Not by -m: see `geometry.cad_file`.
+    # Not by -m: see `geometry.files.cad_file`.
     command = [sys.executable, "-P", vtk_child.__file__, str(path), str(min(most, sys.maxsize))]
     try:
         return subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False).returncode == 0

@@ -1,11 +1,11 @@
-"""What lens files of other programs can hold of a lens, for the writers of both formats."""
+"""Properties of a lens that lens files of other programs can hold, for the writers of both formats."""
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
-from lfmesh.scene.coatings import UNCOATED
-from lfmesh.scene.lens import Lens
-from lfmesh.scene.own_glass import OwnGlass
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.own_glass import OwnGlass
 from lfmesh.scene.pose import Pose
 
 ZEMAX = "Zemax"

@@ -19,8 +19,8 @@ from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
-from lfmesh.scene.lens import Lens
-from lfmesh.scene.qcon import MOST_ASPHERE_TERMS
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 MOST_SURFACES = 1000
 

@@ -7,9 +7,9 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import named_glass
 from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
 from lfmesh.optics.glass import D_LINE_NM, glass_name
-from lfmesh.scene.lens import Lens, Surface
-from lfmesh.scene.own_glass import OwnGlass
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.materials.own_glass import OwnGlass
 
 _MOST_TERMS = 7
 """Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""

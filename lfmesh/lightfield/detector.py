@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.notebook import Pictured
 from lfmesh.optics.cie import PLANCK_J_S, SPEED_OF_LIGHT_M_S
-from lfmesh.scene.bands import RGB_NM, channel_labels
+from lfmesh.scene.camera.bands import RGB_NM, channel_labels
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]

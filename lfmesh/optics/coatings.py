@@ -38,7 +38,7 @@ class Stack:
 
     @property
     def absorbs(self) -> bool:
-        """Whether any layer absorbs."""
+        """True if any layer absorbs."""
         return any(index.imag != 0.0 for index in self.indices)
 
     @property

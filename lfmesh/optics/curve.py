@@ -44,7 +44,7 @@ class Curve:
         return np.asarray(np.interp(np.asarray(wavelength_nm), self.wavelengths_nm, self.values))
 
     def holds(self, first_nm: float, last_nm: float) -> bool:
-        """Whether the table reaches from one wavelength to another, rounding apart."""
+        """Tell whether the table reaches from one wavelength to another, rounding apart."""
         first, last = self.ends_nm
         return first <= first_nm * (1.0 + 1e-9) and last_nm * (1.0 - 1e-9) <= last
 

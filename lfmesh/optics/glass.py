@@ -281,7 +281,7 @@ def _visible(page: Page) -> tuple[float, float, float] | None:
 
 
 def _are_one_glass(pages: list[Page]) -> bool:
-    """Whether the indices of some pages agree to the digits that catalogues print, from F to C."""
+    """Tell whether the indices of some pages agree to the digits that catalogues print, from F to C."""
     values = [_visible(page) for page in pages]
     known = [each for each in values if each is not None]
     return len(known) == len(pages) and all(max(line) - min(line) <= SAME_INDEX for line in zip(*known, strict=True))

@@ -37,7 +37,7 @@ _CHUNK = 4096
 
 @dataclass(frozen=True, eq=False)
 class MieSphere:
-    """What spheres do to unpolarised light of one wavelength.
+    """Scattering and absorption of unpolarised light of one wavelength by spheres.
 
     Attributes
     ----------

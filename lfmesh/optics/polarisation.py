@@ -38,7 +38,7 @@ SMALL_PHASE = 1e-3
 
 
 class Polarising(NamedTuple):
-    """What an interface does with polarised light on one of its two ways: the elements of a Mueller matrix."""
+    """Elements of the Mueller matrix of an interface, for reflected or for transmitted light."""
 
     s: float  # share of the power of s-polarised light
     p: float  # share of the power of p-polarised light

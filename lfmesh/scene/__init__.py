@@ -1,12 +1,15 @@
 """Scenes: the models of a scene file, reading and writing it, and its first-order optics."""
 
-from lfmesh.scene.back_face import BackFace
-from lfmesh.scene.camera import Camera
-from lfmesh.scene.coatings import Coating, Layer
+from lfmesh.scene.camera.back_face import BackFace
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.lens import Element, Lens, Surface
+from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
+from lfmesh.scene.camera.sensor import Sensor
 from lfmesh.scene.files import load, load_lens, loads
-from lfmesh.scene.finishes import Finish
-from lfmesh.scene.lens import Element, Lens, Surface
-from lfmesh.scene.lights import (
+from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.first_order.report import FirstOrder, first_order
+from lfmesh.scene.first_order.solve import solved
+from lfmesh.scene.light.lights import (
     CircularPolarisation,
     DirectionalLight,
     DiskLight,
@@ -15,18 +18,15 @@ from lfmesh.scene.lights import (
     PointLight,
     SpotLight,
 )
-from lfmesh.scene.media import Grid, Medium
-from lfmesh.scene.mla import ArrayForm, MicrolensArray
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.scene.materials.coatings import Coating, Layer
+from lfmesh.scene.materials.finishes import Finish
+from lfmesh.scene.media.media import Grid, Medium
+from lfmesh.scene.objects.refractor import MeshFace, MeshShape, Refractor
+from lfmesh.scene.objects.tank import Liquid, Tank, Wall
+from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
 from lfmesh.scene.pose import Pose
-from lfmesh.scene.refractor import MeshFace, MeshShape, Refractor
-from lfmesh.scene.report import FirstOrder, first_order
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.sensor import Sensor
-from lfmesh.scene.solve import solved
-from lfmesh.scene.tank import Liquid, Tank, Wall
-from lfmesh.scene.targets import Box, Cylinder, Disk, Gloss, Material, Plane, Shape, Sphere, Target
-from lfmesh.scene.transport import Tessellation, Transport
+from lfmesh.scene.settings.transport import Tessellation, Transport
 
 __all__ = [
     "ArrayForm",

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import reach_in_words
-from lfmesh.scene.meridional import edge_of_stop_mm
+from lfmesh.scene.first_order.meridional import edge_of_stop_mm
+from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
 from lfmesh.scene.model import format_path
-from lfmesh.scene.paraxial import Paraxial, quotient
+from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 from lfmesh.scene.scene import Scene
-from lfmesh.scene.solve import focus_wished_mm, image_plane_mm
-from lfmesh.scene.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 
 if TYPE_CHECKING:
-    from lfmesh.scene.report import FirstOrder
+    from lfmesh.scene.first_order.report import FirstOrder
 
 # Differences below these shares are ordinary tolerances of a design, not worth a word.
 _F_NUMBER_TOLERANCE = 0.1

@@ -9,14 +9,14 @@ from pydantic import ValidationError
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LfmeshError, SceneError
 from lfmesh.regular_file import open_regular
+from lfmesh.scene.camera.lens import STOP_SIZES, Lens
+from lfmesh.scene.camera.lens_readers import reader_of
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
-from lfmesh.scene.gltf_keys import reader as gltf_reader
-from lfmesh.scene.gltf_keys import take_keys
-from lfmesh.scene.lens import STOP_SIZES, Lens
-from lfmesh.scene.lens_readers import reader_of
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
+from lfmesh.scene.materials.own_glass import with_tables_beside
 from lfmesh.scene.model import fault_lines, format_path, listed, nearest
-from lfmesh.scene.own_glass import with_tables_beside
+from lfmesh.scene.objects.gltf_keys import reader as gltf_reader
+from lfmesh.scene.objects.gltf_keys import take_keys
 from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 

@@ -45,7 +45,7 @@ def files_of(model: BaseModel, where: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _names_a_file(annotation: Any) -> bool:
-    """Whether a type, or one that it is a union of, is `FilePath`."""
+    """Tell whether a type, or one that it is a union of, is `FilePath`."""
     arguments = get_args(annotation)
     return any(mark in arguments for mark in _MARKS) or any(_names_a_file(argument) for argument in arguments)
 

@@ -16,22 +16,22 @@ from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
 from lfmesh.optics.glass import absorption_per_mm, catalogue_name, complex_index, refractive_index
 from lfmesh.optics.metals import metal_index
-from lfmesh.scene.bands import Centroids, Passband, passband, preset
-from lfmesh.scene.camera import Camera
-from lfmesh.scene.coatings import Coating, name_fault, unknown_fault
-from lfmesh.scene.finishes import Finish
-from lfmesh.scene.glass_in_air import in_its_air
-from lfmesh.scene.gltf_keys import GltfLights, GltfTargets, or_table
+from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
+from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.inputs import digest_of, file_stamp, files_of, found
-from lfmesh.scene.lights import Light
-from lfmesh.scene.media import Medium
+from lfmesh.scene.light.lights import Light
+from lfmesh.scene.light.particles import Particles
+from lfmesh.scene.light.spectra import Spectrum, curve_of
+from lfmesh.scene.materials.coatings import Coating, name_fault, unknown_fault
+from lfmesh.scene.materials.finishes import Finish
+from lfmesh.scene.materials.glass_in_air import in_its_air
+from lfmesh.scene.media.media import Medium
 from lfmesh.scene.model import Fault, Location, Model
-from lfmesh.scene.particles import Particles
+from lfmesh.scene.objects.gltf_keys import GltfLights, GltfTargets, or_table
+from lfmesh.scene.objects.tank import Tank
+from lfmesh.scene.objects.targets import Target
 from lfmesh.scene.quantities import Text
-from lfmesh.scene.spectra import Spectrum, curve_of
-from lfmesh.scene.tank import Tank
-from lfmesh.scene.targets import Target
-from lfmesh.scene.transport import PRIMARY_NM, Transport
+from lfmesh.scene.settings.transport import PRIMARY_NM, Transport
 
 # Mean, squared deviation and the replicate under way, in float64, and two counts of hits, with what merging and writing
 # need on top.
@@ -88,7 +88,7 @@ class Scene(Model, Shown):
 
     @property
     def folder(self) -> Path:
-        """Where relative paths start: the scene file's folder; for a scripted scene the current one."""
+        """Folder that relative paths start from: the scene file's; for a scripted scene the current one."""
         return self._folder
 
     def resolve(self, path: str | Path) -> Path:
@@ -251,7 +251,7 @@ class Scene(Model, Shown):
 
     def dump_toml(self) -> str:
         """Return the scene as TOML that loads to an equal scene; defaults are left out."""
-        from lfmesh.scene import toml  # with a library that most scenes, which are only read, need not wait for
+        from lfmesh.scene import toml
 
         return toml.dump(self)
 

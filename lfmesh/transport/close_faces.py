@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.levels import FLAT, SURFACE_LEVEL
-from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_corner_normals
-from lfmesh.geometry.patch import patch_points, patches
-from lfmesh.geometry.targets import TargetMesh, named_target
+from lfmesh.geometry.meshes.levels import FLAT, SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_corner_normals
+from lfmesh.geometry.meshes.patch import patch_points, patches
+from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
@@ -86,7 +86,7 @@ class _Face:
 
 @dataclass
 class _Close:
-    """Where two faces are too close: the place, the distance between the curved surfaces, and the stand-offs, mm."""
+    """Two faces that are too close: the place, the distance between the curved surfaces, and the stand-offs, mm."""
 
     place: Array
     gap: float

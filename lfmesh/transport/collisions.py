@@ -7,9 +7,9 @@ import numpy as np
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.surface import is_revolved
-from lfmesh.geometry.tessellation import on_circles
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.surface import is_revolved
+from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.tables import LensTables, MlaTables

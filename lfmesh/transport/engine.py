@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
-from lfmesh.geometry.levels import EXACT
+from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_normals, joined
-from lfmesh.geometry.targets import TargetMesh, named_target
-from lfmesh.geometry.winding import shells, winding
+from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_normals, joined
+from lfmesh.geometry.meshes.winding import shells, winding
+from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
 from lfmesh.transport.close_faces import refuse_close_faces

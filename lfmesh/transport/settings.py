@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.levels import SURFACE_LEVEL
-from lfmesh.geometry.mesh import distance_mm
+from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import distance_mm
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import (

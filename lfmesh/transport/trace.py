@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError, LostEnergyWarning, warn_caller
 from lfmesh.geometry import frame
-from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
-from lfmesh.geometry.surface import in_place
-from lfmesh.geometry.tessellation import mesh_heights
+from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
+from lfmesh.geometry.surfaces.surface import in_place
+from lfmesh.geometry.surfaces.tessellation import mesh_heights
 from lfmesh.notebook import Shown
 from lfmesh.scene.literals import literal
-from lfmesh.scene.transport import MOST_EVENTS, MOST_THREADS
+from lfmesh.scene.settings.transport import MOST_EVENTS, MOST_THREADS
 from lfmesh.signatures import with_keywords
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.collisions import far_end_mm
@@ -496,7 +496,7 @@ def joined_records(parts: Iterable[tuple[Records, Records]]) -> tuple[Records, R
 
 
 class _Call(NamedTuple):
-    """What a call of `trace` traces through, and how."""
+    """World and options of a call of `trace`."""
 
     world: World
     tables: Tables
@@ -540,7 +540,7 @@ class _Call(NamedTuple):
 
 
 def _absorbs(tables: Tables) -> bool:
-    """Whether lens or array absorb, in which the power of a ray that is traced twice would be entered twice."""
+    """Tell whether lens or array absorb, in which the power of a ray that is traced twice would be entered twice."""
     return tables.lens.media.absorption is not None or tables.mla.media.absorption is not None
 
 

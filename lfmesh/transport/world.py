@@ -9,21 +9,21 @@ import numpy as np
 
 from lfmesh.errors import ClosedGapWarning, CutBodiesWarning, LfmeshError, PictureWarning, SceneError, warn_caller
 from lfmesh.geometry import frame
-from lfmesh.geometry.division import divided
-from lfmesh.geometry.element_poses import pose_of
-from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.lenslets import mla_mesh
-from lfmesh.geometry.levels import SURFACE_LEVEL
-from lfmesh.geometry.mesh import Array, Mesh, joined
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.targets import TargetMesh, target_mesh
-from lfmesh.geometry.tessellation import (
+from lfmesh.geometry.array.lenslets import mla_mesh
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import Array, Mesh, joined
+from lfmesh.geometry.objects.targets import TargetMesh, target_mesh
+from lfmesh.geometry.surfaces.division import divided
+from lfmesh.geometry.surfaces.tessellation import (
     element,
     revolved,
 )
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.sections import AZIMUTHS
+from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.transport.aiming.aim_proof import AimProof
 from lfmesh.transport.aiming.aim_table import aim_table, all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aiming.ghost_aim import ghost_tables
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 
 
 class Bodies(NamedTuple):
-    """What the meshes are made from."""
+    """Bodies that meshes are made from."""
 
     lens: LensShape
     targets: list[TargetMesh]
@@ -137,12 +137,12 @@ class World(Shown):
 
     @cached_property
     def aim(self) -> AimTables:
-        """Where rays have to go to pass the lens, found when first asked for: rays that are given need no aim."""
+        """Aim of rays that have to pass the lens, found when first asked for: given rays need none."""
         return self._aim_and_proof[0]
 
     @property
     def aim_proof(self) -> AimProof | None:
-        """What the aim leaves out, as rays from the stop measure it; None for a world without aim."""
+        """Share of light outside the aim, as rays from the stop measure it; None for a world without aim."""
         return self._aim_and_proof[1]
 
     @cached_property

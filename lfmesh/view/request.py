@@ -15,7 +15,7 @@ from lfmesh.files import run as runs
 from lfmesh.files.folder import recover
 from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene, load
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image

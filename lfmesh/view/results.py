@@ -1,4 +1,4 @@
-"""How results show in notebooks and figures: pictures upright, their scale in physical units, key figures in words.
+"""Results in notebooks and figures: pictures upright, their scale in physical units, key figures in words.
 
 Results inherit from `lfmesh.notebook`, where this module is registered.
 """
@@ -20,13 +20,13 @@ from lfmesh.errors import LfmeshError
 from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.files.preview import well_known, white_point
 from lfmesh.files.words import count, duration, noise
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.depth import DepthMap
-from lfmesh.lightfield.depth_truth import DepthTruth
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.detector import Exposed
-from lfmesh.lightfield.field import LightField
-from lfmesh.lightfield.photograph import AllInFocus, FocalStack, Photograph
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.photographs.depth import DepthMap
+from lfmesh.lightfield.photographs.depth_truth import DepthTruth
+from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph
+from lfmesh.lightfield.views.field import LightField
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.notebook import in_notebook
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.literals import percent

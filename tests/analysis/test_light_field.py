@@ -12,11 +12,11 @@ import lfmesh as lf
 from lfmesh.analysis.array_rays import ArrayRays
 from lfmesh.analysis.light_field import analyse_light_field, photograph_mtf
 from lfmesh.analysis.spots import half_contrast
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.study.crosstalk import lenslet_light
-from lfmesh.study.pictures import Camera, edge_scene
-from lfmesh.study.resolution import edge_mtf50
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.study.metrics.crosstalk import lenslet_light
+from lfmesh.study.metrics.pictures import Camera, edge_scene
+from lfmesh.study.metrics.resolution import edge_mtf50
 
 Array = NDArray[np.float64]
 

@@ -28,8 +28,8 @@ DATASET = 'scene = "scene.toml"\n[[random]]\npath = "camera.mla.pose.shift_mm[0]
 MATRIX = "matrix scene.toml --counts 2 2 2 --size-mm 4 4 4 --position-mm 0 0 -540 -o m.npz"
 COMMANDS = {
     MATRIX: ("lfmesh.files.matrix.computed", "block", "m.npz.parts"),
-    "study study.toml -o out --workers 0": ("lfmesh.study.study.here", "unit", "out"),
-    "dataset data.toml -o out --count 2 --workers 0": ("lfmesh.study.dataset.here", "item", "out"),
+    "study study.toml -o out --workers 0": ("lfmesh.study.sweeps.study.here", "unit", "out"),
+    "dataset data.toml -o out --count 2 --workers 0": ("lfmesh.study.datasets.dataset.here", "item", "out"),
 }
 """What yields the parts of their work, what these are called, and where they are kept."""
 
@@ -39,7 +39,7 @@ SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 @pytest.fixture
 def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lfmesh.lightfield.projection.RAYS_AT_ONCE", 400)
+    monkeypatch.setattr("lfmesh.lightfield.volumes.projection.RAYS_AT_ONCE", 400)
     for name, text in (("scene.toml", SCENE), ("study.toml", STUDY), ("data.toml", DATASET)):
         (tmp_path / name).write_text(text)
     # A shell ignores Ctrl-C for what it runs in the background, these tests perhaps.

@@ -9,7 +9,7 @@ from lfmesh.cli import main
 from lfmesh.cli.export import _found
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.scene import loads
-from lfmesh.study.board_files import read_corners
+from lfmesh.study.fits.board_files import read_corners
 from tests.cameras import bench_camera
 
 

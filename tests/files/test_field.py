@@ -16,7 +16,7 @@ import lfmesh as lf
 from lfmesh.files import exr, photographs, run
 from lfmesh.files.field import FIELD, PARTS, open_field, save_field
 from lfmesh.files.folder import MANIFEST
-from lfmesh.lightfield.photograph import all_in_focus
+from lfmesh.lightfield.photographs.photograph import all_in_focus
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from lfmesh.cli import main
 from lfmesh.errors import FileError
 from lfmesh.files import inputs, run
 from lfmesh.files.folder import MANIFEST, manifest_of
-from lfmesh.geometry.mesh_file import companions, load_mesh
+from lfmesh.geometry.files.mesh_file import companions, load_mesh
 from lfmesh.scene.inputs import files_of
 from lfmesh.transport.render.image import Image
 

@@ -44,8 +44,9 @@ split = "transmit"
 ZYGOTE = """
 import json, os, sys
 import lfmesh.cli, lfmesh.files.checkpoint, lfmesh.files.depth, lfmesh.files.exposed, lfmesh.files.exports.export
-import lfmesh.files.photographs, lfmesh.lightfield.centres, lfmesh.lightfield.decode, lfmesh.lightfield.depth_truth
-import lfmesh.lightfield.white, lfmesh.lightfield.refocus, lfmesh.transport.render.render, matplotlib.figure, trimesh
+import lfmesh.files.photographs, lfmesh.lightfield.calibration.centres, lfmesh.lightfield.calibration.white
+import lfmesh.lightfield.photographs.depth_truth, lfmesh.lightfield.photographs.refocus, lfmesh.lightfield.views.decode
+import lfmesh.transport.render.render, matplotlib.figure, trimesh
 lfmesh.files.checkpoint.SECONDS, lfmesh.files.checkpoint.SHARE = 0.0, 1e9
 for line in sys.stdin:
     child = os.fork()

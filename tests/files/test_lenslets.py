@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lfmesh.files.lenslets import lenslet_means, paint
-from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.array.lattice import Lattice
 
 
 def centres(grid: Lattice) -> np.ndarray:

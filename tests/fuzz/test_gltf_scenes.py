@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LensFileWarning, LfmeshError
-from lfmesh.geometry.placement import placements
+from lfmesh.geometry.objects.placement import placements
 from lfmesh.scene import Scene, loads
 from tests.cameras import camera_without_array
 from tests.fuzz.test_meshes import damaged, damages, kept

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.tanks import with_tanks
-from lfmesh.lightfield.voxel_box import VoxelBox
+from lfmesh.geometry.objects.tanks import with_tanks
+from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from tests.cameras import close_up_camera
 from tests.transport.events.test_volume import passage, volumes_of
 

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.mesh_file import NODE_ENDINGS, load_mesh
-from lfmesh.geometry.texture import load_texture
+from lfmesh.geometry.files.mesh_file import NODE_ENDINGS, load_mesh
+from lfmesh.geometry.objects.texture import load_texture
 
 
 def exported(ending: str) -> bytes:

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.placement import placements
+from lfmesh.geometry.objects.placement import placements
 from lfmesh.scene import loads
-from lfmesh.scene.report import first_order
+from lfmesh.scene.first_order.report import first_order
 from tests.cameras import bench_camera
 
 BENCH = bench_camera(4, 4).replace(

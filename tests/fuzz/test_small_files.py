@@ -23,13 +23,13 @@ from lfmesh.files.calibration import read_calibration, write_calibration
 from lfmesh.files.white_picture import read_picture
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.imports.lens_file import read_lens, write_lens_file
-from lfmesh.lightfield.voxel_box import read_box
+from lfmesh.lightfield.volumes.voxel_box import read_box
 from lfmesh.optics.curve import read_curve
 from lfmesh.optics.light_profile import read_profile
 from lfmesh.optics.reflectance_table import read_reflectance
 from lfmesh.scene import solved
-from lfmesh.scene.particles import Particles, particle_places
-from lfmesh.study.board_files import read_corners
+from lfmesh.scene.light.particles import Particles, particle_places
+from lfmesh.study.fits.board_files import read_corners
 from tests.cameras import bench_camera
 from tests.fuzz.test_meshes import damaged, damages, kept
 

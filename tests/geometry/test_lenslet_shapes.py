@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.lattice import Lattice, neighbour
-from lfmesh.geometry.lenslets import cap_sag, cell_mesh, cell_pattern, lenslets, mla_mesh, shape_of, type_of
-from lfmesh.geometry.mesh import facet_normals
+from lfmesh.geometry.array.lattice import Lattice, neighbour
+from lfmesh.geometry.array.lenslets import cap_sag, cell_mesh, cell_pattern, lenslets, mla_mesh, shape_of, type_of
+from lfmesh.geometry.meshes.mesh import facet_normals
 
 SQUARE = Lattice(False, 0.125, 5, 4)
 HEXAGONAL = Lattice(True, 0.125, 5, 4)

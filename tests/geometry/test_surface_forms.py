@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.geometry.air_gaps import cap_on, circles_of
-from lfmesh.geometry.surface import distance_to, form_at, gradients, heights, is_revolved, normal_at, sag, surface_of
-from lfmesh.geometry.tessellation import cap, chord_error, rim_radius
+from lfmesh.geometry.lens.air_gaps import cap_on, circles_of
+from lfmesh.geometry.surfaces.surface import (
+    distance_to,
+    form_at,
+    gradients,
+    heights,
+    is_revolved,
+    normal_at,
+    sag,
+    surface_of,
+)
+from lfmesh.geometry.surfaces.tessellation import cap, chord_error, rim_radius
 
 SURFACES: dict[str, dict[str, Any]] = {
     "odd": {"radius_mm": 40.0, "conic": -0.5, "odd_asphere_mm": (3e-4, -2e-6), "asphere_mm": (1e-6,)},

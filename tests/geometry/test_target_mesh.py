@@ -10,10 +10,10 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.frame import frame, points
-from lfmesh.geometry.mesh import facet_normals
-from lfmesh.geometry.primitives import primitive
-from lfmesh.geometry.targets import target_mesh
-from lfmesh.geometry.texture import srgb_to_linear
+from lfmesh.geometry.meshes.mesh import facet_normals
+from lfmesh.geometry.objects.primitives import primitive
+from lfmesh.geometry.objects.targets import target_mesh
+from lfmesh.geometry.objects.texture import srgb_to_linear
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.scene import Box, Cylinder, Disk, Plane, Sphere, Target
 

@@ -9,7 +9,7 @@ from lfmesh.imports import zemax
 from lfmesh.imports.codev import commands, read
 from lfmesh.imports.report import Verdict
 from lfmesh.scene import load_lens
-from lfmesh.scene.own_glass import OwnGlass
+from lfmesh.scene.materials.own_glass import OwnGlass
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
 FILE = Path("lens.seq")

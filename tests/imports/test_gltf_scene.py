@@ -12,7 +12,7 @@ import pytest
 
 from lfmesh.errors import LensFileWarning, LfmeshError, MeshError, SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh_file import load_mesh
+from lfmesh.geometry.files.mesh_file import load_mesh
 from lfmesh.imports import read_gltf
 from lfmesh.imports.report import Verdict
 from lfmesh.optics.rgb_spectra import primary_reflectances

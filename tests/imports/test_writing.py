@@ -7,7 +7,7 @@ from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.optics.glass import glass_name
 from lfmesh.scene import Element, Lens, Pose, Surface, load_lens
 from lfmesh.scene.files import library
-from lfmesh.scene.own_glass import OwnGlass
+from lfmesh.scene.materials.own_glass import OwnGlass
 
 ENDINGS = (".zmx", ".seq", ".toml")
 

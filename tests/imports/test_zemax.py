@@ -11,7 +11,7 @@ from lfmesh.imports.report import Verdict
 from lfmesh.imports.zemax import read
 from lfmesh.optics.glass import D_LINE_NM, refractive_index
 from lfmesh.scene import Paraxial, load_lens, loads
-from lfmesh.scene.own_glass import OwnGlass
+from lfmesh.scene.materials.own_glass import OwnGlass
 from tests.imports.files import SINGLET_ZMX
 
 FILE = Path("lens.zmx")

@@ -11,10 +11,10 @@ from typing import Any
 import numba
 import pytest
 
-import lfmesh.geometry.surface
+import lfmesh.geometry.surfaces.surface
 import lfmesh.kernels.decorators
 from lfmesh.kernels.cache import KEPT, digest, remove_older_versions
-from lfmesh.scene import lens, qcon
+from lfmesh.scene.camera.camera import lens, qcon
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -128,7 +128,7 @@ def test_of_the_scenes_models_only_constants_count(monkeypatch: pytest.MonkeyPat
 
     def fresh() -> str:
         digest.cache_clear()
-        return digest(sys.modules["lfmesh.geometry.surface"])
+        return digest(sys.modules["lfmesh.geometry.surfaces.surface"])
 
     before = fresh()
     with monkeypatch.context() as changed:

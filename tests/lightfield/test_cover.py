@@ -5,9 +5,9 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry import frame
-from lfmesh.lightfield.chief_rays import plate_of
-from lfmesh.lightfield.object_rays import object_rays
-from lfmesh.lightfield.pixel_slopes import pixel_slopes
+from lfmesh.lightfield.rays.chief_rays import plate_of
+from lfmesh.lightfield.rays.object_rays import object_rays
+from lfmesh.lightfield.rays.pixel_slopes import pixel_slopes
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
 

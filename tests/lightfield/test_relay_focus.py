@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.scene import Paraxial, solved
 
 GAPS_MM = (30.0, 40.0, 48.35, 50.0)

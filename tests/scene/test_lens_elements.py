@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import lfmesh as lf
-from lfmesh.geometry.solved_camera import first_order
+from lfmesh.geometry.lens.solved_camera import first_order
 from lfmesh.scene import Scene, load, loads
 from tests.cameras import close_up_camera
 

@@ -6,11 +6,11 @@ import re
 import pytest
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.surface import MAX_ASPHERE_TERMS
+from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.scene import MicrolensArray, loads
-from lfmesh.scene.lens import MOST_ASPHERE_TERMS
+from lfmesh.scene.camera.lens import MOST_ASPHERE_TERMS
+from lfmesh.scene.first_order.report import first_order
 from lfmesh.scene.model import MOST_FAULTS
-from lfmesh.scene.report import first_order
 from tests.cameras import bench_camera
 
 SCENE = bench_camera(4, 4)

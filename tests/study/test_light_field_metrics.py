@@ -10,10 +10,10 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.lightfield.ray_model import RayModel
-from lfmesh.study.crosstalk import lenslet_light
-from lfmesh.study.edge_focus import edge_shift_mm
-from lfmesh.study.table import Row
+from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.study.metrics.crosstalk import lenslet_light
+from lfmesh.study.metrics.edge_focus import edge_shift_mm
+from lfmesh.study.sweeps.table import Row
 
 DISTANCE = "camera.mla.distance_mm"
 SENSOR = "camera.sensor.pose.shift_mm[2]"

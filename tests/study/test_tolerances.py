@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binom, norm
 
 import lfmesh as lf
-from lfmesh.study.statistics import share_of
+from lfmesh.study.sweeps.statistics import share_of
 from tests.study.studies import SHIFT, small_scene
 
 TURN = "camera.mla.pose.tilt_deg[2]"

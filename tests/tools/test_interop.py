@@ -13,7 +13,7 @@ import pytest
 from PIL import Image as Picture
 
 import lfmesh as lf
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.rays.ray_model import RayModel
 
 ROOT = Path(__file__).resolve().parents[2]
 

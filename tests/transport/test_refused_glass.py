@@ -10,7 +10,7 @@ import trimesh
 
 import lfmesh as lf
 from lfmesh.errors import SceneError
-from lfmesh.geometry.mesh import Mesh
+from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.transport.refused_glass import cut
 from tests.cameras import camera_without_array
 

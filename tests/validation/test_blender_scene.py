@@ -135,7 +135,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[lf.Scene, lf.Ima
 
 
 def test_ten_objects_are_named_targets_in_check_and_ledger(rendered: Any) -> None:
-    from lfmesh.geometry.placement import placements
+    from lfmesh.geometry.objects.placement import placements
 
     scene, image, bodies = rendered
     names = [f"Sheet.{number:03d}" for number in range(10)]

@@ -16,7 +16,7 @@ from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.files.colour import srgb_weights
 from lfmesh.optics.cie import named_spectrum, observer
-from lfmesh.scene.bands import Band, Centroids, passband, preset
+from lfmesh.scene.camera.bands import Band, Centroids, passband, preset
 
 D50_XY = (0.3457, 0.3585)
 PUBLISHED_XYY = [

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.geometry.primitives import primitive
-from lfmesh.scene.targets import Sphere
+from lfmesh.geometry.objects.primitives import primitive
+from lfmesh.scene.objects.targets import Sphere
 from lfmesh.transport.tables.emitters import no_emitters
 from lfmesh.transport.world import World, build
 from tests.renders import of_world

@@ -15,7 +15,7 @@ from lfmesh.assets import asset_path
 from lfmesh.errors import SceneError
 from lfmesh.files.words import summary
 from lfmesh.geometry import frame
-from lfmesh.geometry.lenslets import Lenslets
+from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.scene import load_lens
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options

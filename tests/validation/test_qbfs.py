@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
-from lfmesh.scene.qbfs import Qbfs
+from lfmesh.scene.camera.qbfs import Qbfs
 
 Array = NDArray[np.float64]
 

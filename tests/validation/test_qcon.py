@@ -10,7 +10,7 @@ from scipy.special import eval_jacobi
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
-from lfmesh.scene.qcon import Qcon
+from lfmesh.scene.camera.qcon import Qcon
 
 Array = NDArray[np.float64]
 

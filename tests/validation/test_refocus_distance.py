@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.lightfield.ray_model import RayModel
+from lfmesh.lightfield.rays.ray_model import RayModel
 
 Array = NDArray[np.float64]
 

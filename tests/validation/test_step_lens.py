@@ -1,7 +1,7 @@
 """A lens that a CAD kernel wrote as STEP is traced as its prescription.
 
 `tests/solids` was made by gmsh (OpenCASCADE), whose spheres have the radii it was given; see
-`tests/geometry/test_cad_file.py`.
+`tests/geometry/files/test_cad_file.py`.
 """
 
 from importlib.util import find_spec
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.geometry.refractors import measured
+from lfmesh.geometry.objects.refractors import measured
 from lfmesh.scene import Camera, Lens, Refractor, Scene, Sensor, Surface
 
 SOLIDS = Path(__file__).resolve().parents[1] / "solids"

@@ -12,8 +12,8 @@ from lfmesh.accuracy import analytic
 from lfmesh.errors import LfmeshError
 from lfmesh.imports.lens_file import read_lens_file, write_lens_file
 from lfmesh.scene import Scene
-from lfmesh.scene.meridional import heights_mm
-from lfmesh.scene.paraxial import Paraxial, Ray
+from lfmesh.scene.first_order.meridional import heights_mm
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray
 from lfmesh.transport.sequential.reflections import etendue_factors, follow_sequence
 from lfmesh.transport.sequential.sequences import image_path
 from lfmesh.view.layout.content import layout

@@ -14,7 +14,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh import notebook
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.view import progress, results
 

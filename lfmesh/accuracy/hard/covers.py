@@ -15,7 +15,7 @@ from lfmesh.accuracy.hard.outcome import (
     tilted,
 )
 from lfmesh.accuracy.hard.truth import Array, transmittance
-from lfmesh.scene.targets import Material, Plane, Target
+from lfmesh.scene.objects.targets import Material, Plane, Target
 from lfmesh.transport.trace import trace
 from lfmesh.transport.world import build
 

@@ -7,7 +7,7 @@ import numpy as np
 from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
-from lfmesh.scene.targets import Material, Plane
+from lfmesh.scene.objects.targets import Material, Plane
 
 HALF_MM = 0.1
 """Half the side of the patch that is lit."""

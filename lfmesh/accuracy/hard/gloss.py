@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from lfmesh.accuracy.hard.outcome import Outcome, case
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.gloss import MARGIN
-from lfmesh.scene.targets import LARGEST_ROUGHNESS, SMALLEST_ROUGHNESS, Gloss, Material
+from lfmesh.scene.objects.targets import LARGEST_ROUGHNESS, SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, sample
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.scattering import ScatteringTables, scattering_tables

@@ -4,8 +4,8 @@ import numpy as np
 
 from lfmesh.accuracy.hard.outcome import Outcome, case
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Target
-from lfmesh.scene.lights import PointLight
-from lfmesh.scene.targets import Material, Plane
+from lfmesh.scene.light.lights import PointLight
+from lfmesh.scene.objects.targets import Material, Plane
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import build
 

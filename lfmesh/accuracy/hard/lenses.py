@@ -18,7 +18,7 @@ from lfmesh.accuracy.hard.outcome import (
 )
 from lfmesh.accuracy.hard.truth import Array, at_plane, through
 from lfmesh.scene import Surface
-from lfmesh.scene.sections import Biconic, Toroid
+from lfmesh.scene.camera.sections import Biconic, Toroid
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import build
 

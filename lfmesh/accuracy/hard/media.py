@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene, outcome, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Medium, Plane, Scene, Surface, Target
-from lfmesh.scene.targets import Material
+from lfmesh.scene.objects.targets import Material
 from lfmesh.transport.render.render import render
 from lfmesh.transport.trace import Paths, Status, trace
 from lfmesh.transport.world import World, build

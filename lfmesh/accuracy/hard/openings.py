@@ -3,7 +3,7 @@
 import numpy as np
 
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import MicrolensArray, Scene, Surface
 from lfmesh.transport.aiming.aim_proof import ALLOWED
 from lfmesh.transport.aiming.pupil import opening_from

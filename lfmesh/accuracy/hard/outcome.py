@@ -1,4 +1,4 @@
-"""What a hard case returns, and the scenes and comparisons that the cases share."""
+"""Outcome of a hard case, and scenes and comparisons that the cases share."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, through
 from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor, Surface, Target
-from lfmesh.scene.refractor import FacetLevel
+from lfmesh.scene.objects.refractor import FacetLevel
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.trace import Paths, Status, trace
@@ -22,7 +22,7 @@ from lfmesh.transport.world import World, build
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one hard case ended.
+    """Result of one hard case.
 
     Attributes
     ----------

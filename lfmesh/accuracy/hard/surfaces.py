@@ -14,7 +14,7 @@ from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.polarisation import bare_interface, coated_interface
 from lfmesh.scene import Refractor, Target
-from lfmesh.scene.finishes import SMOOTHEST
+from lfmesh.scene.materials.finishes import SMOOTHEST
 from lfmesh.transport.events.ground import ground_direction
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.lines import Lines

@@ -44,7 +44,7 @@ class Interface:
 
     @property
     def is_conic(self) -> bool:
-        """Whether the surface has a quadratic."""
+        """True if the surface has a quadratic."""
         return not self.asphere and not self.odd and self.across is None
 
     @property

@@ -17,8 +17,8 @@ from lfmesh.files.exports.plenopticam import write_plenopticam
 from lfmesh.files.exports.plenpy import write_plenpy
 from lfmesh.files.exports.views import write_views
 from lfmesh.files.folder import recover, staged
-from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.field import LightField
+from lfmesh.lightfield.calibration.calibration import Calibration
+from lfmesh.lightfield.views.field import LightField
 from lfmesh.transport.render.image import Image
 
 FieldFormat = Literal["lftoolbox", "eslf", "hci", "views"]

@@ -7,10 +7,10 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.files.exports.light import picture_rgb
 from lfmesh.files.preview import WHITE_PERCENTILE, white_point
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.field import Samples
-from lfmesh.lightfield.upright import Upright
-from lfmesh.lightfield.white import refuse_other_white
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.calibration.white import refuse_other_white
+from lfmesh.lightfield.views.field import Samples
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.render.image import Image
 
 UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"

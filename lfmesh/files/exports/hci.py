@@ -22,8 +22,8 @@ from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.light import linear_rgb
 from lfmesh.files.pfm import write_pfm
 from lfmesh.files.preview import white_point
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.lightfield.field import LightField
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.views.field import LightField
 
 PARAMETERS = "parameters.cfg"
 DEPTH, DISPARITY = "gt_depth_lowres.pfm", "gt_disp_lowres.pfm"

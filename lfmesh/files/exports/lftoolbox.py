@@ -8,7 +8,7 @@ import numpy as np
 from lfmesh.errors import FileError
 from lfmesh.files.exports.light import COUNTS, linear_rgb, to_counts
 from lfmesh.files.png16 import write_rgb16
-from lfmesh.lightfield.field import LightField
+from lfmesh.lightfield.views.field import LightField
 
 MAT, ESLF = "lightfield.mat", "lightfield.eslf.png"
 

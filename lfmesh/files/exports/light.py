@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.files.colour import to_display
-from lfmesh.lightfield.field import LightField, Samples, from_mosaic
+from lfmesh.lightfield.views.field import LightField, Samples, from_mosaic
 
 COUNTS = 65535
 

@@ -11,8 +11,8 @@ import PIL.Image
 
 from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.exposure import UPRIGHT_ORDER, Exposure
-from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.calibration.calibration import Calibration
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.render.image import Image
 
 RAW, WHITE, SETTINGS, CENTRES = "raw.png", "white.png", "settings.json", "centres.json"

@@ -11,7 +11,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.files.exports.exposure import UPRIGHT_ORDER, Exposure
 from lfmesh.files.exports.light import COUNTS
 from lfmesh.files.png16 import write_rgb16
-from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.transport.render.image import Image
 
 RAW, WHITE, SETTINGS = "Images/raw.png", "Calibration/WhiteImages/white.png", "camera.json"

@@ -9,8 +9,8 @@ from lfmesh.files import exr
 from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.light import linear_rgb
 from lfmesh.files.preview import white_point
-from lfmesh.lightfield.field import LightField
-from lfmesh.lightfield.upright import UPRIGHT
+from lfmesh.lightfield.views.field import LightField
+from lfmesh.lightfield.views.upright import UPRIGHT
 
 
 def write_views(folder: Path, field: LightField) -> dict[str, Any]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from lfmesh.geometry.array.lattice import cell_of, centre
+from lfmesh.geometry.array.lenslets import shape_of, type_of
 from lfmesh.geometry.frame import directions, move_direction, move_point, points
-from lfmesh.geometry.lattice import cell_of, centre
-from lfmesh.geometry.lenslets import shape_of, type_of
-from lfmesh.geometry.tessellation import QUARTER, mesh_heights
+from lfmesh.geometry.surfaces.tessellation import QUARTER, mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aiming.lenslet_aim import (
@@ -161,12 +161,12 @@ class AimProof(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
+        """True if the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
         return self.most <= ALLOWED
 
     @property
     def is_open(self) -> bool:
-        """Whether more rays might tell that the share is allowed, or that it is not."""
+        """True if more rays might tell that the share is allowed, or that it is not."""
         return max(self.sensor.least, self.objects.least) <= ALLOWED < self.most
 
     @property

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.surface import is_revolved
-from lfmesh.geometry.targets import TargetMesh
-from lfmesh.geometry.tessellation import on_circles
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.objects.targets import TargetMesh
+from lfmesh.geometry.surfaces.surface import is_revolved
+from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.solve import cover_shift_mm
+from lfmesh.scene.first_order.solve import cover_shift_mm
 from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, CoverPlate, decentred, proven
 from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
 from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH

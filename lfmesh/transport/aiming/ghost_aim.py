@@ -1,4 +1,4 @@
-"""How ghosts are drawn: by the light that each sequence brings, as a coarse trace finds it.
+"""Sampling of ghosts by the light that each sequence brings, as a coarse trace finds it.
 
 The trace decides only how often a sequence is followed, never what light there is: each is drawn by every ray with some
 chance, and weighted by its inverse. So are the directions in which some leave their pixels anew.
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.levels import EXACT
-from lfmesh.geometry.surface import CONIC_AND_EVEN
+from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, centre, columns_near, half_hexagon, rows_near
+from lfmesh.geometry.array.lenslet_profile import is_steeper, next_fall, profile_shape
+from lfmesh.geometry.array.lenslets import Lenslets, is_spherical, shape_of, type_of
 from lfmesh.geometry.frame import move_direction
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, centre, columns_near, half_hexagon, rows_near
-from lfmesh.geometry.lenslet_profile import is_steeper, next_fall, profile_shape
-from lfmesh.geometry.lenslets import Lenslets, is_spherical, shape_of, type_of
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME

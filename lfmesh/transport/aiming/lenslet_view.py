@@ -10,9 +10,9 @@ import numpy as np
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.lattice import centre
-from lfmesh.geometry.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.array.lattice import centre
+from lfmesh.geometry.array.lenslets import Lenslets, border_segments, face_normal, face_sag, shape_of
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aiming.lenslet_aim import pixel_extent

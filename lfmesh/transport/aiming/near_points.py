@@ -59,7 +59,7 @@ class NearViewpoints(NamedTuple):
 
     @property
     def extends_beyond(self) -> bool:
-        """Whether surfaces or bodies reach from near points to points farther away."""
+        """True if surfaces or bodies reach from near points to points farther away."""
         return bool(self.distance[-1] >= self.depth)
 
 

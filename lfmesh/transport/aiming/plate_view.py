@@ -8,9 +8,9 @@ gives the middle of its view, and the farthest of them its radius.
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.lattice import cell_of, centre, is_inside
-from lfmesh.geometry.lenslets import face_normal, face_sag, shape_of, type_of
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
+from lfmesh.geometry.array.lenslets import face_normal, face_sag, shape_of, type_of
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.lenslet_aim import on_lenslet
 from lfmesh.transport.aiming.pupil import opening_from

@@ -1,1 +1,1 @@
-"""What a run proves of itself, and what it says where a picture is or may be wrong."""
+"""Checks of a run, and warnings where a picture is or may be wrong."""

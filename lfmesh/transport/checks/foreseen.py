@@ -1,4 +1,4 @@
-"""What may be wrong with a picture, as its scene and the geometry of the built world tell before anything is traced."""
+"""Warnings about a picture that its scene and the built world give before anything is traced."""
 
 from collections.abc import Iterator
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from lfmesh.errors import FoldedPatchesWarning, HiddenSceneWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
-from lfmesh.geometry.placement import HIDES, is_round
-from lfmesh.geometry.targets import named_target
+from lfmesh.geometry.objects.placement import HIDES, is_round
+from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.lamps import lamps_at_targets, lamps_in_field
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME

@@ -1,4 +1,4 @@
-"""What may be wrong with a picture, as the numbers of its own run tell.
+"""Warnings about a picture from the numbers of its own run.
 
 Everything that a run knows of itself comes to one list here. It is warned of in Python, printed by the command line and
 written into `report.json`, see `lfmesh.errors.PictureWarning`.

@@ -1,4 +1,4 @@
-"""What may be wrong with a picture by where its lamps stand: in the field, or close to a target."""
+"""Warnings about lamps in the field, or close to a target."""
 
 from collections.abc import Iterator
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from lfmesh.errors import HeavyPathsWarning, MissedLightWarning, PictureWarning
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array, distance_mm
-from lfmesh.geometry.targets import named_target
+from lfmesh.geometry.meshes.mesh import Array, distance_mm
+from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene.advice import half_field_mm
-from lfmesh.scene.lights import DirectionalLight, DiskLight
+from lfmesh.scene.light.lights import DirectionalLight, DiskLight
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.levels import FLAT
-from lfmesh.geometry.patch import hit_patch
+from lfmesh.geometry.meshes.levels import FLAT
+from lfmesh.geometry.meshes.patch import hit_patch
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.packets.book import (
     DEPTH,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.geometry.shell_tree import next_crossing
+from lfmesh.geometry.meshes.shell_tree import next_crossing
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform

@@ -57,7 +57,7 @@ TOPS = STATIONS + 3
 
 
 class Status(IntEnum):
-    """How a packet ended."""
+    """End of a packet."""
 
     SENSOR = 0
     ABSORBED = 1
@@ -69,7 +69,7 @@ class Status(IntEnum):
 
 
 class Event(IntEnum):
-    """What happened at a recorded vertex."""
+    """Event at a recorded vertex."""
 
     START = 0
     TRANSMITTED = 1

@@ -1,1 +1,1 @@
-"""What a path is: its states and classes, and the estimators that share out the classes of an image."""
+"""Paths: their states and classes."""

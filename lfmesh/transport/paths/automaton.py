@@ -41,7 +41,7 @@ from lfmesh.transport.packets.packet import OBJECT_FRAME, Options
 
 
 class State(IntEnum):
-    """What a packet has met so far: `PACKET.path`.
+    """State of a packet's path so far: `PACKET.path`.
 
     The last three are those of packets that start at a lamp, up to what scatters them first: that decides their class.
     """

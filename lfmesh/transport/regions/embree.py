@@ -5,7 +5,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from lfmesh.geometry.mesh import Mesh
+from lfmesh.geometry.meshes.mesh import Mesh
 
 
 class Finder:

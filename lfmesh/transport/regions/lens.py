@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.patch_tree import patch_finder
-from lfmesh.geometry.surface import conic_distance, distance_to, first_crossing, normal_at
-from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.geometry.meshes.levels import EXACT, PATCH
+from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.surfaces.surface import conic_distance, distance_to, first_crossing, normal_at
+from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import (
     at_box,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surface import MAX_ASPHERE_TERMS
+from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind

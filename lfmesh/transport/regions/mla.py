@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import (
+from lfmesh.geometry.array.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
+from lfmesh.geometry.array.lenslets import (
     are_alike,
     border_sag,
     face_normal,
@@ -27,9 +27,9 @@ from lfmesh.geometry.lenslets import (
     shape_of,
     type_of,
 )
-from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.patch_tree import patch_finder
-from lfmesh.geometry.surface import conic_distance
+from lfmesh.geometry.meshes.levels import EXACT, PATCH
+from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import (
     clear_of,

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.geometry.levels import PATCH
-from lfmesh.geometry.patch_tree import patch_finder
+from lfmesh.geometry.meshes.levels import PATCH
+from lfmesh.geometry.meshes.patch_tree import patch_finder
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aiming.mixture import aimed
 from lfmesh.transport.events.crossing import (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
-from lfmesh.geometry.levels import PATCH
-from lfmesh.geometry.surface import distance_to
+from lfmesh.geometry.meshes.levels import PATCH
+from lfmesh.geometry.surfaces.surface import distance_to
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
 
 Array = NDArray[np.float64]

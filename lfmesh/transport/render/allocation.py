@@ -1,4 +1,4 @@
-"""How many samples each part of an image gets: as many as its variance and its cost, measured before the run, ask for.
+"""Allocation of samples to the parts of an image, by their variance and cost, measured before the run.
 
 The variance of an image whose parts take n samples each, at a cost c a sample, is Σ V / n. For a given Σ n c it is
 smallest where n goes as √(V / c). A few samples of some pixels measure V; what a packet meets, and not the clock, gives
@@ -36,7 +36,7 @@ in blocks, and of packets that are traced one by one; fitted to eight of the sce
 
 @dataclass(frozen=True)
 class Measured:
-    """What samples of a part have shown.
+    """Variance and cost of a part's samples.
 
     Attributes
     ----------

@@ -97,7 +97,7 @@ class BlindCheck:
 
     @property
     def agrees(self) -> bool:
-        """Whether all blocks agree."""
+        """True if all blocks agree."""
         return abs(self.worst) <= self.limit
 
 

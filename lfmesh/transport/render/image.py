@@ -107,7 +107,7 @@ class Image(Pictured):
 
     @property
     def complete(self) -> bool:
-        """Whether all replicates are finished."""
+        """True if all replicates are finished."""
         transport = self.scene.transport
         refined = transport.target_error is None or (
             self.refinement is not None and self.refinement.replicates == transport.replicates

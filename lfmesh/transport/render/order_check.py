@@ -77,7 +77,7 @@ class OrderCheck:
 
     @property
     def holds(self) -> bool:
-        """Whether the order may replace the meshes: not where there was nothing to compare."""
+        """True if the order may replace the meshes: not where there was nothing to compare."""
         return self.compared > 0 and self.differing == 0 and self.deviation_mm <= LARGEST_MM
 
     def joined(self, other: "OrderCheck | None") -> "OrderCheck":
@@ -95,7 +95,7 @@ class OrderCheck:
 
     @property
     def words(self) -> str:
-        """What was compared, and the result."""
+        """The comparison and its result, in words."""
         said = f"of {self.compared} packets compared with the meshes, {self.reflected} of them after reflections, "
         said += f"{self.differing or 'none'} met another surface; the largest deviation is {self.deviation_mm:.1e} mm"
         return f"{said}, and {self.deviation:.1e} of a weight"
@@ -126,7 +126,7 @@ def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.
 
 
 class Outcomes(NamedTuple):
-    """What came of packets by both ways: children and ends, without those of packets that the order left undecided."""
+    """Children and ends of packets by both ways, without those of packets that the order left undecided."""
 
     by_order: NDArray[np.void]  # (m,) with the fields `source`, the packet; `position`, mm, its own frame; and `weight`
     by_mesh: NDArray[np.void]  # (m,) the same children and ends by the meshes

@@ -124,7 +124,7 @@ class Part:
 
     @property
     def from_lamps(self) -> bool:
-        """Whether its packets come from particles or lamps and are not the method's own."""
+        """True if its packets come from particles or lamps and are not the method's own."""
         return self.book == LAMP_BOOK
 
     def by_meshes(self) -> "Part":

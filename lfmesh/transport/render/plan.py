@@ -73,11 +73,11 @@ class Block:
     last: int
 
     def owns(self, chunk: Chunk) -> bool:
-        """Whether the chunk begins in this block, which then books it."""
+        """Tell whether the chunk begins in this block, which then books it."""
         return self.first <= chunk.owner < self.last
 
     def touches(self, chunk: Chunk) -> bool:
-        """Whether the chunk adds anything to this block."""
+        """Tell whether the chunk adds anything to this block."""
         if self.owns(chunk) or not chunk.part.options.adjoint:
             return self.owns(chunk)
         if chunk.pixels is None:

@@ -79,7 +79,7 @@ PART = 32_768
 
 
 class Ends(NamedTuple):
-    """Where rays ended, one row a ray; as the attributes of `Paths`."""
+    """Ends of rays, one row a ray; as the attributes of `Paths`."""
 
     position: Array  # (n, 3) mm, world frame
     direction: Array  # (n, 3)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.geometry.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
-from lfmesh.geometry.lenslets import (
+from lfmesh.geometry.array.lattice import cell_of, centre, is_inside, leaves_at, neighbour, stays_inside
+from lfmesh.geometry.array.lenslets import (
     Lenslets,
     are_alike,
     face_normal,
@@ -21,8 +20,9 @@ from lfmesh.geometry.lenslets import (
     meets_profile,
     shape_of,
 )
-from lfmesh.geometry.surface import conic_distance
-from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.geometry.frame import direction_through, point_through
+from lfmesh.geometry.surfaces.surface import conic_distance
+from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import at_box, box_entry, end, move_packet, refracted
 from lfmesh.transport.events.interface import shares

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
+from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
 from lfmesh.kernels.decorators import kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums
@@ -308,7 +308,7 @@ def _meet(bundle: Array, surface: Any, sense: float) -> None:
 def conic_distance(
     c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
 ) -> tuple[bool, float]:
-    """Return whether a ray meets a conic, and the distance, as `geometry.surface.conic_distance`, without branches.
+    """Return whether a ray meets a conic, and the distance, as `surface.conic_distance`, without branches.
 
     The distance is meaningless where the ray misses.
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, half_hexagon
-from lfmesh.geometry.lenslets import are_alike, shape_of
+from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, half_hexagon
+from lfmesh.geometry.array.lenslets import are_alike, shape_of
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME

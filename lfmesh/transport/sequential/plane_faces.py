@@ -112,7 +112,7 @@ def _at_face(bundle: Array, cover: Any, sensor: SensorTables, face: int, mirrors
 
 
 class Detected(NamedTuple):
-    """What pixels detect of rays that fly to the sensor from behind the last face.
+    """Power that pixels detect of rays that fly to the sensor from behind the last face.
 
     Attributes
     ----------

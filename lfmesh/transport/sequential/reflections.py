@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import HOUSING, STOP

@@ -70,7 +70,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Faces:
-    """How many faces a camera has in each part, in their order from the object to the sensor.
+    """Number of faces of each part of a camera, in their order from the object to the sensor.
 
     Attributes
     ----------

@@ -6,8 +6,8 @@ A point on a face is on neither side of it. Which medium a ray starts in would f
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array, facet_normals
-from lfmesh.geometry.surface import heights, in_place
+from lfmesh.geometry.meshes.mesh import Array, facet_normals
+from lfmesh.geometry.surfaces.surface import heights, in_place
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 

@@ -46,7 +46,7 @@ class CoatingTable:
 
 
 def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a coating of the scene absorbs light at any of some wavelengths.
+    """Tell whether a coating of the scene absorbs light at any of some wavelengths.
 
     Parameters
     ----------

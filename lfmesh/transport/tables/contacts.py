@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.mesh import Array, Mesh, boxes_meet, facet_normals
+from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_normals
 
 Index = NDArray[np.int64]
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
-from lfmesh.scene.solve import cover_shift_mm
+from lfmesh.scene.first_order.solve import cover_shift_mm
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import SENSOR_FRAME
 from lfmesh.transport.tables.media import MediumList

@@ -9,7 +9,7 @@ number are neighbours in place, so evenly spread random numbers give evenly spre
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.transport.tables.scattering import mean_emission
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 

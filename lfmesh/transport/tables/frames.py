@@ -3,7 +3,7 @@
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, FRAMES, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.targets import TargetMesh
-from lfmesh.geometry.winding import winding
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.meshes.winding import winding
+from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
 from lfmesh.transport.tables.tables import OPAQUE, Media

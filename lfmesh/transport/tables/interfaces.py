@@ -16,8 +16,8 @@ from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.share_table import looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
-from lfmesh.scene.coatings import UNCOATED
-from lfmesh.scene.finishes import POLISHED, Finish
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.finishes import POLISHED, Finish
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.coatings import absorbs, coating_table
 from lfmesh.transport.tables.lines import Lines

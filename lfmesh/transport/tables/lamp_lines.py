@@ -1,15 +1,15 @@
-"""What a check says of lamps: their angular profiles, their spectra, and what of their light the bands take."""
+"""Lines of a check on lamps: their angular profiles, their spectra, and the share of their light in the bands."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.scene import Scene
-from lfmesh.scene.lights import PointLight, SpotLight
-from lfmesh.scene.spectra import curve_of
+from lfmesh.scene.light.lights import PointLight, SpotLight
+from lfmesh.scene.light.spectra import curve_of
 from lfmesh.transport.tables.lights import axes_of
 
 Array = NDArray[np.float64]

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.element_poses import pose_of
-from lfmesh.geometry.lattice import Lattice
-from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
-from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.mesh import Array, Mesh, facet_table, joined
-from lfmesh.geometry.patch import neighbours, patches
-from lfmesh.geometry.patch_tree import control_points, patch_tree
-from lfmesh.geometry.surface import CONIC_AND_EVEN
-from lfmesh.geometry.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.array.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.meshes.levels import EXACT, PATCH
+from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_table, joined
+from lfmesh.geometry.meshes.patch import neighbours, patches
+from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
+from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
+from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (

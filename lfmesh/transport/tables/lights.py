@@ -1,6 +1,6 @@
 """The table of lights as kernels read it.
 
-A new light has its model in `scene/lights.py`; its kind, its row and its power here; and in
+A new light has its model in `scene/light/lights.py`; its kind, its row and its power here; and in
 `transport/events/lighting.py` its irradiance at a point and the start of its packets.
 """
 
@@ -13,7 +13,7 @@ from lfmesh.geometry import frame
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.scene import Scene
-from lfmesh.scene.lights import DirectionalLight, DiskLight, Light, SpotLight
+from lfmesh.scene.light.lights import DirectionalLight, DiskLight, Light, SpotLight
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.spectra import spread
 

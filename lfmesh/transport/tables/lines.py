@@ -122,7 +122,7 @@ class Lines:
 
     @property
     def in_bands(self) -> bool:
-        """Whether channels are bands."""
+        """True if channels are bands."""
         return self.span_nm is not None
 
     @property

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.optics.glass import Medium, absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.scene import Refractor, Scene
-from lfmesh.scene.spectra import Spectrum, curve_of
+from lfmesh.scene.light.spectra import Spectrum, curve_of
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.tables.tables import NO_SLOT, Absorption, LensTables, Media, MlaTables
 

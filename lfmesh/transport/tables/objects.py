@@ -5,18 +5,18 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.levels import PATCH, SURFACE_LEVEL
-from lfmesh.geometry.mesh import Array, Mesh, facet_normals, facet_table, joined
-from lfmesh.geometry.patch_tree import patch_tree
-from lfmesh.geometry.surface import is_revolved
-from lfmesh.geometry.targets import TargetMesh, named_target
-from lfmesh.geometry.tessellation import mesh_sag, on_circles, revolved
-from lfmesh.geometry.texture import Texture, is_grey
+from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.meshes.patch_tree import patch_tree
+from lfmesh.geometry.objects.targets import TargetMesh, named_target
+from lfmesh.geometry.objects.texture import Texture, is_grey
+from lfmesh.geometry.surfaces.surface import is_revolved
+from lfmesh.geometry.surfaces.tessellation import mesh_sag, on_circles, revolved
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
-from lfmesh.scene.coatings import UNCOATED
+from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts

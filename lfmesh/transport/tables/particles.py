@@ -11,8 +11,8 @@ from lfmesh.geometry import frame
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
-from lfmesh.scene.particles import Particles, particle_places, unit
-from lfmesh.scene.phase import MiePhase
+from lfmesh.scene.light.particles import Particles, particle_places, unit
+from lfmesh.scene.media.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions, sphere_of

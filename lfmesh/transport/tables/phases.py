@@ -7,7 +7,7 @@ from lfmesh.errors import SceneError
 from lfmesh.optics.mie import MieSphere, mie_sphere
 from lfmesh.optics.phase import PhaseFunction, henyey_greenstein, isotropic, rayleigh, read_phase
 from lfmesh.scene import Scene
-from lfmesh.scene.phase import HenyeyGreensteinPhase, MiePhase, Phase, RayleighPhase, TabulatedPhase
+from lfmesh.scene.media.phase import HenyeyGreensteinPhase, MiePhase, Phase, RayleighPhase, TabulatedPhase
 
 
 def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: float = 1.0) -> MieSphere:

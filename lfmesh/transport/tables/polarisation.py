@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.coatings import Stack
 from lfmesh.scene import Scene
-from lfmesh.scene.coatings import UNCOATED
-from lfmesh.scene.lights import DirectionalLight, PointLight
+from lfmesh.scene.light.lights import DirectionalLight, PointLight
+from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.coatings import stack_of
@@ -39,7 +39,7 @@ IN_LENS, IN_ARRAY, IN_OBJECTS = 0, 1, 2
 
 @by_address
 class PolarisationTables(NamedTuple):
-    """What the kernels need of a scene with polarised light."""
+    """Tables of a scene with polarised light."""
 
     begin: NDArray[np.int64]  # (3,) film of the first interface of lens, array and object space
     films: NDArray[np.void]  # (n,) FILM: one for each row of the regions' interfaces

@@ -14,7 +14,7 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.gloss import gloss_parameters, mean_albedos
 from lfmesh.optics.gltf_material import GltfMaterial, gltf_parameters
 from lfmesh.optics.metals import metal_index
-from lfmesh.scene.targets import Material
+from lfmesh.scene.objects.targets import Material
 
 Array = NDArray[np.float64]
 

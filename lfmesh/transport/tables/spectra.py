@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import Scene
-from lfmesh.scene.spectra import Spectrum, curve_of, planck_curve
+from lfmesh.scene.light.spectra import Spectrum, curve_of, planck_curve
 from lfmesh.transport.tables.lines import Lines
 
 Array = NDArray[np.float64]

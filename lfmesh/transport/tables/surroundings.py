@@ -1,4 +1,4 @@
-"""What stands round the lens, as boxes and planes that a ray is tested against quickly.
+"""Boxes and planes round everything near the lens, against which a ray is tested quickly.
 
 A ray that clears them certainly meets no target and no part of the housing, so that Embree need not be asked. All
 bounds are on the safe side of what float32 queries may find.
@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.geometry.frame import points
-from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.mesh import Array, Mesh
-from lfmesh.geometry.tessellation import FLOAT32_MARGIN
+from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.meshes.mesh import Array, Mesh
+from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN
 from lfmesh.kernels.by_address import by_address
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import LensTables

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lenslets import Lenslets
-from lfmesh.geometry.patch_tree import PatchTree
+from lfmesh.geometry.array.lenslets import Lenslets
+from lfmesh.geometry.meshes.patch_tree import PatchTree
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import Profiles
@@ -29,7 +29,7 @@ class Interfaces(NamedTuple):
 
 @by_address
 class Absorption(NamedTuple):
-    """What media absorb."""
+    """Absorption of media."""
 
     per_mm: Array  # (media, wavelengths) absorption coefficients, 1/mm
     slot: NDArray[np.int64]  # (media,) of the book; NO_SLOT where a medium is clear
@@ -143,7 +143,7 @@ class Emitters(NamedTuple):
 
 @by_address
 class GlassTables(NamedTuple):
-    """What only bodies of glass in object space have."""
+    """Tables of bodies of glass in object space."""
 
     interfaces: Interfaces  # for each target one row for each medium, see `body_row`
     level: NDArray[np.int64]  # (targets,) surface level of a body of glass
@@ -235,7 +235,7 @@ class Opening(NamedTuple):
 
 @by_address
 class AimTables(NamedTuple):
-    """Where rays are aimed. Disks are perpendicular to the axis, in the camera frame.
+    """Tables of the aim of rays. Disks are perpendicular to the axis, in the camera frame.
 
     Most rays go to the lens's opening, which holds the image path. A small share goes to a wide disk that every ray to
     the lens crosses or, through an array, into the whole hemisphere.

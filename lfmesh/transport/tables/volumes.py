@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.refractors import bounding_mesh
-from lfmesh.geometry.shell_tree import tree_of
+from lfmesh.geometry.meshes.shell_tree import tree_of
+from lfmesh.geometry.objects.refractors import bounding_mesh
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.cie import planck_constants
 from lfmesh.optics.phase import PHASE, PhaseTables, phase_tables
 from lfmesh.scene import Box, Cylinder, Scene, Sphere
-from lfmesh.scene.media import Medium, MeshBounds
-from lfmesh.scene.phase import IsotropicPhase
-from lfmesh.scene.spectra import Spectrum, curve_of, planck_curve
+from lfmesh.scene.light.spectra import Spectrum, curve_of, planck_curve
+from lfmesh.scene.media.media import Medium, MeshBounds
+from lfmesh.scene.media.phase import IsotropicPhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines

@@ -14,12 +14,12 @@ from lfmesh.files import exr, run
 from lfmesh.files.calibration import read_calibration
 from lfmesh.files.depth import ESTIMATE
 from lfmesh.files.field import open_field
-from lfmesh.geometry.lattice import centre
-from lfmesh.lightfield.calibration import Calibration, calibrate
-from lfmesh.lightfield.decode import decode
-from lfmesh.lightfield.field import LightField
-from lfmesh.lightfield.refocus import refocus
-from lfmesh.lightfield.upright import Upright
+from lfmesh.geometry.array.lattice import centre
+from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
+from lfmesh.lightfield.photographs.refocus import refocus
+from lfmesh.lightfield.views.decode import decode
+from lfmesh.lightfield.views.field import LightField
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.view.pictures import coloured, exposed, white_of

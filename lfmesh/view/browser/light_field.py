@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.view.browser.field_views import STEPS, FieldViews, Place
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.browser.sensor_picture import SensorPicture

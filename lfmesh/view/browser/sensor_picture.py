@@ -7,8 +7,8 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from lfmesh.files.preview import displayed
-from lfmesh.lightfield.calibration import Calibration
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.calibration.calibration import Calibration
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]

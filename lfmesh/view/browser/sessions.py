@@ -50,7 +50,7 @@ FULL = f"lfmesh serves {MOST_PAGES} pages at a time, which are open. Close one o
 
 
 class Shown(Protocol):
-    """What fills a page."""
+    """Content of a page."""
 
     def close(self) -> None:
         """Give up what it holds."""

@@ -1,4 +1,4 @@
-"""What all pages of a server show: the world, its run and its light field, read once and changed by none of them."""
+"""World, run and light field that all pages of a server show, read once and changed by none of them."""
 
 import os
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfmesh.files import run
-from lfmesh.lightfield.calibration import Calibration
+from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import FieldViews, calibration_of_run
 from lfmesh.view.request import Subject, sensor_picture, subject_of

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.targets import target_mesh
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.report import lenslet_to_sensor_mm
-from lfmesh.scene.solve import (
+from lfmesh.scene.first_order.report import lenslet_to_sensor_mm
+from lfmesh.scene.first_order.solve import (
     air_thickness_mm,
     front_principal_mm,
     image_plane_mm,

@@ -22,12 +22,12 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
 
 from lfmesh.files.whole import write_whole
-from lfmesh.geometry.element_poses import pose_of
 from lfmesh.geometry.frame import points
-from lfmesh.geometry.mesh import Array
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.scene import Scene
-from lfmesh.scene.report import LensletSection
-from lfmesh.scene.solve import lenslet_focal_length_mm
+from lfmesh.scene.first_order.report import LensletSection
+from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
 from lfmesh.view.layout.sections import in_section

@@ -9,13 +9,13 @@ import numpy as np
 import trimesh
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 from lfmesh.geometry.frame import points
-from lfmesh.geometry.lens_shape import LensShape
-from lfmesh.geometry.lenslets import Lenslets, faces_at, shape_of, type_of
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.surface import heights, is_revolved
-from lfmesh.geometry.tessellation import cap, mesh_heights, ring_profile
-from lfmesh.scene.lens import Lens
+from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.surface import heights, is_revolved
+from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights, ring_profile
+from lfmesh.scene.camera.lens import Lens
 
 PROFILE_POINTS = 121
 """Of a lens surface from the axis to its rim, crowded towards the rim."""

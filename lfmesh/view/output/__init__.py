@@ -1,1 +1,1 @@
-"""Where a 3D scene goes: a window, an HTML page, a glTF model."""
+"""Outputs of a 3D scene: a window, an HTML page, a glTF model."""

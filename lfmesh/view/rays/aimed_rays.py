@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.element_poses import pose_of
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.surface import gradients, heights, in_place
-from lfmesh.geometry.tessellation import on_circles
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.surfaces.surface import gradients, heights, in_place
+from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace

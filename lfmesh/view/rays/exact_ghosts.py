@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.analysis.quadrature import Integral, integral
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.levels import EXACT
-from lfmesh.scene.paraxial import Paraxial
+from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.sequential.array_faces import follow_array_faces
@@ -46,7 +46,7 @@ SHOWN = 10
 
 @dataclass(frozen=True)
 class SequencePower:
-    """What a sequence of surfaces brings to the sensor.
+    """Power that a sequence of surfaces brings to the sensor.
 
     Attributes
     ----------

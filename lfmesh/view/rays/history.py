@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lattice import centre
-from lfmesh.geometry.lenslets import faces_at, shape_of, type_of
-from lfmesh.geometry.levels import EXACT
-from lfmesh.geometry.surface import in_place, normals
+from lfmesh.geometry.array.lattice import centre
+from lfmesh.geometry.array.lenslets import faces_at, shape_of, type_of
+from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.geometry.surfaces.surface import in_place, normals
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import (
@@ -75,7 +75,7 @@ class Step:
 
     @property
     def was_raised(self) -> bool:
-        """Whether roulette raised the power here, and not rounding."""
+        """True if roulette raised the power here, and not rounding."""
         return self.roulette > 1.0 + 1e-6
 
 

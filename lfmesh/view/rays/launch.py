@@ -37,7 +37,7 @@ Colours = Sequence[tuple[int, float]]
 
 @dataclass(frozen=True)
 class Settings:
-    """How many rays, at which wavelengths, and how they are followed."""
+    """Number of rays, their wavelengths, and the settings by which they are followed."""
 
     count: int
     colours: Colours

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
-from lfmesh.scene.solve import focus_wished_mm
+from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, NO_SURFACE, SENSOR_FRAME, WORLD_FRAME, Event, Status
 from lfmesh.transport.tables.particles import corners_round
 from lfmesh.transport.tables.tables import Records
@@ -58,7 +58,7 @@ def standard_errors(power: Floats, source: Ints, group: Ints, groups: int) -> Fl
 
 
 class FieldPoints(NamedTuple):
-    """What rays were launched from, where that is field points alone.
+    """Field points that rays were launched from, where all of them were.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Rays:
 
     @property
     def from_sensor(self) -> bool:
-        """Whether the rays were launched from pixels, against the light."""
+        """True if the rays were launched from pixels, against the light."""
         return self.unit == ETENDUE
 
     @cached_property

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.lattice import ROW_SPACING, Lattice, cell_of
-from lfmesh.geometry.lenslets import Lenslets, cell_pattern, faces_at, shape_of, type_of
+from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, cell_of
+from lfmesh.geometry.array.lenslets import Lenslets, cell_pattern, faces_at, shape_of, type_of
 
 MOST_LENSLETS = 10_000
 """A larger array is drawn as a plate."""

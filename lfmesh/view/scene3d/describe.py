@@ -5,8 +5,8 @@ import math
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.scene import Surface
-from lfmesh.scene.media import MeshBounds
-from lfmesh.scene.spectra import Spectrum
+from lfmesh.scene.light.spectra import Spectrum
+from lfmesh.scene.media.media import MeshBounds
 from lfmesh.transport.world import World
 from lfmesh.view.rays.names import label, lens_names
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.mesh import Array
-from lfmesh.geometry.shell_tree import ShellTree
-from lfmesh.scene.particles import Particles, unit
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.meshes.shell_tree import ShellTree
+from lfmesh.scene.light.particles import Particles, unit
 from lfmesh.transport.packets.packet import OBJECT_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.volumes import CYLINDER, SHELL, SPHERE, corners_of
 from lfmesh.transport.world import World

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.files.colour import srgb_encode
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.element_poses import pose_of
-from lfmesh.geometry.mesh import Mesh, joined
-from lfmesh.geometry.solved_camera import solved_camera
-from lfmesh.geometry.targets import TargetMesh
-from lfmesh.geometry.tessellation import element
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.mesh import Mesh, joined
+from lfmesh.geometry.objects.targets import TargetMesh
+from lfmesh.geometry.surfaces.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight, SpotLight
-from lfmesh.scene.spectra import Spectrum
+from lfmesh.scene.light.spectra import Spectrum
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World

@@ -241,7 +241,7 @@ class View:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How a world and rays in it are drawn.
+    """Drawing of a world and of rays in it.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.targets import TargetMesh
+from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World

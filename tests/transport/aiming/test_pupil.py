@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lattice import Lattice
+from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
 from lfmesh.transport.aiming.pupil import opening_from, real_opening, unknown_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME

@@ -15,7 +15,7 @@ from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.gloss import MARGIN, gloss_parameters, interface_reflectance
 from lfmesh.optics.gltf_material import SMALLEST_ALPHA, GltfMaterial, metal_of_reflectance
 from lfmesh.optics.scattering import tangents
-from lfmesh.scene.targets import SMALLEST_ROUGHNESS, Gloss, Material
+from lfmesh.scene.objects.targets import SMALLEST_ROUGHNESS, Gloss, Material
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.tables.scattering import (
     GLOSSY,

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.frame import rotation
-from lfmesh.geometry.shell_tree import LEAF, next_crossing, tree_of
+from lfmesh.geometry.meshes.shell_tree import LEAF, next_crossing, tree_of
 from lfmesh.transport.tables.volumes import Volumes
 from tests.transport.events.test_volume import passage, slab, volumes_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surface import normals, sag, slope, surface
+from lfmesh.geometry.surfaces.surface import normals, sag, slope, surface
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions import lens_block as lb

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.geometry.tessellation import OVERREACH
+from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.transport.paths.automaton import GHOSTS, OTHER_STRAYS
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lfmesh.geometry.mesh import Mesh
+from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.transport.tables.contacts import contacts
 
 

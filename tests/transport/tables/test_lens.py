@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from lfmesh.geometry.frame import rotation
-from lfmesh.geometry.levels import EXACT, PATCH
-from lfmesh.geometry.mesh import Mesh
-from lfmesh.geometry.surface import put_in_pose, sag, slope, surface
-from lfmesh.geometry.tessellation import OVERREACH, revolved
+from lfmesh.geometry.meshes.levels import EXACT, PATCH
+from lfmesh.geometry.meshes.mesh import Mesh
+from lfmesh.geometry.surfaces.surface import put_in_pose, sag, slope, surface
+from lfmesh.geometry.surfaces.tessellation import OVERREACH, revolved
 from lfmesh.transport.tables.lens import _free_radius, least_dz, steepest_slope
 
 RIM = 8.0

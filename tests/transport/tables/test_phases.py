@@ -7,7 +7,7 @@ from pydantic import TypeAdapter, ValidationError
 from lfmesh.errors import SceneError
 from lfmesh.optics.mie import mie_sphere
 from lfmesh.optics.phase import henyey_greenstein, rayleigh
-from lfmesh.scene.phase import MiePhase, Phase
+from lfmesh.scene.media.phase import MiePhase, Phase
 from lfmesh.transport.tables.phases import phase_functions
 
 MU = np.linspace(-1.0, 1.0, 7)

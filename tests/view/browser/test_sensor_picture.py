@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lfmesh.lightfield.calibration import calibrate
-from lfmesh.lightfield.upright import Upright
+from lfmesh.lightfield.calibration.calibration import calibrate
+from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.sensor_picture import SensorPicture

@@ -1,0 +1,1 @@
+"""The microlens array: its lattice and the shapes of its lenslets."""

@@ -1,0 +1,295 @@
+"""Profiles of lenslets that are no spheres: conics with even terms, of revolution or along a line (cylinders).
+
+The sag is that of ISO 10110-12, over the distance ρ from the lenslet's apex, or from its line of apexes:
+
+    z(ρ) = c ρ² / (1 + sqrt(1 − (1 + k) c² ρ²)) + a₄ ρ⁴ + a₆ ρ⁶ + ...,   ρ² = wₓ x² + w_y y²
+
+with both weights 1 for a surface of revolution, and one of them 0 for cylinders. Rays meet such a face in steps that
+cannot miss a crossing, so that the first of several is found.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.surfaces.first_crossing import crossing_finder
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+
+Array = NDArray[np.float64]
+
+SAMPLES = 1024
+"""Intervals of ρ at whose ends slope and bend are bounded."""
+
+CURVATURES = 9
+"""Curvatures, from the least to the largest of a type, at which they are."""
+
+BOUND = 1.05
+"""Factor on the largest values found, for what lies between the samples."""
+
+BEYOND_CELL = 1.05
+"""How far a profile is defined, over the distance to the cell's corner: aimed cells are a little larger."""
+
+TINY = float(np.finfo(np.float64).tiny)
+
+
+@by_address
+class Profile(NamedTuple):
+    """Profiles of the types of lenslets of an array.
+
+    Attributes
+    ----------
+    conic : (types,) float64
+    terms : (types, n) float64
+        Coefficients of ρ⁴, ρ⁶, ... in mm⁻³, mm⁻⁵, ...
+    weight_x, weight_y : float
+        Of x² and y² in ρ²: 1, or 0 along the axis of cylinders.
+    domain : float, mm
+        Largest ρ at which the profile is used.
+    steepest : (types,) float64
+        Bound of the slope up to there.
+    bend : (types,) float64, 1/mm
+        Bound of the second derivative of the sag, in any direction, up to there.
+    """
+
+    conic: Array
+    terms: Array
+    weight_x: float
+    weight_y: float
+    domain: float
+    steepest: Array
+    bend: Array
+
+
+def sag_slope_bend(curvature: Array, conic: float, terms: Array, rho: Array) -> tuple[Array, Array, Array]:
+    """Return the sag, its first derivative, and a bound of its second ones, at distances ρ; NaN where it has ended.
+
+    Parameters
+    ----------
+    curvature : float64, 1/mm
+        Of any shape that goes with that of `rho`.
+    conic : float
+    terms : (n,) float64
+    rho : float64, mm
+    """
+    r2 = rho * rho
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(1.0 - (1.0 + conic) * curvature * curvature * r2)
+        sag = curvature * r2 / (1.0 + root)
+        # The slope over ρ, which is also the second derivative across the meridian.
+        steep = curvature / root
+        along = curvature / root**3
+        power = r2
+        for i, a in enumerate(terms):
+            steep, along = steep + (2 * i + 4) * a * power, along + (2 * i + 4) * (2 * i + 3) * a * power
+            power = power * r2
+            sag = sag + a * power
+    return sag, steep * rho, np.maximum(np.abs(steep), np.abs(along))
+
+
+def profile_of(
+    curvature: Array, conic: Array, terms: Array, cylinder_axis: str | None, reach: float, stretch: tuple[float, float]
+) -> Profile:
+    """Return the profiles of an array's types, with what bounds their slopes.
+
+    Parameters
+    ----------
+    curvature, conic : (types,) float64
+    terms : (types, n) float64
+    cylinder_axis : str, optional
+        "x" or "y", along which the lenslets are cylinders.
+    reach : float, mm
+        Largest distance of a point of a cell from the apex, or from the line of apexes. The profile must not end there.
+    stretch : (2,) float
+        Least and largest factor on the curvature.
+    """
+    domain = BEYOND_CELL * reach
+    bounds = []
+    for c, k in zip(curvature, conic, strict=True):
+        steepest = max(abs(c * s) for s in stretch)
+        if (1.0 + k) * (steepest * domain) ** 2 >= 1.0:
+            # Half the way, in ρ², from the cell's corner to where the profile ends.
+            domain = min(domain, float(np.sqrt(0.5 * (reach**2 + 1.0 / ((1.0 + k) * steepest**2)))))
+    for c, k, a in zip(curvature, conic, terms, strict=True):
+        between = c * np.linspace(*stretch, CURVATURES)[:, None]
+        _, slope, bend = sag_slope_bend(between, k, a, np.linspace(0.0, domain, SAMPLES + 1))
+        bounds.append((BOUND * np.abs(slope).max(), BOUND * bend.max()))
+    steepest_, bend_ = np.array(bounds).T
+    along_x, along_y = cylinder_axis == "x", cylinder_axis == "y"
+    return Profile(
+        conic=np.asarray(conic, np.float64), terms=np.asarray(terms, np.float64),
+        weight_x=0.0 if along_x else 1.0, weight_y=0.0 if along_y else 1.0, domain=domain,
+        steepest=np.ascontiguousarray(steepest_), bend=np.ascontiguousarray(bend_),
+    )  # fmt: skip
+
+
+@kernel
+def profile_shape(
+    profile: Profile, kind: int, curvature: float, x: float, y: float
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the sag of a lenslet at a point, from its apex, and the slopes of the sag along x and y.
+
+    Parameters
+    ----------
+    profile : Profile
+    kind : int
+        Type of the lenslet.
+    curvature : float, 1/mm
+    x, y : float, mm
+    """
+    wx, wy = profile.weight_x * x, profile.weight_y * y
+    r2 = wx * x + wy * y
+    root = np.sqrt(1.0 - (1.0 + profile.conic[kind]) * curvature * curvature * r2)
+    sag, steep, power = curvature * r2 / (1.0 + root), curvature / root, r2
+    for i in range(profile.terms.shape[1]):
+        a = profile.terms[kind, i]
+        steep += (2.0 * i + 4.0) * a * power
+        power *= r2
+        sag += a * power
+    return sag, steep * wx, steep * wy
+
+
+@inlined
+def is_steeper(profile: Profile, kind: int, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether a direction is steeper than a lenslet's face is anywhere, so that it crosses the face but once.
+
+    Parameters
+    ----------
+    profile : Profile
+    kind : int
+        Type of the lenslet.
+    dx, dy, dz : float
+        Of any length.
+    """
+    across2 = profile.weight_x * dx * dx + profile.weight_y * dy * dy
+    return dz * dz > profile.steepest[kind] * profile.steepest[kind] * across2
+
+
+@kernel
+def _shape(of: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Do what `profile_shape` does for a profile, a type and a curvature."""
+    return profile_shape(of[0], of[1], of[2], x, y)
+
+
+_first_crossing = crossing_finder(_shape)
+
+
+@kernel
+def first_crossing(
+    profile: Profile, kind: int, curvature: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
+    side: float, begin: float, end: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether, and at which distance, a ray first crosses a lenslet's face; see `crossing_finder`.
+
+    Parameters
+    ----------
+    profile : Profile
+    kind : int
+        Type of the lenslet.
+    curvature : float, 1/mm
+    x, y, z : float, mm
+        Where distances are counted from, from the apex.
+    dx, dy, dz : float
+        Unit, or of any length: distances are in lengths of it.
+    side : float
+        1 for a ray in the air before the face, −1 in the glass behind it.
+    begin, end : float
+        Distances between which the ray is in the cell.
+    """
+    across2 = profile.weight_x * dx * dx + profile.weight_y * dy * dy
+    return _first_crossing(
+        (profile, kind, curvature), x, y, z, dx, dy, dz, side, profile.bend[kind] * across2, begin, end
+    )
+
+
+@kernel
+def next_fall(
+    profile: Profile, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float,
+    side: float, begin: float, end: float,
+) -> tuple[bool, float, float]:  # fmt: skip
+    """Return where the line (a + g z, z) next crosses a lenslet's face into the glass, with growing z.
+
+    Parameters
+    ----------
+    profile : Profile
+    kind : int
+        Type of the lenslet.
+    curvature : float, 1/mm
+    ax, ay : float, mm
+        From the apex.
+    gx, gy : float
+    side : float
+        1 where the line begins before the face, −1 behind it, 0 where that is not known.
+    begin, end : float, mm
+        Heights between which it is looked for.
+
+    Returns
+    -------
+    crosses : bool
+    z : float, mm
+    turned : float
+        1 − g · ∇sag there, which is positive.
+    """
+    begin, end = within_domain(profile, ax, ay, gx, gy, begin, end)
+    if not begin <= end:
+        return False, 0.0, 0.0
+    if side == 0.0:
+        sag, _, _ = profile_shape(profile, kind, curvature, ax + begin * gx, ay + begin * gy)
+        side = 1.0 if sag >= begin else -1.0
+    if side < 0.0:
+        rises, begin = first_crossing(profile, kind, curvature, ax, ay, 0.0, gx, gy, 1.0, -1.0, begin, end)
+        if not rises:
+            return False, 0.0, 0.0
+    falls, z = first_crossing(profile, kind, curvature, ax, ay, 0.0, gx, gy, 1.0, 1.0, begin, end)
+    if not falls:
+        return False, 0.0, 0.0
+    _, sx, sy = profile_shape(profile, kind, curvature, ax + z * gx, ay + z * gy)
+    return True, z, max(1.0 - gx * sx - gy * sy, TINY)
+
+
+@inlined
+def within_domain(
+    profile: Profile, ax: float, ay: float, gx: float, gy: float, begin: float, end: float
+) -> tuple[float, float]:
+    """Return the part of a piece of the line (a + g z, z) that is within the profile's domain; none: a reversed one.
+
+    Parameters
+    ----------
+    profile : Profile
+    ax, ay : float, mm
+        From the apex.
+    gx, gy : float
+    begin, end : float, mm
+        Heights.
+    """
+    g2 = profile.weight_x * gx * gx + profile.weight_y * gy * gy
+    ag = profile.weight_x * ax * gx + profile.weight_y * ay * gy
+    beyond2 = profile.weight_x * ax * ax + profile.weight_y * ay * ay - profile.domain * profile.domain
+    if g2 == 0.0:
+        return (begin, end) if beyond2 <= 0.0 else (0.0, -1.0)
+    root2 = ag * ag - g2 * beyond2
+    if root2 < 0.0:
+        return 0.0, -1.0
+    root = np.sqrt(root2)
+    return max(begin, (-ag - root) / g2), min(end, (root - ag) / g2)
+
+
+@kernel
+def fill_shapes(profile: Profile, kind: int, curvature: float, points: Array, z: Array, normals: Array) -> None:
+    """Write the sag of a lenslet, and its unit normals towards +z, at points from its apex.
+
+    Parameters
+    ----------
+    profile : Profile
+    kind : int
+    curvature : float, 1/mm
+    points : (n, 2) float64, mm
+    z : (n,) float64, mm
+    normals : (n, 3) float64
+    """
+    for i in range(len(points)):
+        sag, gx, gy = profile_shape(profile, kind, curvature, points[i, 0], points[i, 1])
+        scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+        z[i] = sag
+        normals[i, 0], normals[i, 1], normals[i, 2] = -gx * scale, -gy * scale, scale

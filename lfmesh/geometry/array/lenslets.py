@@ -1,0 +1,594 @@
+"""The microlens array's shape, in its own frame: z runs from the curved face into the glass, apexes at z = 0.
+
+Every lenslet is the same cap on its own cell, up to three types (multi-focus), and may carry form errors (decentre,
+radius). It is a sphere, or has a `lenslet_profile`: a conic with even terms, of revolution or a cylinder. Only one cell
+a type is a mesh for Embree (`cell_mesh`); `mla_mesh` builds them all, for export, for drawing, and as the truth that
+the folded array is tested against.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.array.lenslet_profile import (
+    fill_shapes,
+    first_crossing,
+    is_steeper,
+    profile_of,
+    profile_shape,
+    sag_slope_bend,
+)
+from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, joined
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+
+if TYPE_CHECKING:
+    import trimesh
+
+SUBDIVISIONS = 6
+"""Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
+
+DEPTH_SAMPLES = 4096
+"""Intervals of the distance from the apex at whose ends the depth of a face that is no sphere is measured."""
+
+OFFSET = 8.0
+"""Cells of different types stand this many pitches apart in their common Embree scene."""
+
+
+@by_address
+class Lenslets(NamedTuple):
+    """The lattice with what stands on it.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    curvature : (types,) float64, 1/mm
+        Positive: convex, converging in air.
+    thickness : float, mm
+        Apex to flat face.
+    decentre : (cells, 2) float64, mm
+        Apex of each lenslet from its cell's centre, row by row; empty when all are zero.
+    stretch : (cells,) float64
+        Curvature of each lenslet over its type's; empty when all are one.
+    top, valley : float, mm
+        The layer between the smallest and the largest z of the curved face.
+    profile : Profile
+        None where all are spheres: code for other faces is then not even compiled.
+    """
+
+    lattice: Lattice
+    curvature: Array
+    thickness: float
+    decentre: Array
+    stretch: Array
+    top: float
+    valley: float
+    profile: Any = None
+
+    @property
+    def alike(self) -> bool:
+        """True if all lenslets are the same: one type, no form errors."""
+        return len(self.curvature) == 1 and not len(self.decentre) and not len(self.stretch)
+
+    @property
+    def apexes(self) -> Array:
+        """(rows, columns, 2) mm: where the lenslets' apexes stand."""
+        centres = self.lattice.centres()
+        return centres + self.decentre.reshape(centres.shape) if len(self.decentre) else centres
+
+
+def lenslets(
+    lattice: Lattice,
+    radius_mm: NDArray[np.float64],
+    thickness_mm: float,
+    *,
+    decenter_mm: float = 0.0,
+    radius_error: float = 0.0,
+    seed: int = 0,
+    conic: Sequence[float] = (0.0,),
+    asphere_mm: Sequence[Sequence[float]] = ((),),
+    cylinder_axis: str | None = None,
+) -> Lenslets:
+    """Draw the shape of a microlens array with its form errors: normal, of the rms given.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    radius_mm : (types,) float64
+        Of each type of lenslet, signed.
+    thickness_mm : float
+        From the apexes to the flat face.
+    decenter_mm : float
+        Rms distance of the apexes from their cells' centres.
+    radius_error : float
+        Rms relative error of the radii.
+    seed : int
+    conic : (types,) or (1,) float
+        Conic constant of each type, or of all.
+    asphere_mm : (types, n) or (1, n) float
+        Coefficients of r⁴, r⁶, ... of each type, or of all; not all need be given.
+    cylinder_axis : str, optional
+        "x" or "y", along which the lenslets are cylinders, each over a whole row or column of cells.
+
+    Raises
+    ------
+    SceneError
+        The errors leave a lenslet that is no cap over its whole cell, or cuts through the flat face.
+    """
+    draw = np.random.default_rng(seed)
+    cells = lattice.columns * lattice.rows
+    # Both are drawn whichever is asked for, so that switching one error on leaves the other as it was.
+    shift = draw.normal(size=(cells, 2)) * (decenter_mm / np.sqrt(2.0))
+    stretch = 1.0 / (1.0 + radius_error * draw.normal(size=cells))
+    shift, stretch = _along_cylinders(lattice, cylinder_axis, shift), _along_cylinders(lattice, cylinder_axis, stretch)
+    curvature = 1.0 / np.asarray(radius_mm, dtype=np.float64)
+    steepest = stretch.max() if radius_error else 1.0
+    widest = lattice.circumradius if cylinder_axis is None else 0.5 * lattice.pitch
+    corner = widest + (np.linalg.norm(shift, axis=1).max() if decenter_mm else 0.0)
+    conics, terms = _of_each_type(len(curvature), conic, asphere_mm)
+    squash = 1.0 + conics
+    if stretch.min() <= 0.0 or (squash * (np.abs(curvature) * steepest * corner) ** 2).max() >= 1.0:
+        raise SceneError(
+            f"camera.mla.form: decenter_mm = {decenter_mm:g} and radius_error = {radius_error:g} (seed {seed}) leave "
+            f"a lenslet whose {'conic' if conics.any() else 'sphere'} ends inside its cell, {corner:.4g} mm from its "
+            "apex; give smaller errors or larger radii"
+        )
+    profile = None
+    if cylinder_axis is None and not conics.any() and not terms.any():
+        depths = [_cap_depth(c * steepest, corner) for c in curvature]
+    else:
+        between = (float(stretch.min()), float(stretch.max())) if radius_error else (1.0, 1.0)
+        profile = profile_of(curvature, conics, terms, cylinder_axis, corner, between)
+        depths = _profile_depths(curvature, conics, terms, corner, between)
+    if max(depths) >= thickness_mm:
+        raise SceneError(
+            f"camera.mla.thickness_mm = {thickness_mm:g}: the lenslets are {max(depths):.4g} mm deep at their corners "
+            "and would cut through the flat face; give a thicker array or smaller form errors"
+        )
+    return Lenslets(
+        lattice=lattice,
+        curvature=curvature,
+        thickness=float(thickness_mm),
+        decentre=shift if decenter_mm else np.zeros((0, 2)),
+        stretch=stretch if radius_error else np.zeros(0),
+        top=float(min(0.0, *depths)),
+        valley=float(max(0.0, *depths)),
+        profile=profile,
+    )
+
+
+def _along_cylinders(lattice: Lattice, cylinder_axis: str | None, values: Array) -> Array:
+    """Return values of cells, row by row, such that all cells of a cylinder have those of its first."""
+    if cylinder_axis is None:
+        return values
+    of_cells = values.reshape(lattice.rows, lattice.columns, *values.shape[1:])
+    first = of_cells[:1] if cylinder_axis == "y" else of_cells[:, :1]
+    return np.ascontiguousarray(np.broadcast_to(first, of_cells.shape).reshape(values.shape))
+
+
+def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Sequence[float]]) -> tuple[Array, Array]:
+    """Return the (types,) conic constants and the (types, n) coefficients of an array's types."""
+    conics = np.array(np.broadcast_to(np.asarray(conic, np.float64), (types,)))
+    terms = np.zeros((len(asphere_mm), max(map(len, asphere_mm))))
+    for row, given in zip(terms, asphere_mm, strict=True):
+        row[: len(given)] = given
+    return conics, np.ascontiguousarray(np.broadcast_to(terms, (types, terms.shape[1])))
+
+
+def _profile_depths(
+    curvature: Array, conics: Array, terms: Array, corner: float, stretch: tuple[float, float]
+) -> list[float]:
+    """Return the least and the largest sag of each type, with a margin for what lies between the samples."""
+    depths = []
+    rho = np.linspace(0.0, corner, DEPTH_SAMPLES + 1)
+    for c, k, a in zip(curvature, conics, terms, strict=True):
+        # The sag grows with the curvature at every distance.
+        for bent in stretch:
+            sag, _, bend = sag_slope_bend(np.asarray(c * bent), k, a, rho)
+            between = bend.max() * (corner / DEPTH_SAMPLES) ** 2 / 8.0
+            depths += [sag.min() - between, sag.max() + between]
+    return depths
+
+
+def _cap_depth(curvature: float, radius: float) -> float:
+    return curvature * radius**2 / (1.0 + np.sqrt(1.0 - (curvature * radius) ** 2))
+
+
+@kernel
+def are_alike(mla: Lenslets) -> bool:
+    """Tell whether all lenslets are the same: one type, no form errors."""
+    return len(mla.curvature) == 1 and len(mla.decentre) == 0 and len(mla.stretch) == 0
+
+
+@kernel
+def type_of(mla: Lenslets, column: int, row: int) -> int:
+    """Return a cell's type: neighbours differ in an array of three types (hexagonal) or of two (square).
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+    """
+    types = len(mla.curvature)
+    if types == 1:
+        return 0
+    if mla.lattice.hexagonal:
+        # Axial coordinates make the three types a regular colouring: no two of a kind touch.
+        return (column - (row >> 1) + 2 * row) % types if types == 3 else (column + row) % types
+    return _across_cylinders(mla.profile, column, row) % types
+
+
+@inlined
+def _across_cylinders(profile: Any, column: int, row: int) -> int:
+    """Return the number of a cylinder; of lenslets of revolution column + row."""
+    if profile is None:
+        return column + row
+    return (column if profile.weight_x > 0.0 else 0) + (row if profile.weight_y > 0.0 else 0)
+
+
+@kernel
+def shape_of(mla: Lenslets, column: int, row: int) -> tuple[float, float, float]:
+    """Return a lenslet's curvature and its apex relative to the cell's centre.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+
+    Returns
+    -------
+    curvature : float, 1/mm
+    apex_x, apex_y : float, mm
+    """
+    c = mla.curvature[type_of(mla, column, row)]
+    cell = row * mla.lattice.columns + column
+    if len(mla.stretch):
+        c *= mla.stretch[cell]
+    if len(mla.decentre):
+        return c, mla.decentre[cell, 0], mla.decentre[cell, 1]
+    return c, 0.0, 0.0
+
+
+@kernel
+def cap_sag(curvature: float, r2: float) -> float:
+    """Return the sag of a spherical cap."""
+    return curvature * r2 / (1.0 + np.sqrt(1.0 - curvature * curvature * r2))
+
+
+@inlined
+def is_spherical(profile: Any) -> bool:
+    """Tell whether the lenslets of a profile, or of none, are spheres."""
+    return profile is None
+
+
+@kernel
+def face_sag(mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float) -> float:
+    """Return the sag of a lenslet at a point from its apex.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    curvature : float, 1/mm
+        From `shape_of`.
+    x, y : float, mm
+    """
+    return _sag_by(mla.profile, mla, column, row, curvature, x, y)
+
+
+@inlined
+def _sag_by(profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float) -> float:
+    if profile is None:
+        return cap_sag(curvature, x * x + y * y)
+    return profile_shape(profile, type_of(mla, column, row), curvature, x, y)[0]
+
+
+@inlined
+def face_normal(
+    mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return the unit normal of a lenslet, towards +z, at a point of its face, from its apex.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    curvature : float, 1/mm
+        From `shape_of`.
+    x, y, z : float, mm
+    """
+    return _normal_by(mla.profile, mla, column, row, curvature, x, y, z)
+
+
+@inlined
+def _normal_by(
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    if profile is None:
+        return -curvature * x, -curvature * y, 1.0 - curvature * z
+    _, gx, gy = profile_shape(profile, type_of(mla, column, row), curvature, x, y)
+    scale = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+    return -gx * scale, -gy * scale, scale
+
+
+@inlined
+def meets_profile(
+    profile: Any, mla: Lenslets, column: int, row: int, x: float, y: float, z: float,
+    dx: float, dy: float, dz: float, in_air: bool, begin: float, end: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether, and where, a ray first crosses the face of a lenslet that is no sphere; of a sphere False.
+
+    Parameters
+    ----------
+    profile : Profile, or None
+        That of `mla`.
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    x, y, z : float, mm
+        Where distances are counted from, from the cell's centre.
+    dx, dy, dz : float
+    in_air : bool
+        The ray is in the air before the face; else in the glass.
+    begin, end : float, mm
+        Distances between which it is in the cell.
+    """
+    if profile is None:
+        return False, 0.0
+    curvature, ex, ey = shape_of(mla, column, row)
+    return first_crossing(
+        profile, type_of(mla, column, row), curvature, x - ex, y - ey, z, dx, dy, dz, 1.0 if in_air else -1.0,
+        begin, end,
+    )  # fmt: skip
+
+
+@inlined
+def leaves_face(profile: Any, mla: Lenslets, column: int, row: int, dx: float, dy: float, dz: float) -> bool:
+    """Tell whether a ray that starts on a lenslet's face, out of the layer of faces, cannot meet that lenslet again.
+
+    A sphere it cannot; of other faces that is known of directions steeper than they are anywhere.
+
+    Parameters
+    ----------
+    profile : Profile, or None
+        That of `mla`.
+    mla : Lenslets
+    column, row : int
+        Of the lenslet.
+    dx, dy, dz : float
+    """
+    if profile is None:
+        return True
+    return is_steeper(profile, type_of(mla, column, row), dx, dy, dz)
+
+
+@kernel
+def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: int) -> float:
+    """Return the z of a cell's mesh at a point of one of its sides: on the chord between two vertices of the border.
+
+    The side is numbered as in `leaves_at`, by either of the cells that share it. Form errors do not count.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    column, row : int
+        Of the cell.
+    x, y : float, mm
+        From the cell's centre.
+    side : int
+    """
+    lattice = mla.lattice
+    curvature = mla.curvature[type_of(mla, column, row)]
+    segments = border_segments(lattice.hexagonal)
+    angle = side * np.pi / (3.0 if lattice.hexagonal else 2.0)
+    step = lattice.pitch / (np.sqrt(3.0) if lattice.hexagonal else 1.0) / segments
+    nx, ny, half = np.cos(angle), np.sin(angle), 0.5 * lattice.pitch
+    along = (nx * y - ny * x) / step + 0.5 * segments
+    low = np.floor(along)
+    a, b = (low - 0.5 * segments) * step, (low + 1.0 - 0.5 * segments) * step
+    z_low = _border_vertex(mla.profile, mla, column, row, curvature, half, a, nx, ny)
+    z_high = _border_vertex(mla.profile, mla, column, row, curvature, half, b, nx, ny)
+    return z_low + (along - low) * (z_high - z_low)
+
+
+@inlined
+def _border_vertex(
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, half: float, along: float,
+    nx: float, ny: float,
+) -> float:  # fmt: skip
+    """Return the sag at a distance along a side from its middle."""
+    if profile is None:
+        return cap_sag(curvature, half * half + along * along)
+    return face_sag(mla, column, row, curvature, half * nx - along * ny, half * ny + along * nx)
+
+
+@kernel
+def border_segments(hexagonal: bool, subdivisions: int = SUBDIVISIONS) -> int:
+    """Return how many edges of `cell_pattern` make one side of a cell."""
+    return subdivisions if hexagonal else (subdivisions + 1) // 2
+
+
+def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Array, Index]:
+    """Return the (v, 2) points, mm, and (f, 3) triangles (facing +z) that tile the cell at the origin.
+
+    Points on a side are equally spaced, so that the patterns of neighbouring cells share them.
+    """
+    corners = lattice.corners()
+    points: list[Array] = []
+    faces: list[Index] = []
+    n = border_segments(lattice.hexagonal, subdivisions)
+    count = 0
+    # One fan of triangles a side, each refined n-fold.
+    index = {(i, j): i * (i + 1) // 2 + j for i in range(n + 1) for j in range(i + 1)}
+    fan = np.array(
+        [(index[i, j], index[i + 1, j], index[i + 1, j + 1]) for i in range(n) for j in range(i + 1)]
+        + [(index[i, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(1, n) for j in range(i)]
+    )
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        points.append(np.array([a * (i - j) / n + b * j / n for i in range(n + 1) for j in range(i + 1)]))
+        faces.append(fan + count)
+        count += len(points[-1])
+    return _merged(np.concatenate(points), np.concatenate(faces), lattice.pitch)
+
+
+def _merged(points: Array, faces: Index, scale: float) -> tuple[Array, Index]:
+    """Merge points that agree to a rounding error of the scale."""
+    _, first, inverse = np.unique(
+        np.round(points / (scale * 1e-9)).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    return points[first], inverse.reshape(-1)[faces]
+
+
+def faces_at(mla: Lenslets, kind: int, curvature: float, from_apex: Array) -> tuple[Array, Array]:
+    """Return the sag (n,) of lenslets of a type, mm, and their unit normals (n, 3) towards +z.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    kind : int
+        The type.
+    curvature : float, 1/mm
+        With the error of the lenslet.
+    from_apex : (n, 2) float64, mm
+        Points, from the apex.
+    """
+    if mla.profile is not None:
+        z, normal = np.zeros(len(from_apex)), np.zeros((len(from_apex), 3))
+        fill_shapes(mla.profile, kind, curvature, np.ascontiguousarray(from_apex, np.float64), z, normal)
+        return z, normal
+    r2 = np.einsum("ij,ij->i", from_apex, from_apex)
+    z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
+    normal = np.column_stack([-curvature * from_apex, 1.0 - curvature * z])
+    return z, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
+    """Return the curved face over one cell of a type, centred at the origin, facing +z, with its neighbours' rims.
+
+    The rims (the neighbours' triangles that touch the cell) are there so that a ray along the border meets a facet on
+    either side of it; the neighbours are taken to be of the same type.
+    """
+    pattern, faces = cell_pattern(mla.lattice)
+    patch = mla.lattice._replace(columns=3, rows=3)
+    centres = patch.centres().reshape(-1, 2)
+    centres = centres - patch.centres()[1, 1]
+    apothem = 0.5 * mla.lattice.pitch
+    parts = []
+    for centre in centres:
+        z, normals = faces_at(mla, kind, float(mla.curvature[kind]), pattern)
+        vertices = np.column_stack([pattern + centre, z])
+        near = _cell_norm(mla.lattice, vertices[:, :2]) <= apothem * (1.0 + 1e-9)
+        keep = faces[near[faces].any(axis=1)]
+        parts.append(Mesh(vertices, keep, normals[keep]))
+    return joined(parts)
+
+
+def _cell_norm(lattice: Lattice, p: Array) -> Array:
+    """Return the norm whose ball of radius pitch/2 is the cell."""
+    if not lattice.hexagonal:
+        return np.abs(p).max(axis=1)
+    turn = np.deg2rad([0.0, 60.0, 120.0])
+    return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
+
+
+def mla_mesh(
+    mla: Lenslets, subdivisions: int = SUBDIVISIONS, back: Lenslets | None = None, shift_mm: Array | None = None
+) -> "trimesh.Trimesh":
+    """Return the whole array as a closed mesh.
+
+    Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
+    prism of its own and the prisms stand side by side.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    subdivisions : int
+    back : Lenslets, optional
+        On the other face, in a frame of their own that looks the other way. Flat if omitted.
+    shift_mm : (2,) float64, optional
+        Of their frame, in x and y.
+    """
+    import trimesh
+
+    if back is not None:
+        return _between_faces(mla, back, np.zeros(2) if shift_mm is None else shift_mm, subdivisions)
+
+    pattern, faces = cell_pattern(mla.lattice, subdivisions)
+    centres = mla.lattice.centres()
+    rows, columns = np.indices(centres.shape[:2])
+    solids = []
+    for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
+        curvature, ex, ey = shape_of(mla, int(column), int(row))
+        z, _ = faces_at(mla, type_of(mla, int(column), int(row)), curvature, pattern - [ex, ey])
+        solids.append(np.column_stack([pattern + centre, z]))
+    count = len(pattern)
+    if mla.alike:
+        all_points = np.concatenate(solids)
+        flat, merged = _merged(
+            all_points[:, :2],
+            np.concatenate([faces + i * count for i in range(len(solids))]),
+            mla.lattice.pitch,
+        )
+        z = np.zeros(len(flat))
+        z[merged] = all_points[:, 2][np.concatenate([faces + i * count for i in range(len(solids))])]
+        return _prism(flat, merged, z, mla.thickness)
+    return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], mla.thickness) for v in solids])
+
+
+def _between_faces(mla: Lenslets, back: Lenslets, shift_mm: Array, subdivisions: int) -> "trimesh.Trimesh":
+    """Return an array with lenslets on both faces: its cells' closed prisms side by side, one shell if all are alike.
+
+    Where the second face is out of place, the prisms lean by that much.
+    """
+    import trimesh
+
+    pattern, faces = cell_pattern(mla.lattice, subdivisions)
+    centres = mla.lattice.centres()
+    rows, columns = np.indices(centres.shape[:2])
+    count = len(pattern)
+    fronts: list[Array] = []
+    backs: list[Array] = []
+    for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
+        for lenslets_, into in ((mla, fronts), (back, backs)):
+            curvature, ex, ey = shape_of(lenslets_, int(column), int(row))
+            kind = type_of(lenslets_, int(column), int(row))
+            z, _ = faces_at(lenslets_, kind, curvature, pattern - [ex, ey])
+            into.append(np.column_stack([pattern + centre, z]))
+    for each in backs:
+        each[:, :2] += shift_mm
+        each[:, 2] = mla.thickness - each[:, 2]
+    if not (mla.alike and back.alike):
+        return trimesh.util.concatenate([_shell(a, b, faces) for a, b in zip(fronts, backs, strict=True)])
+    front, other = np.concatenate(fronts), np.concatenate(backs)
+    every = np.concatenate([faces + i * count for i in range(len(fronts))])
+    flat, merged = _merged(front[:, :2], every, mla.lattice.pitch)
+    sheets = np.zeros((2, len(flat), 3))
+    sheets[0, merged], sheets[1, merged] = front[every], other[every]
+    return _shell(sheets[0], sheets[1], merged)
+
+
+def _shell(front: Array, back: Array, faces: Index) -> "trimesh.Trimesh":
+    """Close two sheets of the same triangles, which look towards +z, with side walls, outward-oriented."""
+    import trimesh
+
+    count = len(front)
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    key = directed[:, 0] * count + directed[:, 1]
+    border = directed[~np.isin(key, directed[:, 1] * count + directed[:, 0])]
+    a, b = border[:, 0], border[:, 1]
+    walls = np.concatenate([np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])])
+    # They look into the glass on the first sheet, outward on the other one.
+    all_faces = np.concatenate([faces[:, ::-1], faces + count, walls])
+    return trimesh.Trimesh(np.concatenate([front, back]), all_faces, process=False)
+
+
+def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
+    """Close a height field with side walls and a flat face, outward-oriented."""
+    front, back = np.column_stack([flat, z]), np.column_stack([flat, np.full(len(flat), thickness)])
+    return _shell(front, back, faces)

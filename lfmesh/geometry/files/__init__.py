@@ -1,0 +1,1 @@
+"""Meshes from files: of triangles, of CAD systems, glTF."""

@@ -1,0 +1,283 @@
+"""Open one STEP or 3MF file: the program that `cad_file` runs as a process of its own, within limits.
+
+It imports nothing of lfmesh, and says what is wrong with the file in one line on its standard error.
+"""
+
+import json
+import re
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+"""Relationship of a 3MF package to its model part (3MF Core Specification 1.3, appendix C)."""
+
+MM_PER_UNIT = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "meter": 1e3, "inch": 25.4, "foot": 304.8}
+"""Values of a 3MF model's unit (section 3.4)."""
+
+MOST_MODEL_BYTES = 2**28
+"""Of a 3MF model, unpacked."""
+
+MOST_PLACED_FACETS = 3_000_000
+"""Of all bodies of a 3MF model together, as often as they stand in it."""
+
+DEEPEST, MOST_PLACED = 50, 100_000
+"""Components within components, and objects in all, as often as they stand in a 3MF file."""
+
+FINEST_MM = 1e-6
+"""Tolerance: above the precision that OpenCASCADE calculates with, 1e-7 mm."""
+
+TURN_RAD = 0.1
+"""How far a facet's edge may turn on a curved face."""
+
+COARSE_MM = 1e12
+"""Tolerance of the first mesh, which tells the size of the bodies."""
+
+DEFAULT_TOLERANCE = 3e-4
+"""Of the diagonal of the largest body's box. Much finer facets of glass are slivers, which float32 tilts."""
+
+_STRINGS_AND_COMMENTS = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
+_DEFINED = re.compile(rb"#\s*(\d+)\s*=")
+_NAMED = re.compile(rb"#\s*(\d+)")
+
+
+class UnusableError(Exception):
+    """A fault of the file, in one line."""
+
+
+def _limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
+    """Limit this process's memory, time on the processor and written files, where the system can."""
+    try:
+        import resource
+    except ImportError:
+        return
+    for what, most in (
+        (resource.RLIMIT_AS, mebibytes * 2**20),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_FSIZE, output_mebibytes * 2**20),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(what, (most, most))
+
+
+def check_step(content: bytes) -> None:
+    """Raise what OpenCASCADE passes over: a file that is none, is cut short or names what it does not define."""
+    if not content.lstrip().startswith(b"ISO-10303-21;"):
+        raise UnusableError("broken, or not a STEP file: it does not begin with ISO-10303-21;")
+    if not content.rstrip().endswith(b"END-ISO-10303-21;"):
+        raise UnusableError("cut short: it does not end with END-ISO-10303-21;")
+    bare = _STRINGS_AND_COMMENTS.sub(b"''", content)
+    defined = set(map(int, _DEFINED.findall(bare)))
+    missing = sorted(set(map(int, _NAMED.findall(bare))) - defined)
+    if missing:
+        raise UnusableError(f"broken: {len(missing)} entities are named and not there, the first is #{missing[0]}")
+
+
+def step_to_glb(content: bytes, tolerance_mm: float | None) -> bytes:
+    """Return the bodies of a STEP file as a GLB file, with the surfaces that their faces lie on."""
+    import cascadio
+
+    def meshed(tolerance: float) -> bytes:
+        made: bytes = cascadio.load(
+            content, "step", tol_linear=tolerance, tol_angular=TURN_RAD, use_parallel=False, include_brep=True
+        )
+        if not made:
+            raise UnusableError("broken, or not a STEP file: OpenCASCADE finds no body in it")
+        return made
+
+    if tolerance_mm is None:
+        tolerance_mm = max(DEFAULT_TOLERANCE * _diagonal_mm(meshed(COARSE_MM)), FINEST_MM)
+    if tolerance_mm < FINEST_MM:
+        raise UnusableError(f"tolerance_mm = {tolerance_mm:g} is finer than {FINEST_MM:g}, the finest")
+    return meshed(tolerance_mm)
+
+
+def _diagonal_mm(glb: bytes) -> float:
+    """Return the diagonal of the largest box round one of a GLB file's meshes, in mm."""
+    document = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
+    boxes = [(entry["min"], entry["max"]) for entry in document.get("accessors", []) if len(entry.get("max", [])) == 3]
+    sizes = [1e3 * float(np.linalg.norm(np.subtract(high, low))) for low, high in boxes]
+    if not sizes or not max(sizes) > 0.0:
+        raise UnusableError("holds no body with facets")
+    return max(sizes)
+
+
+class Object3mf(NamedTuple):
+    """An object of a 3MF model: its own facets, or other objects with their places (4, 3)."""
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.int64]
+    parts: list[tuple[str, Array]]
+
+
+def read_3mf(path: Path) -> dict[str, Any]:
+    """Return the bodies that stand in a 3MF file, in mm: names, and (n, 3) vertices and (m, 3) facets of each.
+
+    Raises
+    ------
+    UnusableError
+        The package or its model is broken, larger than the limits, or needs an extension that is not read.
+    """
+    try:
+        with zipfile.ZipFile(path) as package:
+            root = ElementTree.fromstring(_unpacked(package, _model_part(package)))
+    except (zipfile.BadZipFile, ElementTree.ParseError, NotImplementedError, RuntimeError, EOFError) as error:
+        raise UnusableError(f"broken, or not a 3MF file ({error})") from None
+    if _tag(root) != "model":
+        raise UnusableError(f"broken: its model begins with <{_tag(root)[:40]}>; valid is <model>")
+    if needed := root.get("requiredextensions"):
+        raise UnusableError(f"needs the extension {needed[:40]!r} of 3MF, which is not read; export it without")
+    unit = root.get("unit", "millimeter")
+    if unit not in MM_PER_UNIT:
+        raise UnusableError(f"its unit is {unit[:40]!r}; valid are {', '.join(MM_PER_UNIT)}")
+    objects = {_need(each, "id"): _object(each) for each in root.iter() if _tag(each) == "object"}
+    build = _Build(objects)
+    for item in (each for each in root.iter() if _tag(each) == "item"):
+        build.place(_need(item, "objectid"), _transform(item))
+    arrays: dict[str, Any] = {"names": np.array([name for name, _, _ in build.bodies], dtype=np.str_)}
+    for k, (_, vertices, faces) in enumerate(build.bodies):
+        arrays |= {f"vertices_{k}": vertices * MM_PER_UNIT[unit], f"faces_{k}": faces}
+    return arrays
+
+
+def _model_part(package: zipfile.ZipFile) -> str:
+    """Return the name of a package's model, as its relationships tell."""
+    if "_rels/.rels" not in package.namelist():
+        raise UnusableError("broken, or not a 3MF file: the package has no _rels/.rels")
+    for each in ElementTree.fromstring(_unpacked(package, "_rels/.rels")).iter():
+        if each.get("Type") == MODEL_TYPE:
+            return _need(each, "Target").lstrip("/")
+    raise UnusableError("broken, or not a 3MF file: the package names no 3D model")
+
+
+def _unpacked(package: zipfile.ZipFile, name: str) -> bytes:
+    """Return a part of the package, at most `MOST_MODEL_BYTES` of it, whatever its header says."""
+    if name not in package.namelist():
+        raise UnusableError(f"broken: its part {name[:80]!r} is not there")
+    with package.open(name) as part:
+        content = part.read(MOST_MODEL_BYTES + 1)
+    if len(content) > MOST_MODEL_BYTES:
+        raise UnusableError(f"its part {name[:80]!r} unpacks to more than {MOST_MODEL_BYTES // 2**20} MiB, the most")
+    return content
+
+
+def _tag(element: ElementTree.Element) -> str:
+    return element.tag.rsplit("}", 1)[-1]
+
+
+def _need(element: ElementTree.Element, key: str) -> str:
+    value = element.get(key)
+    if value is None:
+        raise UnusableError(f"broken: a <{_tag(element)[:40]}> of its model has no {key}")
+    return value
+
+
+def _numbers(values: list[str | None], of: Callable[[str], float], what: str) -> list[float]:
+    try:
+        return [of(value or "") for value in values]
+    except (ValueError, OverflowError):
+        raise UnusableError(f"broken: {what} of its model is no number: {str(values)[:80]}") from None
+
+
+def _transform(element: ElementTree.Element) -> Array:
+    """Return the (4, 3) affine transform of an item or component; points are rows (section 3.3)."""
+    text = element.get("transform", "1 0 0 0 1 0 0 0 1 0 0 0").split()
+    if len(text) != 12:
+        raise UnusableError(f"broken: a transform of its model has {len(text)} numbers; valid are 12")
+    return np.array(_numbers(list(text), float, "a transform")).reshape(4, 3)
+
+
+def _object(element: ElementTree.Element) -> Object3mf:
+    """Return an object of the model, with its facets that reach beyond its vertices refused."""
+    points: list[list[float]] = []
+    corners: list[list[float]] = []
+    parts: list[tuple[str, Array]] = []
+    for each in element.iter():
+        tag = _tag(each)
+        if tag == "vertex":
+            points.append(_numbers([each.get(key) for key in "xyz"], float, "a vertex"))
+        elif tag == "triangle":
+            corners.append(_numbers([each.get(key) for key in ("v1", "v2", "v3")], int, "a triangle"))
+        elif tag == "component":
+            parts.append((_need(each, "objectid"), _transform(each)))
+    faces = np.array(corners, dtype=np.int64).reshape(-1, 3)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+        raise UnusableError(f"broken: a triangle names a vertex beyond the {len(points)} of its object")
+    name = element.get("name") or _need(element, "id")
+    return Object3mf(name, np.array(points, dtype=np.float64).reshape(-1, 3), faces, parts)
+
+
+class _Build:
+    """The bodies that stand in a 3MF file: name, vertices and facets of each, placed."""
+
+    def __init__(self, objects: dict[str, Object3mf]) -> None:
+        self.objects = objects
+        self.bodies: list[tuple[str, Array, NDArray[np.int64]]] = []
+        self.placed = self.facets = 0
+
+    def place(self, key: str, place: Array, name: str | None = None, depth: int = 0) -> None:
+        """Add an object and its components; `name` is that of the object that it is a component of, if it is one.
+
+        Parameters
+        ----------
+        key : str
+            Of the object.
+        place : (4, 3) float64
+            Affine transform of points as rows.
+        name : str, optional
+        depth : int
+            Of components within components.
+        """
+        if key not in self.objects:
+            raise UnusableError(f"broken: its model names object {key[:40]!r}, which is not there")
+        one = self.objects[key]
+        self.placed += 1
+        self.facets += len(one.faces)
+        if depth > DEEPEST:
+            raise UnusableError(f"its components stand in one another more than {DEEPEST} deep, as in a loop")
+        if self.placed > MOST_PLACED or self.facets > MOST_PLACED_FACETS:
+            raise UnusableError(
+                f"has more than {MOST_PLACED} objects or {MOST_PLACED_FACETS} facets, counted as placed"
+            )
+        name = name or one.name
+        if len(one.faces):
+            faces = one.faces[:, ::-1] if np.linalg.det(place[:3]) < 0.0 else one.faces
+            self.bodies.append((name, one.vertices @ place[:3] + place[3], faces))
+        for part, own in one.parts:
+            self.place(part, np.vstack([own[:3] @ place[:3], own[3] @ place[:3] + place[3]]), name, depth + 1)
+
+
+def main(arguments: list[str]) -> None:
+    """Read `path`, write `out`: a GLB file of a STEP file, an npz file of a 3MF file.
+
+    The arguments are path, out, tolerance in mm (or 0: that of the file's size), and the limits: memory and output in
+    MiB, seconds.
+    """
+    path, out, tolerance = Path(arguments[0]), Path(arguments[1]), float(arguments[2])
+    memory, output, seconds = map(int, arguments[3:])
+    _limit(memory, seconds, output)
+    try:
+        if path.suffix.lower() == ".3mf":
+            with out.open("wb") as file:
+                np.savez(file, **read_3mf(path))
+        else:
+            content = path.read_bytes()
+            check_step(content)
+            out.write_bytes(step_to_glb(content, tolerance or None))
+    except UnusableError as reason:
+        sys.exit(f"unusable: {reason}")
+    except MemoryError:
+        sys.exit("unusable: memory")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

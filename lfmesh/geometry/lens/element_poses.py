@@ -1,0 +1,189 @@
+"""Lens elements that stand off their place: their poses, what must not cross, and the rings that close the spaces.
+
+The surfaces of an element move rigidly about the vertex of its first surface. Where two neighbouring surfaces have
+moved against each other, the ring between their rims is no longer a surface of revolution.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame
+from lfmesh.geometry.meshes.mesh import Array, Mesh
+from lfmesh.geometry.surfaces.surface import is_revolved, put_in_pose, reach, surface_of
+from lfmesh.geometry.surfaces.tessellation import (
+    ANNULUS_LEAN,
+    height_above,
+    mesh_heights,
+    on_circles,
+    revolved,
+    ring_profile,
+    stand_together,
+    strip,
+)
+from lfmesh.scene.camera.lens import Lens
+
+RADII = 129
+"""Circles of a clear aperture on which its surface must not cross the next one."""
+
+TOUCHING = 1e-9
+"""Share of the lens's size up to which a crossing is rounding, where elements touch."""
+
+
+def pose_of(lens: Lens, number: int) -> frame.Frame:
+    """Return the rigid motion (3, 4) that takes a surface of the prescription from its place to where it stands.
+
+    Parameters
+    ----------
+    lens : Lens
+    number : int
+        Of the surface, as the scene counts them.
+    """
+    which = lens.element_of(number)
+    if which is None:
+        return frame.IDENTITY
+    pose = lens.elements[which].pose
+    if not any(pose.shift_mm) and not any(pose.tilt_deg):
+        return frame.IDENTITY
+    turn = frame.rotation(pose.tilt_deg)
+    pivot = np.array([0.0, 0.0, lens.vertices_mm[lens.elements[which].surfaces[0]]])
+    return np.column_stack([turn, pivot - turn @ pivot + pose.shift_mm])
+
+
+def refuse_crossing_elements(lens: Lens) -> None:
+    """Refuse poses by which neighbouring surfaces, the stop among them, cross inside their clear apertures.
+
+    Parameters
+    ----------
+    lens : Lens
+        Solved.
+
+    Raises
+    ------
+    SceneError
+        The message names the pose and says by how much they cross.
+    """
+    records = []
+    for number, s in enumerate(lens.surfaces):
+        record = surface_of(s, vertex_z=lens.vertices_mm[number], semi_diameter=s.semi_diameter_mm or np.inf)
+        put_in_pose(record, pose_of(lens, number))
+        records.append(record)
+    for number, (front, back) in enumerate(pairwise(records)):
+        if stand_together(front, back):
+            continue
+        crossing = max(_crossing(front, back, 1.0), _crossing(back, front, -1.0))
+        if crossing > TOUCHING * float(back["semi_diameter"] + back["vertex_z"]):
+            raise SceneError(_refusal(lens, number, crossing))
+
+
+def _crossing(one: Any, other: Any, sense: float) -> float:
+    """Return how far a surface reaches through the next one, along that one's axis, inside both clear apertures, mm."""
+    height, r = height_above(other, on_circles(one, np.linspace(0.0, min(one["semi_diameter"], reach(one)), RADII)))
+    return float(np.max(sense * height, where=r <= other["semi_diameter"], initial=0.0))
+
+
+def _refusal(lens: Lens, number: int, crossing: float) -> str:
+    """Return the refusal of the poses that make surfaces `number` and the next cross."""
+    which = [lens.element_of(n) for n in (number, number + 1)]
+    named = ", ".join(
+        f"camera.lens.elements[{i}].pose = {{ shift_mm = {list(lens.elements[i].pose.shift_mm)}, "
+        f"tilt_deg = {list(lens.elements[i].pose.tilt_deg)} }}"
+        for i in which
+        if i is not None
+    )
+    return (
+        f"{named}: surfaces {number} and {number + 1} cross inside their clear apertures, by {crossing:.4g} mm; give "
+        "smaller shifts and tilts, a larger distance between them, or smaller semi-diameters"
+    )
+
+
+def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: list[int], k: int, count: int) -> Mesh:
+    """Return the ring that joins the rims of surfaces k and k + 1 where they stand, and faces the axis.
+
+    Parameters
+    ----------
+    lens : Lens
+    surfaces : (K,) SURFACE
+    rims : (K,) list of float, mm
+    numbers : (K,) list of int
+        Place of each refracting surface in the prescription.
+    k : int
+    count : int
+        Azimuths.
+    """
+    front, back = surfaces[k], surfaces[k + 1]
+    if not (is_revolved(front) and is_revolved(back)):
+        return _closure_off_revolution(lens, front, rims[k], back, rims[k + 1], (numbers[k], numbers[k + 1]), count)
+    profile = ring_profile(front, rims[k], back, rims[k + 1])
+    if stand_together(front, back):
+        ring = revolved(profile, count)
+        return ring.moved(front["pose"]) if front["posed"] else ring
+    phi = 2 * np.pi * np.arange(count) / count
+    round_ = np.stack([np.cos(phi), np.sin(phi), np.zeros(count)], axis=-1)
+
+    def circle(of: Any, point: Array) -> Array:
+        placed = point[0] * round_ + [0.0, 0.0, point[1]]
+        return frame.points(of["pose"], placed) if of["posed"] else placed
+
+    first, last = circle(front, profile[0]), circle(back, profile[-1])
+    # Where one of them is turned about its axis, each vertex is joined to the nearest of the other rim.
+    turns = [int(np.argmin([np.square(first - np.roll(last, -n, axis=0)).sum() for n in range(count)]))]
+    last = np.roll(last, -turns[0], axis=0)
+    trials = [np.stack([first, last])]
+    if len(profile) == 3:
+        # The annulus is rigid with the narrower surface, whose rim it starts from.
+        corner = circle(front, profile[1]) if rims[k] < rims[k + 1] else np.roll(circle(back, profile[1]), -turns[0], 0)
+        trials.insert(0, np.stack([first, corner, last]))
+    for lines in trials:
+        if _clears(lines, front, rims[k], back, rims[k + 1]):
+            return strip(lines)
+    raise SceneError(
+        f"{_refusal(lens, numbers[k], 0.0).split(': surfaces')[0]}: the edge between surfaces {numbers[k]} and "
+        f"{numbers[k + 1]} cuts one of them; give smaller shifts and tilts, or more room between them"
+    )
+
+
+def _closure_off_revolution(
+    lens: Lens, front: Any, front_rim: float, back: Any, back_rim: float, numbers: tuple[int, int], count: int
+) -> Mesh:
+    """Return the ring between two surfaces one of which is a biconic or toroid, whose rim goes up and down."""
+    first, last = (on_circles(s, np.array([r]), count)[0] for s, r in ((front, front_rim), (back, back_rim)))
+    narrow, rim, wide = (front, front_rim, back_rim) if front_rim < back_rim else (back, back_rim, front_rim)
+    turn = 0
+    if not stand_together(front, back):
+        turn = int(np.argmin([np.square(first - np.roll(last, -n, axis=0)).sum() for n in range(count)]))
+    last = np.roll(last, -turn, axis=0)
+    trials = [np.stack([first, last])]
+    if front_rim != back_rim:
+        # As with surfaces of revolution, a cylinder and an annulus that leans a little.
+        phi = 2 * np.pi * np.arange(count) / count
+        x, y = np.cos(phi), np.sin(phi)
+        other = back if narrow is front else front
+        z = mesh_heights(narrow, rim * x, rim * y) + narrow["vertex_z"]
+        lean = mesh_heights(other, wide * x, wide * y) + other["vertex_z"] - z
+        corner = np.column_stack([wide * x, wide * y, z + ANNULUS_LEAN * lean])
+        corner = frame.points(narrow["pose"], corner) if narrow["posed"] else corner
+        trials.insert(0, np.stack([first, corner if narrow is front else np.roll(corner, -turn, axis=0), last]))
+    apart = last[:, 2] >= first[:, 2] - abs(back_rim - front_rim)
+    for lines in trials:
+        if apart.all() and _clears(lines, front, front_rim, back, back_rim):
+            return strip(lines)
+    raise SceneError(
+        f"the rims of surfaces {numbers[0]} and {numbers[1]} cross; give more thickness, smaller semi-diameters"
+        + (", or smaller shifts and tilts" if front["posed"] or back["posed"] else "")
+    )
+
+
+def _clears(lines: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
+    """Tell whether strips between closed lines of points stay behind the front surface and before the back one."""
+    share = np.linspace(0.0, 1.0, 65)[1:-1, None, None]
+    for a, b in pairwise(lines):
+        points = a + share * (b - a)
+        above_front, r_front = height_above(front, points)
+        above_back, r_back = height_above(back, points)
+        if ((r_front < front_rim) & (above_front < 0.0)).any() or ((r_back < back_rim) & (above_back > 0.0)).any():
+            return False
+    return True

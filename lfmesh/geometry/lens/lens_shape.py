@@ -1,0 +1,142 @@
+"""The main lens as meshes: a cap for every refracting surface, and rings that close the spaces between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lens.air_gaps import cap_on, circles_of
+from lfmesh.geometry.lens.element_poses import closure, pose_of, refuse_crossing_elements
+from lfmesh.geometry.meshes.levels import SMOOTH, SURFACE_LEVEL
+from lfmesh.geometry.meshes.mesh import Array, Mesh
+from lfmesh.geometry.objects.refractors import RIM_MARGIN, face_of
+from lfmesh.geometry.surfaces.mesh_error import facet_errors, landing_errors
+from lfmesh.geometry.surfaces.surface import put_in_pose, surface_of
+from lfmesh.geometry.surfaces.tessellation import (
+    MAX_RINGS,
+    cap,
+    end_where_they_touch,
+    rim_radius,
+    rings_for,
+    set_bends,
+)
+from lfmesh.optics.glass import Medium
+from lfmesh.scene import Scene
+
+LEAST_RINGS = 5
+"""Rings of triangles a lens surface has at least: enough for `exact`, which takes only the facet's number from it."""
+
+PIXEL_SHARE = 0.1
+"""Error at the sensor, in pixels, that the default tessellation of the other levels stays below, where it can."""
+
+ORDER = {"flat": 1.0, "smooth": 2.0, "patch": 3.0}
+"""How the error at the sensor falls with the facets' size."""
+
+
+@dataclass
+class LensShape:
+    """The lens as meshes in the camera frame: a cap for each refracting surface, a ring for each space between two."""
+
+    numbers: list[int]
+    """Place of each refracting surface in the scene's list."""
+    surfaces: NDArray[np.void]
+    """(K,) SURFACE, with their poses."""
+    rings: int
+    """Rings of triangles a cap, where no neighbour comes near."""
+    azimuths: int
+    """Points on the rim of a cap."""
+    rims: list[float]
+    caps: list[Mesh]
+    closures: list[Mesh]
+    """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
+    media: list[Medium]
+    """What fills each space: K + 1 entries, air first and last."""
+    analytic: NDArray[np.bool_]
+    """Whether each surface has an analytic parent, or is a mesh from a file."""
+    errors_mm: Array
+    """(K,) estimated rms error at the sensor that each surface's mesh makes; NaN for a mesh from a file."""
+
+    @property
+    def elements(self) -> list[int]:
+        """The surface in front of every piece of glass, in order."""
+        return [k for k in range(len(self.caps) - 1) if self.media[k + 1] is not None]
+
+
+def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
+    """Return the meshes of a solved scene's main lens.
+
+    Parameters
+    ----------
+    scene : Scene
+    rings : int, optional
+        Rings of triangles a cap, in place of what the tolerance or the sensor's pixels ask for.
+    """
+    prescription = scene.camera.lens
+    numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
+    media: list[Medium] = [None]
+    records = []
+    for i in numbers:
+        s = prescription.surfaces[i]
+        media.append(s.medium)
+        records.append(
+            surface_of(s, vertex_z=prescription.vertices_mm[i], semi_diameter=s.semi_diameter_mm or np.inf, stop=s.stop)
+        )
+        put_in_pose(records[-1], pose_of(prescription, i))
+    surfaces = np.array(records)
+    if prescription.elements:
+        refuse_crossing_elements(prescription)
+    given = [prescription.surfaces[i].mesh for i in numbers]
+    own = np.array([mesh is None for mesh in given])
+    end_where_they_touch(surfaces, LEAST_RINGS)
+    level = SURFACE_LEVEL[scene.transport.surface]
+    rings = rings or _rings(scene, numbers, surfaces)
+    circles = circles_of(surfaces, rings)
+    azimuths = int(circles[0].counts[-1])
+    rims: list[float] = []
+    caps: list[Mesh] = []
+    for k, mesh in enumerate(given):
+        if mesh is None:
+            surfaces[k]["level"] = level
+            rims.append(rim_radius(surfaces[k], azimuths // 6))
+            set_bends(surfaces[k], rims[k])
+            caps.append(cap(surfaces[k], rings, rims[k]) if circles[k].even else cap_on(surfaces[k], circles[k]))
+        else:
+            face = face_of(mesh, scene)
+            surfaces[k]["level"] = SURFACE_LEVEL[mesh.facets]
+            # A ring that starts a little inside the rim leaves no gap to a rim that is no circle.
+            rims.append((1.0 - 0.2 * RIM_MARGIN) * face.rim_mm)
+            shift = surfaces[k]["vertex_z"] - face.vertex_z
+            caps.append(Mesh(np.add(face.mesh.vertices, [0.0, 0.0, shift]), face.mesh.faces, face.mesh.corner_normals))
+    closures = [closure(prescription, surfaces, rims, numbers, k, azimuths) for k in range(len(numbers) - 1)]
+    errors = landing_errors(scene, numbers, surfaces, caps, level)
+    caps = [mesh.moved(s["pose"]) if s["posed"] else mesh for mesh, s in zip(caps, surfaces, strict=True)]
+    errors = np.where(own, errors, np.nan)
+    return LensShape(numbers, surfaces, rings, azimuths, rims, caps, closures, media, own, errors)
+
+
+def _rings(scene: Scene, numbers: list[int], surfaces: NDArray[np.void]) -> int:
+    """Choose the coarsest meshes that keep to the tolerance.
+
+    The user's, if there is one; else, but for `exact`, a tenth of a pixel at the sensor.
+    """
+    wished = scene.transport.tessellation
+    rings = rings_for(surfaces, LEAST_RINGS, wished.sag_mm or np.inf)
+    name = scene.transport.surface
+    pixel = scene.camera.sensor.pixel_mm
+    if wished.normal_mrad is None and (wished.sag_mm is not None or name == "exact"):
+        return rings
+    while rings < MAX_RINGS:
+        rims = [rim_radius(s, rings) for s in surfaces]
+        caps = [cap(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
+        if wished.normal_mrad is not None:
+            # `exact` bends rays by the surface's own normal; the tolerance then speaks of the mesh's.
+            level = SMOOTH if name == "exact" else SURFACE_LEVEL[name]
+            worst = max(facet_errors(s, c, level)[0] for s, c in zip(surfaces, caps, strict=True))
+            excess = worst * 1e3 / wished.normal_mrad
+        else:
+            errors = landing_errors(scene, numbers, surfaces, caps, SURFACE_LEVEL[name])
+            excess = float(np.sqrt(np.sum(errors**2))) / (PIXEL_SHARE * pixel)
+        if excess <= 1.0:
+            return rings
+        rings = max(rings + 1, min(MAX_RINGS, int(np.ceil(rings * excess ** (1.0 / ORDER.get(name, 2.0))))))
+    return min(rings, MAX_RINGS)

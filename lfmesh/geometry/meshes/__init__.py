@@ -1,0 +1,1 @@
+"""Triangle meshes: facets, curved patches, normals, inside and outside."""

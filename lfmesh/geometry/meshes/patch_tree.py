@@ -1,0 +1,352 @@
+"""First crossing of a ray with curved patches themselves, in float64, through a tree of boxes.
+
+The facets of a curved surface lie on its hollow side. A ray that grazes the bulging side may pass between a facet and
+its patch, and one that starts there may leave the patch without coming to the facet: queries of the facets miss both.
+A quadratic patch lies in the hull of its six control points (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17);
+inside that hull it is a height over its facet, which a ray crosses as `first_crossing` finds it.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
+from lfmesh.geometry.surfaces.first_crossing import crossing_finder
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+
+LARGEST_LEAF = 4
+"""Most patches of a leaf."""
+
+MARGIN = 1e-9
+"""By how much boxes and hulls are larger than their patches, over the patches' size: more than rays are rounded by."""
+
+BEND_BOUND = 1.5
+"""Factor on the bends at a patch's `PLACES` for those anywhere in its hull."""
+
+MOST_CROSSINGS = 6
+"""Of a line and a quadratic surface: four by Bézout's theorem, and one at either end that rounding adds."""
+
+PLACES = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.5, 0.0), (1.0, 0.5), (0.5, 0.5), (2.0 / 3.0, 1.0 / 3.0)])
+"""Parameters (η, ζ) of corners, middles of edges, and the centre of a patch."""
+
+CURVED = np.dtype(
+    [
+        ("facet", "i8"),
+        ("body", "i8"),
+        ("origin", "f8", (3,)),  # mm, corner of the facet
+        ("axes", "f8", (3, 3)),  # rows: unit vectors of the facet's own frame, the last its normal
+        ("shape", "f8", (6, 3)),  # coefficients of the patch in that frame
+        ("inverse", "f8", (2, 2)),  # of the facet's own map from (η, ζ) to (x, y)
+        ("edges", "f8", (3, 3)),  # outward unit normals of lines beside the hull, and their distances, mm
+        ("low", "f8"),  # mm, heights of the hull over the facet
+        ("high", "f8"),
+        ("least_bend", "f8"),  # 1/mm, bounds of the second derivatives of the height, in all directions
+        ("most_bend", "f8"),
+    ]
+)
+
+
+@by_address
+class PatchTree(NamedTuple):
+    """Curved patches in a full binary tree of boxes; node n has the nodes 2 n and 2 n + 1 below it, the root is 1."""
+
+    low: Array  # (2 · leaves, 3) mm
+    high: Array
+    patches: NDArray[np.void]  # (leaves · size,) CURVED, leaf by leaf; some of them twice, to fill the leaves
+    leaves: int  # a power of two; 0: no patches
+    size: int  # patches of a leaf
+    folded: int  # curved patches that are left out, as they fold over their facets
+
+
+def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen: NDArray[np.bool_]) -> PatchTree:
+    """Return the tree of the patches that are curved.
+
+    Left out, and counted, are those that fold over their facet, as normals make them that hardly differ along an edge
+    to which they are not square.
+
+    Parameters
+    ----------
+    patches : (m, 6, 3) float64, mm
+        See `patch.patches`; none where no facet is chosen.
+    corners : (m, 3, 3) float64, mm
+        Of the facets.
+    bodies : (m,) int64
+        Number of the body of each facet.
+    chosen : (m,) bool
+        Facets that stand for patches.
+    """
+    facets = np.flatnonzero(chosen) if len(patches) else np.zeros(0, np.int64)
+    facets = facets[(patches[facets, 3:] != 0.0).any(axis=(1, 2))]
+    rows, hulls, usable = _rows(patches[facets], corners[facets])
+    rows["facet"], rows["body"] = facets, bodies[facets]
+    rows, hulls, folded = rows[usable], hulls[usable], int((~usable).sum())
+    if not len(rows):
+        return PatchTree(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, CURVED), 0, 0, folded)
+    leaves = 1 << max(0, int(np.ceil(np.log2(len(rows) / LARGEST_LEAF))))
+    size = -(-len(rows) // leaves)
+    order = _in_leaves(hulls.mean(axis=1), leaves, size)
+    boxes = hulls[order].reshape(leaves, 6 * size, 3)
+    margin = MARGIN * float(np.ptp(boxes, axis=1).max())
+    low, high = np.zeros((2 * leaves, 3)), np.zeros((2 * leaves, 3))
+    low[leaves:], high[leaves:] = boxes.min(axis=1) - margin, boxes.max(axis=1) + margin
+    for first in (leaves >> level for level in range(1, leaves.bit_length())):
+        low[first : 2 * first] = low[2 * first : 4 * first].reshape(first, 2, 3).min(axis=1)
+        high[first : 2 * first] = high[2 * first : 4 * first].reshape(first, 2, 3).max(axis=1)
+    return PatchTree(low, high, rows[order], leaves, size, folded)
+
+
+def control_points(patches: Array) -> Array:
+    """Return the (m, 6, 3) control points of patches as Bézier triangles: corners, and one for each edge.
+
+    Parameters
+    ----------
+    patches : (m, 6, 3) float64, mm
+    """
+    a, along_eta, along_zeta, mixed, eta2, zeta2 = np.moveaxis(patches, 1, 0)
+    b = a + along_eta + eta2
+    c = b + along_zeta + mixed + zeta2
+    middles = a + 0.5 * along_eta, b + 0.5 * (along_zeta + mixed), a + 0.5 * (along_eta + along_zeta)
+    return np.stack([a, b, c, *middles], axis=1)
+
+
+def _in_leaves(middles: Array, leaves: int, size: int) -> NDArray[np.int64]:
+    """Return the order that puts neighbours into one leaf: each node's widest axis parts it in the middle."""
+    order = np.resize(np.arange(len(middles)), leaves * size)
+    nodes = 1
+    while nodes < leaves:
+        part = order.reshape(nodes, -1)
+        at = middles[part]
+        widest = np.ptp(at, axis=1).argmax(axis=1)
+        along = np.take_along_axis(at, widest[:, None, None], axis=2)[:, :, 0]
+        order = np.take_along_axis(part, np.argsort(along, axis=1, kind="stable"), axis=1).ravel()
+        nodes *= 2
+    return order
+
+
+def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDArray[np.bool_]]:
+    """Return the rows of patches, (m,) CURVED, their control points, (m, 6, 3) mm, and which can be used."""
+    rows, hulls = np.zeros(len(patches), CURVED), control_points(patches)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first = (b - a) / np.linalg.norm(b - a, axis=1, keepdims=True)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        axes = np.stack([first, np.cross(normal, first), normal], axis=1)
+        shape = np.einsum("mij,mkj->mki", axes, patches - patches[:, :1] * (np.arange(6) == 0)[:, None])
+        hull = np.einsum("mij,mkj->mki", axes, hulls - a[:, None])
+        least, most, usable = _bends(shape)
+        # x = along · (η, ζ), whose columns are the facet's sides ab and bc.
+        along = np.stack([hull[:, 1, :2], hull[:, 2, :2] - hull[:, 1, :2]], axis=2)
+        usable &= np.isfinite(axes).all(axis=(1, 2)) & (np.linalg.det(along) > 0.0)
+    rows["origin"], rows["axes"], rows["shape"] = a, axes, shape
+    rows["inverse"][usable] = np.linalg.inv(along[usable])
+    side = np.roll(hull[:, :3, :2], -1, axis=1) - hull[:, :3, :2]
+    outward = np.stack([side[..., 1], -side[..., 0]], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+    margin = MARGIN * np.ptp(hull, axis=1).max(axis=1, initial=0.0)
+    rows["edges"][..., :2] = outward
+    rows["edges"][..., 2] = np.einsum("mei,mki->mek", outward, hull[..., :2]).max(axis=2) + margin[:, None]
+    rows["low"], rows["high"] = hull[..., 2].min(axis=1) - margin, hull[..., 2].max(axis=1) + margin
+    rows["least_bend"], rows["most_bend"] = BEND_BOUND * np.minimum(least, 0.0), BEND_BOUND * np.maximum(most, 0.0)
+    return rows, hulls, usable
+
+
+def _bends(shape: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the least and the most second derivative of patches' heights at `PLACES`, and which patches do not fold.
+
+    Parameters
+    ----------
+    shape : (m, 6, 3) float64, mm
+        See `CURVED`.
+    """
+    least, most, usable = np.full(len(shape), np.inf), np.full(len(shape), -np.inf), np.full(len(shape), True)
+    _, along_eta, along_zeta, mixed, eta2, zeta2 = np.moveaxis(shape, 1, 0)
+    second = np.stack([np.stack([2.0 * eta2, mixed], axis=2), np.stack([mixed, 2.0 * zeta2], axis=2)], axis=3)
+    for eta, zeta in PLACES:
+        by_eta = along_eta + 2.0 * eta * eta2 + zeta * mixed
+        by_zeta = along_zeta + 2.0 * zeta * zeta2 + eta * mixed
+        determinant = by_eta[:, 0] * by_zeta[:, 1] - by_zeta[:, 0] * by_eta[:, 1]
+        usable &= determinant > 0.0
+        # (η, ζ) by (x, y), and the height's slopes.
+        rows = np.stack([by_zeta[:, 1], -by_zeta[:, 0]], axis=1), np.stack([-by_eta[:, 1], by_eta[:, 0]], axis=1)
+        back = np.stack(rows, axis=1) / determinant[:, None, None]
+        slope = np.einsum("am,max->mx", np.stack([by_eta[:, 2], by_zeta[:, 2]]), back)
+        bend = second[:, 2] - slope[:, 0, None, None] * second[:, 0] - slope[:, 1, None, None] * second[:, 1]
+        bend = np.einsum("max,mab,mby->mxy", back, bend, back)
+        mean = 0.5 * (bend[:, 0, 0] + bend[:, 1, 1])
+        half = np.hypot(0.5 * (bend[:, 0, 0] - bend[:, 1, 1]), bend[:, 0, 1])
+        least, most = np.minimum(least, mean - half), np.maximum(most, mean + half)
+    return least, most, usable & np.isfinite(least) & np.isfinite(most)
+
+
+@kernel
+def _place(patch: Any, x: float, y: float) -> tuple[float, float]:
+    """Return the parameters (η, ζ) of the point of a patch over a point of its facet's plane, by Newton's method."""
+    inverse = patch.inverse
+    eta, zeta = inverse[0, 0] * x + inverse[0, 1] * y, inverse[1, 0] * x + inverse[1, 1] * y
+    for _ in range(NEWTON_STEPS):
+        u, v, _, ua, va, _, ub, vb, _ = patch_point(patch.shape, eta, zeta)
+        determinant = ua * vb - ub * va
+        by_eta = ((u - x) * vb - (v - y) * ub) / determinant
+        by_zeta = ((v - y) * ua - (u - x) * va) / determinant
+        eta -= by_eta
+        zeta -= by_zeta
+        if not abs(by_eta) + abs(by_zeta) >= SETTLED:
+            break
+    return eta, zeta
+
+
+@kernel
+def _height_at(patch: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return the height of a patch over its facet, mm, and its slopes along x and y of the facet's frame."""
+    eta, zeta = _place(patch, x, y)
+    _, _, height, ua, va, wa, ub, vb, wb = patch_point(patch.shape, eta, zeta)
+    determinant = ua * vb - ub * va
+    return height, (wa * vb - wb * va) / determinant, (wb * ua - wa * ub) / determinant
+
+
+_first_crossing = crossing_finder(_height_at)
+
+
+@kernel
+def _crosses(
+    patch: Any, sense: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
+) -> tuple[bool, float, float, float, float]:
+    """Return whether a ray crosses a patch in a sense, the first distance, and the unit normal there.
+
+    Parameters
+    ----------
+    patch : CURVED
+    sense : float
+        1 to cross along the facet's normal, −1 against it.
+    x, y, z : float, mm
+    dx, dy, dz : float
+        Unit.
+    begin, end : float, mm
+        Distances between which it is looked for.
+    """
+    o, a = patch.origin, patch.axes
+    px, py, pz = x - o[0], y - o[1], z - o[2]
+    u = a[0, 0] * px + a[0, 1] * py + a[0, 2] * pz
+    v = a[1, 0] * px + a[1, 1] * py + a[1, 2] * pz
+    w = a[2, 0] * px + a[2, 1] * py + a[2, 2] * pz
+    du = a[0, 0] * dx + a[0, 1] * dy + a[0, 2] * dz
+    dv = a[1, 0] * dx + a[1, 1] * dy + a[1, 2] * dz
+    dw = a[2, 0] * dx + a[2, 1] * dy + a[2, 2] * dz
+    first, last = _inside_of(dw, patch.high - w, begin, end)
+    first, last = _inside_of(-dw, w - patch.low, first, last)
+    for k in range(3):
+        e = patch.edges[k]
+        first, last = _inside_of(e[0] * du + e[1] * dv, e[2] - e[0] * u - e[1] * v, first, last)
+    if not first <= last:
+        return False, 0.0, 0.0, 0.0, 1.0
+    u, v, w = u + first * du, v + first * dv, w + first * dw
+    across2 = du * du + dv * dv
+    t, until = 0.0, last - first
+    height, _, _ = _height_at(patch, u, v)
+    # Beside the patch, or by rounding, it may be on the other side of the endless one: it first comes out of that.
+    side = sense if sense * (height - w) >= 0.0 else -sense
+    for _ in range(MOST_CROSSINGS):
+        most = across2 * (-patch.least_bend if side > 0.0 else patch.most_bend)
+        met, t = _first_crossing(patch, u, v, w, du, dv, dw, side, most, t, until)
+        if not met:
+            break
+        if side == sense:
+            eta, zeta = _place(patch, u + t * du, v + t * dv)
+            if zeta >= -INSIDE and eta - 1.0 <= INSIDE and zeta - eta <= INSIDE:
+                _, by_u, by_v = _height_at(patch, u + t * du, v + t * dv)
+                scale = 1.0 / np.sqrt(1.0 + by_u * by_u + by_v * by_v)
+                return (
+                    True,
+                    first + t,
+                    scale * (a[2, 0] - by_u * a[0, 0] - by_v * a[1, 0]),
+                    scale * (a[2, 1] - by_u * a[0, 1] - by_v * a[1, 1]),
+                    scale * (a[2, 2] - by_u * a[0, 2] - by_v * a[1, 2]),
+                )
+        side = -side
+    return False, 0.0, 0.0, 0.0, 1.0
+
+
+@inlined
+def _inside_of(rate: float, room: float, first: float, last: float) -> tuple[float, float]:
+    """Return the part of a line between two distances that lies inside a plane: where rate · t ≤ room."""
+    if rate > 0.0:
+        last = min(last, room / rate)
+    elif rate < 0.0:
+        first = max(first, room / rate)
+    elif room < 0.0:
+        last = -np.inf
+    return first, last
+
+
+@inlined
+def _meets_box(
+    low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
+) -> bool:  # fmt: skip
+    """Tell whether a ray meets a box between two distances."""
+    for axis in range(3):
+        o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
+        begin, end = _inside_of(d, high[axis] - o, begin, end)
+        begin, end = _inside_of(-d, o - low[axis], begin, end)
+    return begin <= end
+
+
+def patch_finder(sense_of: Any) -> Any:
+    """Make the kernel that finds the first of a tree's patches that a ray crosses.
+
+    Parameters
+    ----------
+    sense_of : kernel
+        Called as ``sense_of(state, body)``; returns 1 if patches of a body are met along their normals, −1 if against
+        them, and 0 if not at all.
+
+    Returns
+    -------
+    first_patch : kernel
+    """
+
+    @kernel
+    def first_patch(
+        tree: PatchTree, state: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float,
+        end: float,
+    ) -> tuple[int, float, float, float, float]:  # fmt: skip
+        """Return the facet of the first patch that a ray crosses, the distance, and the patch's unit normal; −1: none.
+
+        Parameters
+        ----------
+        tree : PatchTree
+        state : Any
+            As `sense_of` takes it.
+        x, y, z : float, mm
+        dx, dy, dz : float
+            Unit.
+        begin, end : float, mm
+            Distances between which it is looked for.
+        """
+        found, nearest, nx, ny, nz = -1, end, 0.0, 0.0, 1.0
+        node = 1 if tree.leaves > 0 else 0
+        while node > 0:
+            if _meets_box(tree.low[node], tree.high[node], x, y, z, dx, dy, dz, begin, nearest):
+                if node < tree.leaves:
+                    node *= 2
+                    continue
+                first = (node - tree.leaves) * tree.size
+                for k in range(first, first + tree.size):
+                    patch = tree.patches[k]
+                    sense = sense_of(state, patch.body)
+                    if sense == 0.0:
+                        continue
+                    met, t, mx, my, mz = _crosses(patch, sense, x, y, z, dx, dy, dz, begin, nearest)
+                    if met and t < nearest:
+                        found, nearest, nx, ny, nz = patch.facet, t, mx, my, mz
+            # On to the next node that is not below this one.
+            while node & 1:
+                node >>= 1
+            node += 1 if node > 0 else 0
+        return found, nearest, nx, ny, nz
+
+    return first_patch

@@ -1,0 +1,182 @@
+"""Closed meshes that bound media: where a line enters and leaves them, found through a tree of boxes.
+
+A line's crossings are counted with their sense, so that shells may enclose hollows, overlap and consist of several
+parts: a point is inside where more of the crossings beyond it leave than enter. The test of a facet is that of S. Woop,
+C. Benthin and I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013) 65-82: the corners are sheared along the
+line, so that all facets round a corner see it at the same place; where the line meets an edge to the last digit, it is
+taken as moved aside by an infinitesimal length (H. Edelsbrunner and E. Mücke, "Simulation of simplicity", ACM
+Transactions on Graphics 9 (1990) 66-104). So no line slips through an edge or a corner, or meets it twice.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import inlined, kernel
+
+LEAF = 4
+"""Most facets of a leaf."""
+
+MARGIN = 1e-9
+"""By how much each box is larger than its facets, over the size of the shell: more than lines are rounded by."""
+
+NODE = np.dtype(
+    [
+        ("low", "f8", (3,)),  # mm
+        ("high", "f8", (3,)),
+        ("next", "i8"),  # node to go on with where a line misses the box; those inside it stand before
+        ("first", "i8"),  # of a leaf: its first facet
+        ("count", "i8"),  # of a leaf: its number of facets, else 0
+    ]
+)
+
+
+@by_address
+class ShellTree(NamedTuple):
+    """Shells, each a row of nodes of which the first holds all of it; those below a node follow it."""
+
+    nodes: NDArray[np.void]  # (n,) NODE
+    corners: Array  # (facets, 3, 3) mm, in the order of the leaves; outward-facing
+
+
+def tree_of(shells: Sequence[Array]) -> tuple[ShellTree, list[tuple[int, int]]]:
+    """Return the trees of shells, and the first node and the one after the last of each.
+
+    Parameters
+    ----------
+    shells : sequence of (m, 3, 3) float64
+        Corners of the facets of each, mm.
+    """
+    rows: list[tuple[Array, Array, int, int, int]] = []
+    facets: list[Array] = []
+    ends = []
+    for corners in shells:
+        begin = len(rows)
+        size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+        filled = sum(map(len, facets))
+        for low, high, below, order in _nodes(corners, np.arange(len(corners))):
+            count = len(order) if below == 1 else 0
+            rows.append((low - MARGIN * size, high + MARGIN * size, len(rows) + below, filled, count))
+            if count:
+                facets.append(corners[order])
+                filled += count
+        ends.append((begin, len(rows)))
+    nodes = np.zeros(len(rows), NODE)
+    for key, values in zip(("low", "high", "next", "first", "count"), zip(*rows, strict=True), strict=True):
+        nodes[key] = values
+    return ShellTree(nodes, np.concatenate(facets)), ends
+
+
+def _nodes(corners: Array, order: NDArray[np.int64]) -> Iterator[tuple[Array, Array, int, NDArray[np.int64]]]:
+    """Yield box, number of nodes with those below, and facets of each node, parents first."""
+    own = corners[order]
+    low, high = own.min(axis=(0, 1)), own.max(axis=(0, 1))
+    if len(order) <= LEAF:
+        yield low, high, 1, order
+        return
+    middles = own.mean(axis=1)
+    ranks = np.argsort(middles[:, int(np.ptp(middles, axis=0).argmax())], kind="stable")
+    half = len(order) // 2
+    below = [node for part in (ranks[:half], ranks[half:]) for node in _nodes(corners, order[part])]
+    yield low, high, 1 + len(below), order
+    yield from below
+
+
+@inlined
+def _meets_box(node: Any, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> bool:
+    first, last = -np.inf, np.inf
+    for axis in range(3):
+        o, d = (ox, oy, oz)[axis], (dx, dy, dz)[axis]
+        low, high = node.low[axis], node.high[axis]
+        if d == 0.0:
+            if not low <= o <= high:
+                return False
+            continue
+        a, b = (low - o) / d, (high - o) / d
+        first, last = max(first, min(a, b)), min(last, max(a, b))
+    return first <= last
+
+
+@inlined
+def _passes_left(ax: float, ay: float, bx: float, by: float) -> tuple[float, bool]:
+    """Return the cross product of two points of a plane, and whether the origin, moved aside, is left of their line."""
+    cross = ax * by - ay * bx
+    if cross != 0.0:
+        return cross, cross > 0.0
+    return cross, ay > by if ay != by else bx > ax
+
+
+@kernel
+def next_crossing(
+    tree: ShellTree, begin: int, end: int, t: float,
+    x: float, y: float, z: float, dx: float, dy: float, dz: float,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether the point of a line at t is in a shell, and the next distance at which the line meets the shell.
+
+    Parameters
+    ----------
+    tree : ShellTree
+    begin, end : int
+        First node of the shell, and the one after its last.
+    t : float, mm
+    x, y, z : float, mm
+        Start of the line.
+    dx, dy, dz : float
+        Unit direction.
+
+    Returns
+    -------
+    inside : bool
+    ahead : float, mm
+        Beyond t; inf if there is none.
+    """
+    whole = tree.nodes[begin]
+    # From a point near the shell, so that far starts lose no digits.
+    mx, my, mz = (
+        0.5 * (whole.low[0] + whole.high[0]) - x,
+        0.5 * (whole.low[1] + whole.high[1]) - y,
+        0.5 * (whole.low[2] + whole.high[2]) - z,
+    )
+    shift = mx * dx + my * dy + mz * dz
+    x, y, z = x + shift * dx, y + shift * dy, z + shift * dz
+    # The axis along which the line is steepest becomes the third.
+    k = 2
+    if abs(dx) >= abs(dy) and abs(dx) >= abs(dz):
+        k = 0
+    elif abs(dy) >= abs(dz):
+        k = 1
+    i, j = (k + 1) % 3, (k + 2) % 3
+    o, d = (x, y, z), (dx, dy, dz)
+    oi, oj, ok = o[i], o[j], o[k]
+    si, sj, sk = d[i] / d[k], d[j] / d[k], 1.0 / d[k]
+    sense = 1 if d[k] > 0.0 else -1
+    beyond, ahead, node = 0, np.inf, begin
+    while node < end:
+        box = tree.nodes[node]
+        if not _meets_box(box, x, y, z, dx, dy, dz):
+            node = box.next
+            continue
+        for facet in range(box.first, box.first + box.count):
+            corner = tree.corners[facet]
+            az, bz, cz = corner[0, k] - ok, corner[1, k] - ok, corner[2, k] - ok
+            ax, ay = corner[0, i] - oi - si * az, corner[0, j] - oj - sj * az
+            bx, by = corner[1, i] - oi - si * bz, corner[1, j] - oj - sj * bz
+            cx, cy = corner[2, i] - oi - si * cz, corner[2, j] - oj - sj * cz
+            u, left = _passes_left(bx, by, cx, cy)
+            v, left_too = _passes_left(cx, cy, ax, ay)
+            w, all_left = _passes_left(ax, ay, bx, by)
+            if left != left_too or left != all_left:
+                continue
+            whole_area = u + v + w
+            height = (u * az + v * bz + w * cz) / whole_area if whole_area != 0.0 else (az + bz + cz) / 3.0
+            at = shift + height * sk
+            if at > t:
+                # Left of all its edges, the line sees the outside of the facet look along the third axis.
+                beyond += sense if left else -sense
+                ahead = min(ahead, at)
+        node += 1
+    return beyond > 0, ahead

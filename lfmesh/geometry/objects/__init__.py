@@ -1,0 +1,1 @@
+"""Targets and bodies of glass as meshes, their pictures and places."""

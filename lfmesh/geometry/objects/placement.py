@@ -1,0 +1,246 @@
+"""Places of a scene's targets as the camera sees them: boxes, distances, share of the field, and warnings.
+
+Every mesh and picture is loaded for it; no ray is traced, so that bodies in front of each other do not count.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.mesh import Array, facet_normals
+from lfmesh.geometry.meshes.winding import winding
+from lfmesh.geometry.objects.targets import TargetMesh, named_target, target_mesh
+from lfmesh.scene import FirstOrder, Scene, Target
+from lfmesh.scene.advice import half_field_mm
+from lfmesh.scene.light.lights import Light
+from lfmesh.scene.quantities import SMALLEST
+
+LARGE_MM = 1000.0
+"""Size from which on a body of a mesh file that does not fit into the field is suspected of a wrong unit."""
+
+MOST_SEEN = 4.0
+"""Widths of the field that such a body is larger than."""
+
+
+HIDES = "is closed round the camera: its inside is black, and hides everything else"
+"""Of an opaque body."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Place of a target.
+
+    Attributes
+    ----------
+    name : str
+        Its path in the scene file, and its own name or file.
+    low, high : (3,) float64
+        Corners of its box in the world, mm.
+    nearest_mm, farthest_mm : float
+        Distances of its ends before the first vertex, along the axis; negative behind it.
+    share : float
+        Of the field of view that the box round its picture fills, 0..1.
+    facets : int
+    picture : tuple of int, or None
+        Width and height of its texture.
+    warnings : tuple of str
+    """
+
+    name: str
+    low: Array
+    high: Array
+    nearest_mm: float
+    farthest_mm: float
+    share: float
+    facets: int
+    picture: tuple[int, int] | None
+    warnings: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Return what is known in words, warnings last."""
+        box = ", ".join(
+            f"{axis} {low:.5g} to {high:.5g}" for axis, low, high in zip("xyz", self.low, self.high, strict=True)
+        )
+        texture = f", texture {self.picture[0]} × {self.picture[1]}" if self.picture else ""
+        return [
+            f"{self.name}: {self.facets} facets{texture}",
+            f"  box in the world     {box} mm",
+            f"  before the lens      {self.nearest_mm:.5g} mm to {self.farthest_mm:.5g} mm",
+            f"  share of the field   {100 * self.share:.3g} % at most",
+            *(f"warning: {self.name} {text}" for text in self.warnings),
+        ]
+
+
+def placements(scene: Scene) -> list[Placement]:
+    """Load every target of a scene and tell where it stands.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be solved, or a mesh or a picture cannot be used.
+    """
+    camera = solved_camera(scene)
+    return [_placement(camera.scene, camera.report, number) for number in range(len(camera.scene.targets))]
+
+
+def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
+    target = scene.targets[number]
+    body = target_mesh(target, scene)
+    pose = scene.camera.pose
+    to_camera = frame.inverse(frame.frame(pose.tilt_deg, pose.shift_mm))
+    corners = body.mesh.vertices[np.unique(body.mesh.faces)]
+    seen = frame.points(to_camera, corners)
+    before = seen[:, 2] < 0.0
+    picture = _in_field(seen[before], facts)
+    share = _share(picture) if before.any() else 0.0
+    return Placement(
+        named_target(scene, number),
+        corners.min(axis=0),
+        corners.max(axis=0),
+        float(-seen[:, 2].max()),
+        float(-seen[:, 2].min()),
+        share,
+        len(body.mesh.faces),
+        (body.texture.shape[1], body.texture.shape[0]) if body.texture is not None else None,
+        tuple(_warnings(scene, facts, target, body, seen, share)),
+    )
+
+
+def _warnings(
+    scene: Scene, facts: FirstOrder, target: Target, body: TargetMesh, seen: Array, share: float
+) -> Iterator[str]:
+    """Yield what is likely to disappoint about a target; `seen` are its corners in the camera frame, mm."""
+    # The first-order report tells by itself where shapes stand, unless the camera has moved.
+    told = target.shape is not None and not any(scene.camera.pose.shift_mm) and not any(scene.camera.pose.tilt_deg)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    size = float((high - low).max())
+    to_world = frame.frame(scene.camera.pose.tilt_deg, scene.camera.pose.shift_mm)
+    yield from _size(target, facts, size, float(frame.points(frame.inverse(to_world), [target.position_mm])[0, 2]))
+    eye = frame.points(to_world, np.zeros((1, 3)))[0]
+    if low[2] >= 0.0:
+        if low[2] > _sensor_z_mm(scene):
+            yield f"stands behind the sensor, from z = {low[2]:.5g} mm of the camera on; the camera looks along -z"
+        elif not told:
+            yield "stands behind the first vertex of the lens, where the camera does not look"
+        return
+    if is_round(body, eye):
+        yield HIDES if target.refractor is None else "is closed round the camera, which stands in its glass"
+        return
+    if share == 0.0:
+        if not told:
+            yield "is out of the field: no part of it is seen"
+        return
+    if target.refractor is not None:
+        return
+    centres, normals, radii = _facets_in_front(body, scene)
+    if not len(radii):
+        return
+    to_eye = np.einsum("ij,ij->i", normals, eye - centres)
+    if target.material.sides == "front" and not body.closed and not (to_eye > 0.0).any():
+        yield 'shows the camera its black side: sides = "front", and its front faces away; turn it round'
+        return
+    if _shines(target) or not scene.lights or any(_shines(other) for other in scene.targets):
+        return
+    visible = to_eye > 0.0 if body.closed else to_eye != 0.0
+    if visible.any() and not _is_lit(
+        scene.lights, centres[visible], (normals * np.sign(to_eye)[:, None])[visible], radii[visible]
+    ):
+        yield "is lit by no lamp on the side that the camera sees: only light from other bodies can reach it"
+
+
+def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Iterator[str]:
+    """Suspect the unit of a mesh file where its body is huge, or too small for the camera to see, at its place."""
+    file = target.file if target.refractor is None else target.refractor.file
+    if file is None or z_mm >= 0.0:
+        return
+    half = half_field_mm(z_mm, facts)
+    unit = target.units if target.refractor is None else target.refractor.units
+    what = f"with units = {unit!r}" if unit else "by its file's own unit, the metre"
+    if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
+        yield (
+            f"is {1e-3 * size_mm:.4g} m large {what}, and the camera sees {2e-3 * max(half):.3g} m there; "
+            "check the unit"
+        )
+    sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0
+    if 0.0 < size_mm < sample < math.inf:
+        yield f"is {size_mm:.3g} mm large {what}, less than a sample of the picture there; check the unit"
+
+
+def _sensor_z_mm(scene: Scene) -> float:
+    """Return z of a solved camera's sensor in the camera frame, mm."""
+    camera = scene.camera
+    z = camera.lens.vertices_mm[-1] + (camera.sensor.distance_mm or 0.0)
+    return z + ((camera.mla.distance_mm or 0.0) + camera.mla.thickness_mm if camera.mla is not None else 0.0)
+
+
+def is_round(body: TargetMesh, eye: Array) -> bool:
+    """Tell whether a closed body that hides what is behind it holds the camera's first vertex."""
+    if not body.closed or body.alpha is not None:
+        return False
+    return bool(winding(body.mesh.vertices[body.mesh.faces], eye)[0] != 0)
+
+
+def _in_field(points: Array, facts: FirstOrder) -> Array:
+    """Return (n, 2) where points of the camera frame, before the lens, stand in the field, whose edges are ±1."""
+    z, which = np.unique(points[:, 2], return_inverse=True)
+    half = np.array([half_field_mm(float(depth), facts) for depth in z]).reshape(-1, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(points[:, :2] / half[which], nan=0.0)
+
+
+def _share(picture: Array) -> float:
+    """Return the share of the field that the box round a picture fills."""
+    low, high = np.clip(picture.min(axis=0), -1.0, 1.0), np.clip(picture.max(axis=0), -1.0, 1.0)
+    if (picture.min(axis=0) > 1.0).any() or (picture.max(axis=0) < -1.0).any():
+        return 0.0
+    return float(np.prod(high - low) / 4.0)
+
+
+def _facets_in_front(body: TargetMesh, scene: Scene) -> tuple[Array, Array, Array]:
+    """Return centres, normals and radii about the centres of the facets that stand before the camera, world frame."""
+    pose = scene.camera.pose
+    normals, areas = facet_normals(body.mesh)
+    corners = body.mesh.vertices[body.mesh.faces]
+    centres = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    z = frame.points(frame.inverse(frame.frame(pose.tilt_deg, pose.shift_mm)), centres)[:, 2]
+    front = (z < 0.0) & (areas > 0.0)
+    return centres[front], normals[front], radii[front]
+
+
+def _shines(target: Target) -> bool:
+    return target.refractor is None and target.material.emits
+
+
+def _is_lit(lights: tuple[Light, ...], points: Array, normals: Array, radii: Array) -> bool:
+    """Tell whether any lamp sends light to any of the facets, on the side that the normals point to."""
+    return any(bool(_lit(light, points, normals, radii).any()) for light in lights)
+
+
+def _lit(light: Light, points: Array, normals: Array, radii: Array) -> NDArray[np.bool_]:
+    """Tell of each facet, given its centre and radius, whether a lamp is before it and shines its way."""
+    if light.kind == "directional":
+        return normals @ np.asarray(light.direction) < 0.0
+    away = points - np.asarray(light.position_mm)
+    if light.kind == "disk":
+        # A wide lamp reaches what its centre does not.
+        near = np.einsum("ij,ij->i", normals, -away) + light.radius_mm > 0.0
+        return near & (away @ _unit(light.direction) + radii > 0.0)
+    before = np.einsum("ij,ij->i", normals, -away) > 0.0
+    if light.kind == "spot" and light.half_angle_deg is not None:
+        distance = np.linalg.norm(away, axis=1)
+        off_axis = np.arccos(np.clip(away @ _unit(light.direction) / np.maximum(distance, SMALLEST), -1.0, 1.0))
+        half = np.arcsin(np.minimum(1.0, radii / np.maximum(distance, SMALLEST)))
+        half[radii >= distance] = np.pi
+        return before & (off_axis - half <= math.radians(light.half_angle_deg))
+    return before
+
+
+def _unit(direction: tuple[float, float, float]) -> Array:
+    vector = np.asarray(direction, dtype=np.float64)
+    return vector / np.abs(vector).max() / np.linalg.norm(vector / np.abs(vector).max())

@@ -1,0 +1,155 @@
+"""Meshes of the primitive targets, and where in a picture their corners lie.
+
+A picture reads correctly from outside the body: right × up is the outward normal everywhere. Its top lies towards
++y, on faces that look along ±y towards ∓z; so its right lies towards +x on the face that looks along +z, towards the
+camera. A plane or a disk is one sheet whose outside is its +z side: seen from behind, its picture is mirrored, as
+print that shows through paper.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals
+from lfmesh.geometry.meshes.weld import welded
+from lfmesh.geometry.surfaces.tessellation import disk_pattern, revolved
+from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Shape, Sphere
+
+RINGS = 20
+"""Of triangles, in a disk. Its 120 chords leave 3.4e-4 of the radius, a sphere's facets of 3° 6.9e-4."""
+
+AZIMUTHS = 6 * RINGS
+
+
+class Primitive(NamedTuple):
+    """A mesh in its own frame, mm, and the place (m, 3, 2) of every facet's corners in a picture."""
+
+    mesh: Mesh
+    uv: Array
+
+
+def primitive(shape: Shape) -> Primitive:
+    """Return the mesh of a shape in its own frame."""
+    return _MAKERS[type(shape)](shape)
+
+
+def plane(shape: Plane) -> Primitive:
+    """Return a rectangle that faces +z, of two facets; it carries the whole picture."""
+    corners = _SQUARE * [0.5 * shape.width_mm, 0.5 * shape.height_mm]
+    return Primitive(Mesh(_at_height(corners, 0.0), _TWO_FACETS), _uv(_SQUARE)[_TWO_FACETS])
+
+
+def disk(shape: Disk) -> Primitive:
+    """Return a disk that faces +z; its bounding square spans the picture."""
+    points, faces = _unit_disk()
+    return Primitive(Mesh(_at_height(points * shape.radius_mm, 0.0), faces), _uv(points)[faces])
+
+
+def box(shape: Box) -> Primitive:
+    """Return a box of twelve facets; every face carries the whole picture."""
+    half = 0.5 * np.array(shape.size_mm)
+    vertices = np.concatenate(
+        [(_SQUARE @ np.array([right, up]) + np.cross(right, up)) * half for right, up in _BOX_FACES]
+    )
+    faces = np.concatenate([_TWO_FACETS + 4 * k for k in range(len(_BOX_FACES))])
+    uv = np.tile(_uv(_SQUARE)[_TWO_FACETS], (len(_BOX_FACES), 1, 1))
+    return Primitive(welded(Mesh(vertices, faces)), uv)
+
+
+def box_of_glass(size_mm: tuple[float, float, float]) -> Mesh:
+    """Return a box of twelve facets, with the facets' own normals at their corners."""
+    mesh = box(Box(size_mm=size_mm)).mesh
+    return Mesh(mesh.vertices, mesh.faces, np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1))
+
+
+def sphere(shape: Sphere) -> Primitive:
+    """Return a sphere; its picture is an equirectangular map: centre towards +z, top towards +y."""
+    meridians, parallels = AZIMUTHS, AZIMUTHS // 2
+    u, v = np.arange(meridians + 1) / meridians, np.arange(parallels + 1) / parallels
+    longitude, latitude = np.pi * (2.0 * u - 1.0), np.pi * (v - 0.5)
+    # The seam and the poles close exactly.
+    longitude[-1] = longitude[0]
+    around = np.cos(latitude)
+    around[[0, -1]] = 0.0
+    unit = np.stack(
+        [
+            np.outer(around, np.sin(longitude)),
+            np.outer(np.sin(latitude), np.ones(meridians + 1)),
+            np.outer(around, np.cos(longitude)),
+        ],
+        axis=-1,
+    )
+    number = np.arange(unit[..., 0].size).reshape(unit.shape[:2])
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    # At a pole a cell has one facet instead of two.
+    lower, upper = np.stack([a, b, c], axis=-1)[1:], np.stack([a, c, d], axis=-1)[:-1]
+    faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
+    places = np.stack(np.broadcast_arrays(u, v[:, None]), axis=-1).reshape(-1, 2)
+    return Primitive(welded(Mesh(shape.radius_mm * unit.reshape(-1, 3), faces)), places[faces])
+
+
+def cylinder(shape: Cylinder) -> Primitive:
+    """Return a closed cylinder along z.
+
+    Its ends carry the picture as disks do. The wall carries it once round, with its middle towards +y and its top
+    towards -z, as a box's face that looks along +y does: it stands, and faces the camera, when the cylinder is
+    rotated by 90° about x.
+    """
+    points, faces = _unit_disk()
+    half = 0.5 * shape.height_mm
+    rim = shape.radius_mm
+    # The polyline runs towards -z, so that the wall faces away from the axis.
+    wall = revolved(np.array([[rim, half], [rim, -half]]), AZIMUTHS)
+    front, back = _at_height(points * rim, half), _at_height(points * rim, -half)
+    uv_disk = _uv(points)
+    # Seen from behind, the picture's right is -x.
+    uv_back = _uv(points * [-1.0, 1.0])
+    # Seen from outside with -z on top, azimuths grow to the left. Where a facet ends at the seam, at -y, u is 1, not 0.
+    right = (_AZIMUTH_OF_SEAM - wall.faces % AZIMUTHS) % AZIMUTHS / AZIMUTHS
+    right = np.where((right == 0.0) & (right.max(axis=1, keepdims=True) > 0.5), 1.0, right)
+    # `revolved` lays the circle at +z first.
+    uv_wall = np.stack([right, wall.faces >= AZIMUTHS], axis=-1).astype(np.float64)
+    vertices = np.concatenate([front, back, wall.vertices])
+    joint = np.concatenate([faces, faces[:, ::-1] + len(points), wall.faces + 2 * len(points)])
+    uv = np.concatenate([uv_disk[faces], uv_back[faces[:, ::-1]], uv_wall])
+    return Primitive(welded(Mesh(vertices, joint)), uv)
+
+
+_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_TWO_FACETS = np.array([[0, 1, 2], [0, 2, 3]])
+
+_BOX_FACES = (
+    ((1, 0, 0), (0, 1, 0)),
+    ((-1, 0, 0), (0, 1, 0)),
+    ((0, 0, -1), (0, 1, 0)),
+    ((0, 0, 1), (0, 1, 0)),
+    ((1, 0, 0), (0, 0, -1)),
+    ((1, 0, 0), (0, 0, 1)),
+)
+"""Right and top of a picture on the faces that look along +z, -z, +x, -x, +y, -y."""
+
+_AZIMUTH_OF_SEAM = 3 * AZIMUTHS // 4
+"""Step of the round, from +x towards +y, at which it looks along -y."""
+
+_MAKERS: dict[type, Callable[[Any], Primitive]] = {
+    Plane: plane,
+    Disk: disk,
+    Box: box,
+    Sphere: sphere,
+    Cylinder: cylinder,
+}
+
+
+def _uv(points: Array) -> Array:
+    """Place points of the square from -1 to 1 (right, up) in a picture whose bottom left is (0, 0)."""
+    return 0.5 + 0.5 * points
+
+
+def _at_height(points: Array, z: float) -> Array:
+    return np.column_stack([points, np.full(len(points), z)])
+
+
+def _unit_disk() -> tuple[Array, Index]:
+    ring, azimuth, faces = disk_pattern(RINGS)
+    return (ring / RINGS)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)]), faces

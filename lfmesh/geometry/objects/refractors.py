@@ -1,0 +1,478 @@
+"""Glass from mesh files: a closed body with its normals, and the two optical faces of a lens element.
+
+A face is traced as the exact surface that it lies on, where that is recognised. Else the first-order optics of an
+element is measured on its mesh: an even polynomial in the radius, fitted to the vertices of each face, gives the
+vertex, its curvature and an asphere for the rim.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry import frame
+from lfmesh.geometry.files.cad_file import STEP_ENDINGS
+from lfmesh.geometry.files.mesh_file import load_mesh, surfaces_of_step
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.meshes.kernel_mesh import mended
+from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals, joined
+from lfmesh.geometry.meshes.patch import neighbours
+from lfmesh.geometry.meshes.vertex_normals import edge_partners, estimated_corner_normals, smooth_edges, smooth_groups
+from lfmesh.geometry.meshes.weld import welded
+from lfmesh.geometry.surfaces.optical_face import ON_SURFACE, Form, Told, fitted_form, plane_through, told_form
+from lfmesh.scene import Element, Lens, MeshFace, MeshShape, Pose, Scene, Surface
+from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.inputs import file_stamp
+
+RIM_MARGIN = 0.02
+"""How far inside the mesh's rim the clear aperture ends, where none is given; relative."""
+
+FLAT_SHADED = 1e-3
+"""Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""
+
+STEEPEST_DEG = 30.0
+"""Angle between a corner normal and its facet beyond which the facet cannot stand for a smooth surface."""
+
+TURN_FACTOR, SLACK_DEG = 1.5, 5.0
+"""A corner normal may be off its facet by so many times the angle between that facet and its neighbours, plus this."""
+
+SLIVER = 1e-3
+"""Height over length below which the normal of a facet is mostly rounding."""
+
+MOST_ROUND_A_VERTEX = 64
+"""Facets round a vertex that are held against each other; more are the fan of a flat or conical face."""
+
+NO_POWER = 1e-9
+"""Curvature times the rim's radius, a slope, below which a face is flat: less than the fit's rounding."""
+
+SAME_NORMAL = 1e-6
+"""Difference of unit normals that float32 leaves, and some more."""
+
+FIT_TERMS = 4
+"""Even powers of the radius in the fit of a face: r², r⁴, r⁶, r⁸."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """One optical face of a lens element, in the mesh's own frame.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Facing +z, with corner normals.
+    rim_mm : float
+        Largest radius that the face covers all round.
+    form : Form
+        The exact surface, or what is measured in its place.
+    is_exact : bool
+        The form stands for the whole face.
+    """
+
+    mesh: Mesh
+    rim_mm: float
+    form: Form
+    is_exact: bool = False
+
+    @property
+    def vertex_z(self) -> float:
+        """Point where the z axis meets it, mm."""
+        return self.form.vertex_z
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of curvature at the vertex, in the section y–z."""
+        return float(self.form.keys["radius_mm"])
+
+
+def solid_mesh(
+    path: Path,
+    units: str | None,
+    crease_deg: float | None,
+    node: str | int | None = None,
+    tolerance_mm: float | None = None,
+) -> Mesh:
+    """Load a closed body of glass: outward-oriented, with corner normals.
+
+    The normals are the file's where it has them. Where it has none, or only its facets' own, or where `crease_deg`
+    says what is a crease, they are estimated to second order.
+
+    Parameters
+    ----------
+    path : Path
+    units : str, optional
+        Needed where the format carries none.
+    crease_deg : float, optional
+        Angle between facets above which their edge is a crease.
+    node : str or int, optional
+        The body of the file that is meant, where it has several.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be used, its body is not closed, or its normals are not those of its facets; a refractor is
+        not repaired in silence.
+    """
+    pieces = [piece.mesh for piece in load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)]
+    brings_normals = all(piece.corner_normals is not None for piece in pieces)
+    mesh = _closed(path, joined(pieces), brings_normals, "a refractor")
+    if path.suffix.lower() in STEP_ENDINGS:
+        mesh = mended(mesh)
+    normals = _normals_of_file(path, mesh) if crease_deg is None else None
+    if normals is None:
+        normals = estimated_corner_normals(mesh, smooth_groups(mesh, smooth_edges(mesh, crease_deg)))
+    return Mesh(mesh.vertices, mesh.faces, normals)
+
+
+def bounding_mesh(
+    path: Path, units: str | None, node: str | int | None = None, tolerance_mm: float | None = None
+) -> Mesh:  # fmt: skip
+    """Load a closed mesh that bounds something: outward-oriented, of flat facets.
+
+    Parameters
+    ----------
+    path : Path
+    units : str, optional
+        Needed where the format carries none.
+    node : str or int, optional
+        The body of the file that is meant, where it has several.
+    tolerance_mm : float, optional
+        Of a STEP file: how far a facet may lie off its surface.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be used, or its body is not closed.
+    """
+    path = path.resolve()
+    return _bounding_mesh(path, file_stamp(path), units, node, tolerance_mm)
+
+
+@lru_cache(maxsize=32)
+def _bounding_mesh(
+    path: Path, stamp: tuple[object, ...], units: str | None, node: str | int | None, tolerance_mm: float | None
+) -> Mesh:  # fmt: skip
+    pieces = load_mesh(path, units, node=node, tolerance_mm=tolerance_mm)
+    return _closed(path, joined(piece.mesh for piece in pieces), False, "what bounds a medium")
+
+
+def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mesh:
+    """Return a mesh welded, without facets that have no area and with its outside outside.
+
+    Raises
+    ------
+    MeshError
+        The mesh is open, or encloses no volume.
+    """
+    import trimesh
+
+    mesh = welded(mesh)
+    with_area = facet_normals(mesh)[1] > 0.0
+    if not with_area.any():
+        raise MeshError(
+            f"{path}: {what_it_is} must be a closed body; its facets have no area: "
+            "all vertices lie in one point or on one line"
+        )
+    given = mesh.corner_normals[with_area] if mesh.corner_normals is not None and keeps_normals else None
+    mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
+    body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    if not body.is_watertight or not body.is_winding_consistent:
+        open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
+        what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; {what}; mend it and export again")
+    corners = mesh.vertices[np.unique(mesh.faces)]
+    if np.linalg.matrix_rank(corners - corners.mean(axis=0)) < 3:
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; its facets all lie in one plane")
+    return mesh.flipped() if body.volume < 0.0 else mesh
+
+
+def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:
+    """Return the unit corner normals that a mesh has from its file; None if they say no more than its facets."""
+    if mesh.corner_normals is None:
+        return None
+    length = np.linalg.norm(mesh.corner_normals, axis=2, keepdims=True)
+    no_direction = ~(np.isfinite(length) & (length > 0.0))
+    normals = mesh.corner_normals / np.where(no_direction, 1.0, length)
+    own = facet_normals(mesh)[0][:, None, :]
+    behind = ~no_direction[..., 0] & ((normals * own).sum(axis=2) <= 0.0)
+    too_far = _too_far_off(mesh, normals, own)
+    for bad, what in (
+        (no_direction, "have no direction"),
+        (behind, "look to the wrong side of their facet"),
+        (
+            too_far,
+            f"are further off their facet than a smooth surface's (at most {STEEPEST_DEG:g}°, and {TURN_FACTOR:g} "
+            f"times its angle to the facets round that corner, plus {SLACK_DEG:g}°)",
+        ),
+    ):
+        if bad.any():
+            raise MeshError(
+                f"{path}: {bad.sum()} of its {bad.size} corner normals {what}; export it with right normals or without "
+                "any, or give crease_deg to have them estimated"
+            )
+    tells_more = np.linalg.norm(normals - own, axis=2).max() > FLAT_SHADED
+    return _without_seams(mesh.faces, np.asarray(normals)) if tells_more else None
+
+
+def _without_seams(faces: NDArray[np.int64], normals: Array) -> Array:
+    """Return corner normals (m, 3, 3) that are equal across an edge where they differ by rounding alone.
+
+    A CAD program closes a sphere at a seam, and calculates the normals at its two sides by themselves.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    first, second = edge_partners(faces)
+    f, e = np.divmod(first, 3)
+    g, h = np.divmod(second, 3)
+    # The partner runs the other way: its end is this edge's start.
+    one = np.concatenate([3 * f + e, 3 * f + (e + 1) % 3])
+    other = np.concatenate([3 * g + (h + 1) % 3, 3 * g + h])
+    each = normals.reshape(-1, 3)
+    alike = np.linalg.norm(each[one] - each[other], axis=1) <= SAME_NORMAL
+    links = coo_array((np.ones(alike.sum()), (one[alike], other[alike])), shape=(len(each), len(each)))
+    group = connected_components(links, directed=False)[1]
+    _, leader = np.unique(group, return_index=True)
+    return np.asarray(each[leader[group]].reshape(normals.shape))
+
+
+def _too_far_off(mesh: Mesh, normals: Array, own: Array) -> NDArray[np.bool_]:
+    """Return (m, 3) which corner normals no smooth surface through the mesh's vertices can have.
+
+    A surface turns no further between a corner and the facet that stands for it than the mesh does between that facet
+    and those round the corner, but for what uneven facets leave. Slivers, whose own normal says little, are left out.
+    """
+    angle = _angle(normals, own)
+    height2 = 2.0 * facet_normals(mesh)[1]
+    longest = np.linalg.norm(mesh.vertices[np.roll(mesh.faces, -1, axis=1)] - mesh.vertices[mesh.faces], axis=2).max(
+        axis=1
+    )
+    is_sliver = height2 < SLIVER * longest * longest
+    turn = np.zeros_like(angle)
+    corner = mesh.faces.ravel()
+    order = np.argsort(corner, kind="stable")
+    facet = order // 3
+    # Round every vertex each facet is held against each other one: against the k-th after it, for all k.
+    starts = np.searchsorted(corner[order], np.arange(len(mesh.vertices) + 1))
+    count = np.diff(starts)[corner[order]]
+    first = starts[:-1][corner[order]]
+    place = np.arange(len(order)) - first
+    for k in range(1, min(int(count.max(initial=0)), MOST_ROUND_A_VERTEX)):
+        partner = facet[first + (place + k) % count]
+        turn.reshape(-1)[order] = np.maximum(turn.reshape(-1)[order], _angle(own[facet, 0], own[partner, 0]))
+    allowed = np.minimum(TURN_FACTOR * turn + np.deg2rad(SLACK_DEG), np.deg2rad(STEEPEST_DEG))
+    return np.asarray((angle > allowed) & ~is_sliver[:, None])
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Return the angle between unit vectors along the last axis; by its half, which keeps its digits when small."""
+    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(a - b, axis=-1), 1.0)))
+
+
+@lru_cache(maxsize=32)
+def _faces(path: Path, stamp: tuple[object, ...], shape: MeshShape) -> tuple[Face, Face]:
+    mesh = solid_mesh(path, shape.units, shape.crease_deg, shape.node, shape.tolerance_mm)
+    assert mesh.corner_normals is not None
+    groups = smooth_groups(mesh, neighbours(mesh.faces, mesh.corner_normals) >= 0)
+    z, facets = _axis_crossings(mesh)
+    if len(z) < 2:
+        raise MeshError(f"{path}: its z axis, which must be the axis of the lens, does not pass through the body")
+    told = None
+    if shape.surface == "exact" and path.suffix.lower() in STEP_ENDINGS:
+        told = surfaces_of_step(path, shape.node, shape.tolerance_mm)
+    front, back = _side(mesh, groups, facets[0], -1.0), _side(mesh, groups, facets[-1], 1.0)
+    return _face(path, front, shape, told), _face(path, back, shape, told)
+
+
+def _face(path: Path, side: Mesh, shape: MeshShape, told: list[Told] | None) -> Face:
+    """Return a face with the exact surface that it lies on, or with what is measured on its facets."""
+    if shape.surface != "exact":
+        return _fitted(path, side, f'surface = "{shape.surface}" asks for facets')
+    points = side.vertices[np.unique(side.faces)]
+    form, why_not = fitted_form(points) if told is None else told_form(points, told)
+    return _fitted(path, side, why_not) if form is None else Face(side, _round_rim(side), form, True)
+
+
+def _round_rim(side: Mesh) -> float:
+    """Return the rim's radius by its vertices where it is a circle: those lie on it, its edges within."""
+    border = np.linalg.norm(side.vertices[_border(side).ravel(), :2], axis=1)
+    is_circle = np.ptp(border) <= ON_SURFACE * border.max()
+    return float(border.mean()) if is_circle else _rim(side)
+
+
+def faces(shape: MeshShape, scene: Scene) -> tuple[Face, Face]:
+    """Return the front and the back face of a lens element given as a mesh."""
+    path = scene.resolve(str(shape.file)).resolve()
+    # What it is made of does not count, so that both faces and their element share what is kept.
+    only = MeshShape(**shape.model_dump(include=set(MeshShape.model_fields)))
+    return _faces(path, file_stamp(path), only)
+
+
+def face_of(shape: MeshFace, scene: Scene) -> Face:
+    """Return the face that a lens surface's mesh names."""
+    return faces(shape, scene)[0 if shape.side == "front" else 1]
+
+
+def _axis_crossings(mesh: Mesh) -> tuple[Array, list[int]]:
+    """Return where the z axis crosses the mesh, in order, and the facets it crosses."""
+    corner = mesh.vertices[mesh.faces]
+    x, y = corner[:, :, 0], corner[:, :, 1]
+    cross = x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y
+    scale = np.abs(mesh.vertices[:, :2]).max() ** 2 * 1e-12
+    within = (cross >= -scale).all(axis=1) | (cross <= scale).all(axis=1)
+    total = cross.sum(axis=1)
+    found = np.flatnonzero(within & (np.abs(total) > scale))
+    # Weights of the corners opposite to each edge.
+    weight = np.roll(cross[found], -1, axis=1) / total[found, None]
+    z = (weight * corner[found][:, :, 2]).sum(axis=1)
+    order = np.argsort(z)
+    return z[order], [int(f) for f in found[order]]
+
+
+def _side(mesh: Mesh, groups: np.ndarray, facet: int, outward: float) -> Mesh:
+    """Return the smooth face round a facet, those of its facets that look its way along z."""
+    normals, _ = facet_normals(mesh)
+    chosen = np.flatnonzero((groups == groups[facet]) & (normals[:, 2] * outward > 0.05))
+    part = welded(Mesh(mesh.vertices, mesh.faces[chosen], None))
+    assert mesh.corner_normals is not None
+    side = Mesh(part.vertices, part.faces, mesh.corner_normals[chosen])
+    return side.flipped() if outward < 0.0 else side
+
+
+def _fitted(path: Path, side: Mesh, why: str) -> Face:
+    """Return a face that stays facets, for a reason, with its vertex, curvature and asphere fitted to its vertices."""
+    used = np.unique(side.faces)
+    r2 = np.square(side.vertices[used, :2]).sum(axis=1)
+    rim = _rim(side)
+    flat = plane_through(side.vertices[used])
+    if flat is not None:
+        # Its vertices may all stand on its rim.
+        return Face(side, rim, Form(flat, {"radius_mm": np.inf}, words=why))
+    near = r2 <= rim * rim * (1 + 1e-9)
+    if near.sum() < FIT_TERMS + 2:
+        raise MeshError(f"{path}: the face on its axis has only {near.sum()} vertices; mesh it finer")
+    scale = rim * rim
+    u = r2[near] / scale
+    basis = np.stack([u**k for k in range(FIT_TERMS + 1)], axis=1)
+    coefficients, *_ = np.linalg.lstsq(basis, side.vertices[used][near, 2], rcond=None)
+    a = coefficients[1:] / scale ** np.arange(1, FIT_TERMS + 1)
+    curvature = 2.0 * float(a[0])
+    radius = 1.0 / curvature if abs(curvature) * rim > NO_POWER else float("inf")
+    # The asphere is what the fit has beyond the sphere's own r⁴, r⁶, r⁸.
+    c = 0.0 if np.isinf(radius) else curvature
+    sphere = np.array([c**3 / 8.0, c**5 / 16.0, 5.0 * c**7 / 128.0])
+    terms = tuple(float(t) for t in a[1:] - sphere)
+    return Face(side, rim, Form(float(coefficients[0]), {"radius_mm": radius, "asphere_mm": terms}, words=why))
+
+
+def _border(mesh: Mesh) -> Array:
+    """Return the (e, 2) vertices of the edges that bound a face."""
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    key = edges[:, 0] * (len(mesh.vertices) + 1) + edges[:, 1]
+    back = edges[:, 1] * (len(mesh.vertices) + 1) + edges[:, 0]
+    return np.asarray(edges[~np.isin(key, back)])
+
+
+def _rim(mesh: Mesh) -> float:
+    """Return the radius of the largest circle about the axis that a face covers."""
+    border = _border(mesh)
+    a, b = mesh.vertices[border[:, 0], :2], mesh.vertices[border[:, 1], :2]
+    d = b - a
+    share = np.clip(-(a * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), np.finfo(np.float64).tiny), 0.0, 1.0)
+    return float(np.linalg.norm(a + share[:, None] * d, axis=1).min())
+
+
+def measured(scene: Scene) -> Scene:
+    """Return the scene with every refractor of the lens replaced by its two faces, measured on its mesh."""
+    lens = with_lens_file(scene.camera.lens, scene.folder)
+    if all(s.refractor is None for s in lens.surfaces):
+        return scene
+    surfaces: list[Surface] = []
+    turns: dict[int, float] = {}
+    for surface in lens.surfaces:
+        refractor = surface.refractor
+        if refractor is None:
+            surfaces.append(surface)
+            continue
+        front, back = faces(refractor, scene)
+        shape = refractor.model_dump(include=set(MeshShape.model_fields))
+        for face, side in ((front, "front"), (back, "back")):
+            aperture = surface.semi_diameter_mm or face.rim_mm
+            largest = face.rim_mm if face.is_exact else (1.0 - RIM_MARGIN) * face.rim_mm
+            if face.form.azimuth_deg:
+                turns[len(surfaces)] = face.form.azimuth_deg
+            surfaces.append(
+                Surface(
+                    **face.form.keys,
+                    thickness_mm=back.vertex_z - front.vertex_z if side == "front" else surface.thickness_mm,
+                    index=refractor.index if side == "front" else None,
+                    glass=refractor.glass if side == "front" else None,
+                    coating=refractor.coating,
+                    finish=refractor.finish,
+                    semi_diameter_mm=min(aperture, largest),
+                    mesh=None if face.is_exact else MeshFace(**shape, side=side),
+                )
+            )
+    first = [0, *np.cumsum([1 if s.refractor is None else 2 for s in lens.surfaces]).tolist()]
+    elements = [
+        Element(surfaces=tuple(n for i in e.surfaces for n in range(first[i], first[i + 1])), pose=e.pose)
+        for e in lens.elements
+    ]
+    given = lens.model_dump(exclude={"surfaces", "file", "elements"})
+    new = Lens(**given, surfaces=tuple(surfaces), elements=tuple(elements))
+    if turns:
+        new = new.model_copy(update={"elements": _turned(new, turns)})
+    camera = scene.camera.model_copy(update={"lens": new})
+    copy = scene.model_copy(update={"camera": camera})
+    return copy.in_folder(scene.folder)
+
+
+def _turned(lens: Lens, turns: dict[int, float]) -> tuple[Element, ...]:
+    """Return the elements of a lens some of whose surfaces are turned about their own axis.
+
+    An element with such a surface becomes one for each of its surfaces.
+
+    Parameters
+    ----------
+    lens : Lens
+    turns : dict of int to float
+        Angle in degrees by the number of the surface.
+    """
+    kept = [element for element in lens.elements if not any(number in turns for number in element.surfaces)]
+    split = {n for element in lens.elements if element not in kept for n in element.surfaces} | set(turns)
+    return (*kept, *(_alone(lens, number, turns.get(number, 0.0)) for number in sorted(split)))
+
+
+def _alone(lens: Lens, number: int, turn_deg: float) -> Element:
+    """Return a surface as an element by itself that stands where its element puts it, turned about its own axis."""
+    stands = pose_of(lens, number)
+    turned = stands[:, :3] @ frame.rotation((0.0, 0.0, turn_deg))
+    vertex = np.array([0.0, 0.0, lens.vertices_mm[number]])
+    shift = frame.points(stands, [vertex])[0] - vertex
+    shift_mm = (float(shift[0]), float(shift[1]), float(shift[2]))
+    return Element(surfaces=(number,), pose=Pose(shift_mm=shift_mm, tilt_deg=frame.tilt_of(turned)))
+
+
+def face_lines(scene: Scene) -> list[str]:
+    """Return in words what each face of the lens's elements from files is traced as, and why.
+
+    Parameters
+    ----------
+    scene : Scene
+        As its file says it, with nothing measured.
+    """
+    lens = with_lens_file(scene.camera.lens, scene.folder)
+    lines, number = [], 0
+    for surface in lens.surfaces:
+        if surface.refractor is None:
+            number += 1
+            continue
+        for face in faces(surface.refractor, scene):
+            way = "exact, " if face.is_exact else "facets: "
+            lines.append(f"surface {number:<15}{way}{face.form.words}")
+            number += 1
+    return lines

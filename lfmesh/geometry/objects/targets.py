@@ -1,0 +1,218 @@
+"""A target of the scene as one mesh in the world frame, with the picture on it."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, Piece, load_mesh
+from lfmesh.geometry.frame import frame
+from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_corner_normals, facet_normals, joined
+from lfmesh.geometry.meshes.vertex_normals import is_closed
+from lfmesh.geometry.meshes.weld import welded
+from lfmesh.geometry.objects.atlas import atlas
+from lfmesh.geometry.objects.primitives import box_of_glass, primitive
+from lfmesh.geometry.objects.refractors import solid_mesh
+from lfmesh.geometry.objects.texture import Texture, load_texture
+from lfmesh.optics.gltf_material import GltfMaterial
+from lfmesh.scene import Scene, Target
+
+STEEPEST_DEG = 45.0
+"""By which a vertex normal of a mesh file may stand off its facet's: more is a sharp edge, averaged by a program."""
+
+FLAT = 1e-5
+"""Angle in rad between a vertex normal and its facet's that float32 leaves on flat facets."""
+
+
+@dataclass
+class TargetMesh:
+    """Triangle mesh of a target.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        World frame, mm; no facet is without area.
+    uv : (m, 3, 2) float64 or None
+        Place of each facet's corners in the texture, 0..1: (0, 0) is the bottom left of the picture, (0, 1)
+        the top left, where row 0 is. Repeats are unrolled, so a look-up need not wrap.
+    texture : (h, w, 3) float32 or None
+        Linear light, 0 to 1, that multiplies reflectance and radiance.
+    alpha : (h, w) float32 or None
+        Opacity on the same picture, where the material asks for it.
+    materials : tuple of GltfMaterial
+        Of the mesh file, where they are taken over in place of the scene's.
+    material_of : (m,) int64 or None
+        Which of them each facet has; -1: that of the scene.
+    smooth : bool
+        Shaded with the mesh's corner normals.
+    closed : bool
+        Watertight, outward-oriented: the target scatters and emits from its outside only; an open sheet does
+        from both sides.
+    """
+
+    mesh: Mesh
+    uv: Array | None
+    texture: Texture | None
+    closed: bool
+    alpha: Texture | None = None
+    materials: tuple[GltfMaterial, ...] = ()
+    material_of: Index | None = None
+    smooth: bool = False
+
+
+def target_mesh(target: Target, scene: Scene) -> TargetMesh:
+    """Build a target's mesh and load its picture.
+
+    The texture of the target's material replaces whatever colours its mesh file brings. A glTF file's materials are
+    taken over whole where the scene gives the target no material.
+
+    Raises
+    ------
+    MeshError
+        The mesh file is not usable, or a texture is given for a mesh without texture coordinates.
+    FileError
+        The texture is no picture.
+    """
+    if target.refractor is not None:
+        glass = target.refractor
+        if glass.box_mm is not None:
+            body = box_of_glass(glass.box_mm)
+        else:
+            body = solid_mesh(
+                scene.resolve(str(glass.file)), glass.units, glass.crease_deg, glass.node, glass.tolerance_mm
+            )
+        return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
+    asks_alpha = target.material.opacity == "texture_alpha"
+    taken = False
+    if target.shape is not None:
+        name = str(target.shape.kind)
+        pieces = [Piece(*primitive(target.shape))]
+    else:
+        name = str(target.file)
+        may_take = target.takes_materials and Path(name).suffix.lower() in UNIT_OF_FORMAT
+        pieces = load_mesh(scene.resolve(name), target.units, asks_alpha or may_take, target.node, target.tolerance_mm)
+        taken = may_take and any(piece.material is not None for piece in pieces)
+        if target.materials == "file" and not taken:
+            raise MeshError(f'{name}: brings no materials of glTF, and materials = "file" asks for them; omit it')
+        if taken:
+            pieces = _with_alpha_by_mode(pieces)
+        elif may_take:
+            pieces = [replace(piece, factor=piece.factor[:3]) for piece in pieces]
+        elif target.materials == "ignore":
+            pieces = [replace(piece, picture=None, factor=np.ones(len(piece.factor))) for piece in pieces]
+    with_alpha = asks_alpha or taken
+    if target.material.texture is not None:
+        picture = load_texture(scene.resolve(target.material.texture), with_alpha)
+        pieces = [_covered(piece, picture, name) for piece in pieces]
+    pieces, closed = _oriented([replace(piece, mesh=welded(piece.mesh)) for piece in pieces])
+    placed, texture = atlas(name, pieces)
+    alpha = None
+    if with_alpha and texture is not None and texture.shape[2] == 4:
+        texture, alpha = np.ascontiguousarray(texture[..., :3]), np.ascontiguousarray(texture[..., 3])
+        if (alpha == 1.0).all():
+            alpha = None
+        if taken and (texture == 1.0).all() and alpha is None:
+            texture = None
+    if asks_alpha and alpha is None:
+        which = target.material.texture or name
+        raise MeshError(f'{which}: is opaque all over, and opacity = "texture_alpha" asks for its alpha; omit it')
+    if target.file is None or target.normals == "facets":
+        pieces = [replace(piece, mesh=replace(piece.mesh, corner_normals=None)) for piece in pieces]
+    mesh = joined(piece.mesh for piece in pieces)
+    at_corners = _shading_normals(mesh)
+    solid = facet_normals(mesh)[1] > 0.0
+    if not solid.any():
+        raise MeshError(f"{name}: none of its {len(solid)} facets has an area")
+    mesh = Mesh(mesh.vertices, mesh.faces[solid], at_corners[solid] if at_corners is not None else None)
+    mesh = mesh.moved(frame(target.rotation_deg, target.position_mm))
+    placed = placed[solid] if placed is not None else None
+    made = TargetMesh(mesh, placed, texture, closed, alpha, smooth=at_corners is not None)
+    if taken:
+        made.materials = tuple(dict.fromkeys(piece.material for piece in pieces if piece.material is not None))
+        number = {None: -1} | {each: i for i, each in enumerate(made.materials)}
+        each = np.repeat([number[piece.material] for piece in pieces], [len(piece.mesh.faces) for piece in pieces])
+        made.material_of = each[solid]
+    return made
+
+
+def _with_alpha_by_mode(pieces: list[Piece]) -> list[Piece]:
+    """Return pieces whose colour is in their material alone, and whose alpha is the opacity that the material means."""
+    made = []
+    pictures: dict[tuple[int, str, float, float], Texture] = {}
+    for piece in pieces:
+        if piece.material is None:
+            made.append(replace(piece, picture=None, factor=np.ones(4)))
+            continue
+        mode, cutoff, alpha = piece.alpha_mode, piece.alpha_cutoff, float(piece.factor[3])
+        picture = piece.picture
+        if mode != "BLEND" and picture is not None:
+            key = (id(picture), mode, cutoff, alpha)
+            if key not in pictures:
+                there = picture[..., 3:] * alpha >= cutoff if mode == "MASK" else np.ones_like(picture[..., 3:])
+                pictures[key] = np.concatenate([picture[..., :3], there], axis=2, dtype=np.float32)
+            picture, alpha = pictures[key], 1.0
+        elif mode != "BLEND":
+            alpha = float(mode == "OPAQUE" or alpha >= cutoff)
+        made.append(replace(piece, picture=picture, factor=np.array([1.0, 1.0, 1.0, alpha])))
+    return made
+
+
+def _shading_normals(mesh: Mesh) -> Array | None:
+    """Return the unit normals at the facets' corners, on their own side; None where they are the facets' own.
+
+    A normal that is none, or stands off its facet by more than `STEEPEST_DEG`, is replaced by the facet's.
+    """
+    if mesh.corner_normals is None:
+        return None
+    facet = facet_corner_normals(mesh)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        normals = mesh.corner_normals / np.linalg.norm(mesh.corner_normals, axis=2, keepdims=True)
+        cosine = np.einsum("fci,fci->fc", normals, facet)[..., None]
+        normals = np.where(
+            np.abs(cosine) >= np.cos(np.deg2rad(STEEPEST_DEG)), np.copysign(1.0, cosine) * normals, facet
+        )
+    return normals if np.abs(normals - facet).max(initial=0.0) > FLAT else None
+
+
+def named_target(scene: Scene, number: int) -> str:
+    """Return the name of a target in messages: its path in the scene file, and its own name or file."""
+    target = scene.targets[number]
+    own = target.name or (target.refractor.file if target.refractor is not None else target.file)
+    return f"targets[{number}]" + (f" ({own})" if own else "")
+
+
+def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
+    """Return the piece with the material's picture in place of its own colours."""
+    if piece.uv is None:
+        raise MeshError(
+            f"{name}: the mesh has no texture coordinates, so its material's texture has no place on it; "
+            "leave the texture out or export the mesh with UVs (OBJ, PLY, GLB)"
+        )
+    return Piece(piece.mesh, piece.uv, picture, np.ones(picture.shape[2]))
+
+
+def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:
+    """Turn closed pieces so that they face outwards; tell whether the whole is closed.
+
+    A body may be closed piece by piece, or only as a whole where its materials meet along open rims.
+    """
+    volumes = [_enclosed(piece.mesh) for piece in pieces]
+    if all(volumes):
+        return [_turned(piece) if v < 0.0 else piece for piece, v in zip(pieces, volumes, strict=True)], True
+    whole = _enclosed(welded(joined(piece.mesh for piece in pieces)))
+    return [_turned(piece) for piece in pieces] if whole < 0.0 else pieces, whole != 0.0
+
+
+def _enclosed(mesh: Mesh) -> float:
+    """Return the volume of a closed mesh in mm³, negative where it faces inwards; 0 for an open one."""
+    if not is_closed(mesh.faces):
+        return 0.0
+    # From the middle, so that a body far from its origin keeps its digits.
+    a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def _turned(piece: Piece) -> Piece:
+    """Return the piece with every facet looking the other way."""
+    return replace(piece, mesh=piece.mesh.flipped(), uv=piece.uv[:, ::-1] if piece.uv is not None else None)

@@ -1,0 +1,65 @@
+"""Division of long facets, so that Embree's boxes are small.
+
+A box round a long, thin triangle that lies across the axes is nearly empty, and rays that come through it test the
+triangle in vain. Flat walls and fillets of CAD parts consist of such triangles.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.meshes.mesh import Mesh
+
+EDGES_ACROSS = 8.0
+"""Size of a body over the longest edge that its facets keep."""
+
+MANY = 64
+"""Bodies with fewer facets stay as they are: sheets and boxes, for which few large facets are best."""
+
+MOST_GROWTH = 4
+"""A body whose facets would multiply by more stays as it is."""
+
+
+def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
+    """Divide long facets at the middles of their edges; return the mesh and the facet that each of its facets is of.
+
+    An edge is divided by its length alone, so neighbours divide it at the same points, and no gap opens.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    bodies : (m,) int64
+        Body of each facet.
+    """
+    corners, owners = [], []
+    for body in np.unique(bodies):
+        own = np.flatnonzero(bodies == body)
+        facets = mesh.vertices[mesh.faces[own]]
+        if len(own) >= MANY:
+            facets, within = _divided(facets)
+            own = own[within]
+        corners.append(facets)
+        owners.append(own)
+    all_corners = np.concatenate([*corners, np.zeros((0, 3, 3))])
+    faces = np.arange(3 * len(all_corners)).reshape(-1, 3)
+    return Mesh(all_corners.reshape(-1, 3), faces), np.concatenate([*owners, np.zeros(0, np.int64)])
+
+
+def _divided(facets: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Divide the facets (n, 3, 3) of a body; return them, and the number of the facet that each is of."""
+    whole, most = facets, MOST_GROWTH * len(facets)
+    corners = facets.reshape(-1, 3)
+    longest = float(np.linalg.norm(np.ptp(corners, axis=0))) / EDGES_ACROSS
+    owners = np.arange(len(facets))
+    while True:
+        edges = np.linalg.norm(facets - np.roll(facets, -1, axis=1), axis=2)
+        long = edges.max(axis=1) > longest
+        if not long.any():
+            return facets, owners
+        if len(facets) + long.sum() > most:
+            return whole, np.arange(len(whole))
+        rows, first = np.arange(long.sum()), edges[long].argmax(axis=1)
+        a, b, c = (facets[long][rows, (first + k) % 3] for k in range(3))
+        middle = 0.5 * (a + b)
+        halves = np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)
+        facets = np.concatenate([facets[~long], *halves])
+        owners = np.concatenate([owners[~long], owners[long], owners[long]])

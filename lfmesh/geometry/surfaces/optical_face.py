@@ -1,0 +1,355 @@
+"""Recognise the exact surface of a lens that a face of a solid lies on, about the z axis.
+
+A STEP file says what its faces lie on: planes, spheres, cylinders and tori by name, swept curves and nets by points
+that have to be fitted. A mesh says nothing, and spheres are fitted to its vertices. What is recognised is held against
+the vertices of the face; what is off by more than its bound is no such surface, and stays a mesh.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame
+from lfmesh.geometry.files.swept import Outside, curve_in_box, net_in_box
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.profile_fit import Profile, fitted_profile
+from lfmesh.geometry.surfaces.surface import heights, normals, surface_of
+from lfmesh.scene import Surface
+from lfmesh.scene.camera.sections import Toroid
+
+ON_SURFACE = 1e-6
+"""How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
+
+ON_AXIS = 1e-9
+"""Tilt in rad of a plane or an axis below which it stands square to z or along it: CAD programs' rounding."""
+
+EXACT_MM = 1e-7
+"""The largest distance of a swept curve's points from the conic with even terms that it is traced as, mm."""
+
+FITTED_MM = 1e-5
+"""The largest distance of a mesh's vertices from the sphere that they are traced as, mm."""
+
+FORM_MM = 3e-6
+"""The largest value of the smooth part of these distances, mm: of the polynomial of degree 4 in x and y fitted to them,
+and of their means over neighbouring vertices. An asphere's are smooth, and so are a dent's; digits that a file leaves
+out are not, and take no ray astray."""
+
+NEIGHBOURS = 16
+"""Vertices, itself among them, over which the distance of a vertex is averaged."""
+
+DEGREE = 4
+"""Of that polynomial."""
+
+VERTICES_A_TERM = 2
+"""Vertices that a fit needs at least for each term."""
+
+INDEPENDENT = 1e-3
+"""Ratio of the singular values of the terms at the vertices above which these tell the terms apart."""
+
+BESIDE = 1e-3
+"""How far outside a face's box a swept curve may be sampled, in parts of its radius."""
+
+MOST_FITTED = 8
+"""Swept surfaces that are fitted where a face is: a file may put any number there, and each takes its time."""
+
+NO_TURN = 1e-12
+"""Azimuth in rad below which it is the rounding of a file's digits."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A surface that a STEP file tells.
+
+    Attributes
+    ----------
+    surface : dict
+        As `step_surfaces` writes it, mm.
+    place : (3, 4) float64
+        Frame of its body in the file.
+    """
+
+    surface: dict[str, Any]
+    place: frame.Frame
+
+
+@dataclass(frozen=True)
+class Form:
+    """An exact surface, about the z axis of the file.
+
+    Attributes
+    ----------
+    vertex_z : float, mm
+    keys : dict
+        Of a `Surface` of the lens: its radius, and what else its form has.
+    azimuth_deg : float
+        By which a cylinder or toroid is turned about z.
+    words : str
+        What it is and how well it fits.
+    """
+
+    vertex_z: float
+    keys: dict[str, Any] = field(default_factory=dict)
+    azimuth_deg: float = 0.0
+    words: str = ""
+
+    def distances(self, points: Array) -> Array:
+        """Return how far points (n, 3) lie off it, mm; NaN where it does not reach."""
+        record = surface_of(Surface(**self.keys))
+        x, y, z = frame.points(frame.inverse(frame.frame((0.0, 0.0, self.azimuth_deg))), points).T
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.abs(z - self.vertex_z - heights(record, x, y)) * normals(record, x, y)[:, 2])
+
+
+def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
+    """Return the surface that a face lies on, of those that its file tells, and what is known if it is none of them.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, mm
+        The vertices of the face.
+    told : list of Told
+    """
+    largest = ON_SURFACE * float(np.abs(points).max())
+    nearest, fitted = np.inf, 0
+    for each in told:
+        if fitted == MOST_FITTED:
+            break
+        try:
+            # What is absurdly large or small overflows, and is no surface of this face.
+            with np.errstate(all="ignore"):
+                candidates = list(_forms(each, points))
+                fitted += len(candidates) * ("curve" in each.surface or "points" in each.surface)
+                # NaN is no distance: the surface must reach to every vertex.
+                matching = [each for each in candidates if each[0].distances(points).max() <= max(largest, each[1])]
+        except (LfmeshError, np.linalg.LinAlgError):
+            # A radius or coefficient beyond what a lens may have.
+            continue
+        for form, residual in matching:
+            if residual <= EXACT_MM:
+                return form, ""
+            nearest = min(nearest, residual)
+    if np.isfinite(nearest):
+        return None, f"the nearest conic with even terms is {nearest:.2g} mm off its curve; {EXACT_MM:g} is the limit"
+    return None, "the file tells no surface about the z axis that all its vertices lie on"
+
+
+def _forms(told: Told, points: Array) -> Iterator[tuple[Form, float]]:
+    """Yield the surfaces of a lens that a told surface may be where the face is, and how far off they are."""
+    surface = told.surface
+    kind = surface["kind"]
+    axis = told.place[:, :3] @ np.asarray(surface.get("axis", (0.0, 0.0, 1.0)))
+    at = frame.points(told.place, [surface.get("at", (0.0, 0.0, 0.0))])[0]
+    if kind == "net":
+        yield from _revolved(net_in_box(surface, told.place, _box(points)), points, kind)
+    elif kind == "plane" and np.hypot(*axis[:2]) <= ON_AXIS:
+        vertex = float(at[2] + axis[:2] @ at[:2] / axis[2])
+        yield Form(vertex, {"radius_mm": np.inf}, words="a plane of the file"), 0.0
+    elif kind == "sphere" and np.hypot(*at[:2]) <= ON_AXIS * surface["radius"]:
+        # Of the sphere's two halves the one that the face is on; the centre lies towards +z of the lower one.
+        radius = _signed(surface["radius"], at[2] - points[:, 2].mean())
+        yield Form(at[2] - radius, {"radius_mm": radius}, words=f"a sphere of the file, radius {radius:.9g} mm"), 0.0
+    elif kind == "revolution" and np.hypot(*axis[:2]) <= ON_AXIS and np.hypot(*at[:2]) <= ON_AXIS * _size(points):
+        yield from _revolved(curve_in_box(surface["curve"], told.place, _box(points)), points, "curve turned about z")
+    elif kind in ("cylinder", "torus", "revolution", "extrusion") and abs(axis[2]) <= ON_AXIS:
+        yield from _sectioned(told, at, axis, points)
+
+
+def _signed(radius: float, towards: float) -> float:
+    return float(np.copysign(radius, towards))
+
+
+def _size(points: Array) -> float:
+    """Return the radius about the z axis that a face reaches to, mm."""
+    return float(np.hypot(points[:, 0], points[:, 1]).max())
+
+
+def _box(points: Array) -> Outside:
+    """Return the box in distance from the axis and height that a face fills."""
+    size, low, high = _size(points), points[:, 2].min(), points[:, 2].max()
+    return lambda p: _outside(np.hypot(p[:, 0], p[:, 1]), p[:, 2], size, low, high)
+
+
+def _outside(r: Array, z: Array, size: float, low: float, high: float) -> Array:
+    """Return how far points at distances r and heights z lie outside a face's box, mm; 0 inside and close beside it."""
+    beside = BESIDE * size
+    above = np.maximum(np.maximum(low - beside - z, z - high - beside), 0.0)
+    return np.asarray(np.hypot(np.maximum(r - size - beside, 0.0), above))
+
+
+def _thinned(points: Array) -> Array:
+    """Return some 500 of many points."""
+    return points[:: max(1, len(points) // 500)]
+
+
+def _revolved(sample: Array, points: Array, what: str) -> Iterator[tuple[Form, float]]:
+    """Yield the surface of revolution that the sampled points of a curve or net lie on."""
+    some = _thinned(sample)
+    profile = fitted_profile(np.hypot(some[:, 0], some[:, 1]), some[:, 2]) if len(some) else None
+    if profile is not None:
+        reaching = max(_size(points), _size(some))
+        yield Form(profile.vertex_mm, _keys(profile), words=_in_words(profile, what)), _off(profile, sample, reaching)
+
+
+def _off(profile: Profile, sample: Array, reaching: float) -> float:
+    """Return the largest distance, along z, of all sampled points from a profile that was fitted to some of them."""
+    record = surface_of(Surface(**_keys(profile)))
+    with np.errstate(invalid="ignore"):
+        on_profile = heights(record, np.hypot(sample[:, 0], sample[:, 1]), np.zeros(len(sample)))
+    off = np.abs(on_profile + profile.vertex_mm - sample[:, 2])
+    return float(np.nan_to_num(off, nan=reaching).max())
+
+
+def _keys(profile: Profile) -> dict[str, Any]:
+    keys: dict[str, Any] = {"radius_mm": profile.radius_mm}
+    if profile.conic:
+        keys["conic"] = profile.conic
+    if any(profile.terms_mm):
+        keys["asphere_mm"] = profile.terms_mm
+    return keys
+
+
+def _in_words(profile: Profile, what: str) -> str:
+    terms = f", conic {profile.conic:.6g}" if profile.conic else ""
+    terms += f", {len(profile.terms_mm)} even terms" if profile.terms_mm else ""
+    return f"a {what} of the file: radius {profile.radius_mm:.9g} mm{terms}; within {profile.residual_mm:.1g} mm"
+
+
+def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tuple[Form, float]]:
+    """Yield the cylinders and toroids of a lens that a surface with an axis square to z may be."""
+    surface, kind = told.surface, told.surface["kind"]
+    along = np.array([axis[0], axis[1], 0.0]) / np.hypot(axis[0], axis[1])
+    across = np.array([-along[1], along[0], 0.0])
+    if kind != "extrusion" and abs(at @ across) > ON_AXIS * _size(points):
+        return
+    middle = float(at[2])
+    if kind == "cylinder":
+        radius = _signed(surface["radius"], middle - points[:, 2].mean())
+        words = f"a cylinder of the file, radius {radius:.9g} mm"
+        yield _turned(middle - radius, {"radius_mm": np.inf}, along, radius, words), 0.0
+        return
+    if kind == "torus":
+        if abs(at @ along) > ON_AXIS * _size(points):
+            return
+        for ring in (-surface["radius"], surface["radius"]):
+            for tube in (-surface["tube"], surface["tube"]):
+                # Radii point from the vertex to the tube's middle and to the axis.
+                if ring != tube:
+                    words = f"a torus of the file, radii {tube:.9g} and {tube - ring:.9g} mm"
+                    yield _turned(middle + ring - tube, {"radius_mm": tube}, along, tube - ring, words), 0.0
+        return
+    y, low, high = points @ (along if kind == "revolution" else across), points[:, 2].min(), points[:, 2].max()
+    size, sense = float(np.abs(y).max()), _signed(1.0, middle - points[:, 2].mean())
+
+    def section(p: Array) -> Array:
+        """Return y and z (n, 2) of points, as the axis carries them into the section through it."""
+        if kind == "extrusion":
+            return np.column_stack([p @ across, p[:, 2]])
+        return np.column_stack([p @ along, middle - sense * np.hypot(p @ across, p[:, 2] - middle)])
+
+    def outside(p: Array) -> Array:
+        at_y, at_z = section(p).T
+        return _outside(np.abs(at_y), at_z, size, low, high)
+
+    sample = section(curve_in_box(surface["curve"], told.place, outside))
+    some = _thinned(sample)
+    profile = fitted_profile(np.abs(some[:, 0]), some[:, 1]) if len(some) else None
+    if profile is None:
+        return
+    off = _off(profile, np.column_stack([sample[:, 0], 0.0 * sample[:, 0], sample[:, 1]]), size)
+    words = _in_words(profile, f"curve {'turned about a line' if kind == 'revolution' else 'shifted'} across z")
+    if kind == "extrusion":
+        yield _turned(profile.vertex_mm, _keys(profile), across, np.inf, words), off
+    elif (radius := middle - profile.vertex_mm) != 0.0:
+        yield _turned(profile.vertex_mm, _keys(profile), along, radius, f"{words}, across it {radius:.9g} mm"), off
+
+
+def _turned(vertex: float, keys: dict[str, Any], along: Array, radius_x: float, words: str) -> Form:
+    """Return a toroid with its section y–z along a direction square to z; a cylinder the way that needs less of a turn.
+
+    Parameters
+    ----------
+    vertex : float, mm
+    keys : dict
+        Of the section y–z.
+    along : (3,) float64
+        Where y points.
+    radius_x : float, mm
+        Of the section x–z.
+    words : str
+    """
+    turn = float(np.arctan2(-along[0], along[1]))
+    plain = set(keys) == {"radius_mm"}
+    if plain and np.isinf(keys["radius_mm"]) != np.isinf(radius_x) and abs(np.cos(turn)) < np.sqrt(0.5):
+        # A circular cylinder is one with its two sections exchanged, a right angle further.
+        keys, radius_x, turn = {"radius_mm": radius_x}, keys["radius_mm"], turn + 0.5 * np.pi
+    turn = (turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    if abs(turn) <= NO_TURN:
+        turn = 0.0
+    words = f"{words}, turned by {np.rad2deg(turn):.6g}° about z" if turn else words
+    return Form(vertex, {**keys, "toroid": Toroid(radius_x_mm=radius_x)}, float(np.rad2deg(turn)), words)
+
+
+def plane_through(points: Array) -> float | None:
+    """Return z of the plane square to the axis that all points (n, 3) lie in, mm; None where there is none."""
+    z = float(np.median(points[:, 2]))
+    off = float(np.abs(points[:, 2] - z).max())
+    return z if off <= ON_SURFACE * float(np.abs(points).max()) else None
+
+
+def fitted_form(points: Array) -> tuple[Form | None, str]:
+    """Return the plane or sphere about the z axis that the vertices of a mesh's face lie on, and why it is none.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, mm
+        The vertices of the face.
+    """
+    size = _size(points)
+    flat = plane_through(points)
+    if flat is not None:
+        return Form(flat, {"radius_mm": np.inf}, words="a plane by its vertices"), ""
+    x, y = points[:, 0] / size, points[:, 1] / size
+    terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=1)
+    if len(points) < VERTICES_A_TERM * terms.shape[1]:
+        return None, f"too few vertices to tell a sphere: {len(points)}; {VERTICES_A_TERM * terms.shape[1]} are needed"
+    singular = np.linalg.svd(terms / np.linalg.norm(terms, axis=0), compute_uv=False)
+    if singular[-1] < INDEPENDENT * singular[0]:
+        return None, "its vertices stand in too few places to tell a sphere"
+    # Asked for where a sphere is fitted only: no other render waits for it.
+    from scipy.spatial import cKDTree
+
+    centre, radius = _sphere(points)
+    # Signed distances along the normal.
+    off = np.linalg.norm(points - [0.0, 0.0, centre], axis=1) - radius
+    smooth = terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
+    _, near = cKDTree(points).query(points, k=NEIGHBOURS)
+    form = max(float(np.abs(smooth).max()), float(np.abs(off[near].mean(axis=1)).max()))
+    worst = float(np.abs(off).max())
+    if not (worst <= FITTED_MM and form <= FORM_MM):
+        return None, (
+            f"its vertices are up to {worst:.2g} mm off the nearest sphere about the z axis, {form:.2g} mm of it "
+            f"smooth; {FITTED_MM:g} and {FORM_MM:g} are the limits"
+        )
+    signed = _signed(radius, centre - points[:, 2].mean())
+    words = f"a sphere fitted to its vertices, radius {signed:.9g} mm; they lie within {worst:.2g} mm of it"
+    return Form(centre - signed, {"radius_mm": signed}, words=words), ""
+
+
+def _sphere(points: Array) -> tuple[float, float]:
+    """Return the centre on the z axis and the radius of the sphere nearest to points, by least squares."""
+    r2, z = np.square(points[:, :2]).sum(axis=1), points[:, 2]
+    # r² + (z − m)² = R² is linear in m and R² − m²; with z from the middle, so that nothing cancels.
+    middle = float(z.mean())
+    h = z - middle
+    (m2, rest), *_ = np.linalg.lstsq(np.stack([h, np.ones_like(h)], axis=1), r2 + h * h, rcond=None)
+    centre, radius = 0.5 * m2, float(np.sqrt(max(rest + 0.25 * m2 * m2, 0.0)))
+    for _ in range(4):
+        # Gauss–Newton: the distances themselves, not those of squares.
+        away = np.sqrt(r2 + np.square(h - centre))
+        slopes = np.stack([-(h - centre) / away, -np.ones_like(h)], axis=1)
+        step = np.linalg.lstsq(slopes, radius - away, rcond=None)[0]
+        centre, radius = centre + step[0], radius + step[1]
+    return middle + centre, radius

@@ -1,0 +1,588 @@
+"""Exact surfaces: plane, conic, asphere, biconic, toroid. Sag, normal and where a ray meets them.
+
+A surface is one record of `SURFACE`; its coordinates have the origin at the vertex and z along the axis, so a table
+of them (one a refracting surface) is what the kernels read. Of a surface of revolution the sag is
+
+    z(r) = c r² / (1 + sqrt(1 − (1 + k) c² r²)) + a₄ r⁴ + a₆ r⁶ + ... + b₃ r³ + b₅ r⁵ + ...
+
+with curvature c = 1 / radius and conic constant k (ISO 10110-12). A biconic has a curvature and a conic constant each
+in x and in y; in a toroid the curve z(y) turns about a line parallel to y, at the radius 1 / c_x behind the vertex.
+
+Where a surface that is no conic ends, `form_at` goes on without a step: a search for a root needs a height everywhere.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.surfaces.first_crossing import crossing_finder
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.scene.camera.lens import Surface
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
+
+MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
+
+CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
+"""Kinds of surfaces: the first two are surfaces of revolution."""
+
+Array = NDArray[np.float64]
+
+SURFACE = np.dtype(
+    [
+        ("curvature", "f8"),
+        ("conic", "f8"),
+        ("asphere", "f8", (MAX_ASPHERE_TERMS,)),
+        ("terms", "i8"),  # of the even powers; of a surface that is no conic 1 at least
+        ("kind", "i8"),  # CONIC_AND_EVEN, WITH_ODD, BICONIC or TOROID
+        ("odd", "f8", (MAX_ASPHERE_TERMS,)),
+        ("odd_terms", "i8"),
+        ("curvature_x", "f8"),  # of a biconic and a toroid, whose `curvature` and `conic` are those in y
+        ("conic_x", "f8"),
+        ("vertex_z", "f8"),
+        ("semi_diameter", "f8"),  # of the clear aperture
+        ("end", "f8"),  # radius at which it touches a neighbour, or a toroid turns back, and ends
+        # Bounds of the second derivatives of z in any direction, up to the radius `domain`: 0 until they are asked for.
+        ("least_bend", "f8"),
+        ("most_bend", "f8"),
+        ("domain", "f8"),
+        ("stop", "i8"),  # 1: outside the aperture is the stop, 0: the mount
+        ("level", "i8"),  # what a facet of its mesh stands for; the tracer says what the number means
+        ("posed", "i8"),  # 1: it stands off its place in the prescription
+        ("pose", "f8", (3, 4)),  # from the lens as prescribed, where the vertex is (0, 0, vertex_z), to where it stands
+        ("unpose", "f8", (3, 4)),  # the inverse
+    ]
+)
+
+NEWTON_STEPS = 80
+"""At worst half of them halve the bracket, which float64 allows some 60 times; Newton's method takes three."""
+
+OVERSTEP = 1.125
+"""First step of the search for a bracket, over Newton's: so much further that it often holds the root already."""
+
+STEEP = 0.5
+"""Rate of approach below which the first step is stretched no further: where the ray turns away it tells nothing."""
+
+DOUBLINGS = 44
+
+SETTLED = 4e-16
+"""Newton step, over the size of the coordinates, after which float64 has no more digits."""
+
+
+def surface(
+    radius_mm: float,
+    conic: float = 0.0,
+    asphere_mm: ArrayLike = (),
+    *,
+    odd_mm: ArrayLike = (),
+    kind: int = CONIC_AND_EVEN,
+    radius_x_mm: float = np.inf,
+    conic_x: float = 0.0,
+    vertex_z: float = 0.0,
+    semi_diameter: float = np.inf,
+    stop: bool = False,
+) -> np.void:
+    """Return one `SURFACE` record.
+
+    Parameters
+    ----------
+    radius_mm : float
+        inf: flat.
+    conic : float
+    asphere_mm : (terms,) float64
+        Coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ...; of a toroid, of y⁴, y⁶, ...
+    odd_mm : (odd_terms,) float64
+        Coefficients of r³, r⁵, ..., in mm⁻², mm⁻⁴, ...
+    kind : int
+        BICONIC or TOROID, whose `radius_mm` and `conic` are those in y; others follow from the terms.
+    radius_x_mm, conic_x : float
+        Radius of a biconic or toroid in x, and conic constant of a biconic.
+    vertex_z : float, mm
+    semi_diameter : float, mm
+        Of the clear aperture.
+    stop : bool
+        Whether its aperture is the stop.
+    """
+    record = np.zeros(1, SURFACE)[0]
+    record["curvature"] = 0.0 if np.isinf(radius_mm) else 1.0 / radius_mm
+    record["conic"] = conic
+    coefficients = np.trim_zeros(np.asarray(asphere_mm, dtype=np.float64), "b")
+    record["asphere"][: len(coefficients)] = coefficients
+    odd = np.trim_zeros(np.asarray(odd_mm, dtype=np.float64), "b")
+    record["odd"][: len(odd)], record["odd_terms"] = odd, len(odd)
+    record["kind"] = kind if kind != CONIC_AND_EVEN or not len(odd) else WITH_ODD
+    record["terms"] = max(len(coefficients), 1 if record["kind"] != CONIC_AND_EVEN else 0)
+    record["curvature_x"], record["conic_x"] = 0.0 if np.isinf(radius_x_mm) else 1.0 / radius_x_mm, conic_x
+    record["vertex_z"] = vertex_z
+    record["semi_diameter"] = semi_diameter
+    record["end"] = np.inf
+    record["stop"] = stop
+    record["pose"] = record["unpose"] = frame.IDENTITY
+    return record
+
+
+def surface_of(of: Surface, **where: Any) -> np.void:
+    """Return the `SURFACE` record of a surface of a prescription.
+
+    Parameters
+    ----------
+    of : Surface
+    **where
+        `vertex_z`, `semi_diameter` and `stop`, as for `surface`.
+    """
+    shape: dict[str, Any] = {}
+    if of.biconic is not None:
+        shape = {"kind": BICONIC, "radius_x_mm": of.biconic.radius_x_mm, "conic_x": of.biconic.conic_x}
+    elif of.toroid is not None:
+        shape = {"kind": TOROID, "radius_x_mm": of.toroid.radius_x_mm}
+    record = surface(of.vertex_radius_mm, of.vertex_conic, of.terms_mm, odd_mm=of.odd_asphere_mm, **shape, **where)
+    if of.toroid is not None:
+        record["end"] = of.reach_mm
+    return record
+
+
+def is_revolved(surface: Any) -> bool:
+    """Tell whether a `SURFACE` record is a surface of revolution."""
+    return int(surface["kind"]) <= WITH_ODD
+
+
+def put_in_pose(record: Any, pose: frame.Frame) -> None:
+    """Let a `SURFACE` record stand off its place, by a rigid motion (3, 4) of the lens as prescribed."""
+    record["posed"] = not np.array_equal(pose, frame.IDENTITY)
+    record["pose"], record["unpose"] = pose, frame.inverse(pose)
+
+
+def in_place(record: Any, points: ArrayLike) -> Array:
+    """Return points (n, 3) of the camera frame as the surface sees them where the prescription has it.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    points : (n, 3) float64, mm
+    """
+    p = np.asarray(points, dtype=np.float64)
+    return frame.points(record["unpose"], p) if record["posed"] else p
+
+
+def sag(surface: Any, r: ArrayLike) -> Array:
+    """Return the sag of a surface of revolution in mm at the radii `r` (any shape, mm); NaN where it does not reach."""
+    _need_revolved(surface)
+    return _curve(surface, np.asarray(r, dtype=np.float64))[0]
+
+
+def slope(surface: Any, r: ArrayLike) -> Array:
+    """Return dz/dr of a surface of revolution at the radii `r`."""
+    _need_revolved(surface)
+    return _curve(surface, np.asarray(r, dtype=np.float64))[1]
+
+
+def _need_revolved(surface: Any) -> None:
+    if not is_revolved(surface):
+        raise TypeError("a biconic or toroid has no sag by radius alone; ask for `heights`")
+
+
+def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
+    """Return z and dz/dr by the curvature, conic constant and terms of a record; NaN where the conic does not reach."""
+    r2 = r * r
+    c, k = surface["curvature"], surface["conic"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
+        z, rate = c * r2 / (1.0 + root), c * r / root
+    power = r2
+    for term, a in enumerate(surface["asphere"][: surface["terms"]]):
+        rate = rate + (2 * term + 4) * a * (r * power)
+        power = power * r2
+        z = z + a * power
+    power = np.abs(r)
+    for term, a in enumerate(surface["odd"][: surface["odd_terms"]]):
+        rate = rate + (2 * term + 3) * a * (r * power)
+        power = power * r2
+        z = z + a * power
+    return np.asarray(z), np.asarray(rate)
+
+
+def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
+    """Return z of any surface above its vertex, mm; NaN where it does not reach.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
+    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[0]
+
+
+def gradients(surface: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+    """Return dz/dx and dz/dy of any surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64 of one shape, mm
+    """
+    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[1:]
+
+
+def _form(surface: Any, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return z, dz/dx and dz/dy of any surface."""
+    cx, c = float(surface["curvature_x"]), float(surface["curvature"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if surface["kind"] == BICONIC:
+            a, b = (1.0 + surface["conic_x"]) * cx * cx, (1.0 + surface["conic"]) * c * c
+            q, root = cx * x * x + c * y * y, np.sqrt(1.0 - a * x * x - b * y * y)
+            z, more = q / (1.0 + root), q / (root * (1.0 + root) ** 2)
+            return z, 2.0 * cx * x / (1.0 + root) + a * x * more, 2.0 * c * y / (1.0 + root) + b * y * more
+        if surface["kind"] == TOROID:
+            f, rate = _curve(surface, y)
+            u = 1.0 - cx * f
+            root = np.sqrt(u * u - cx * cx * x * x)
+            z = np.where(u > 0.0, f + cx * x * x / (u + root), np.nan)
+            return z, cx * x / root, rate * u / root
+        r = np.hypot(x, y)
+        z, rate = _curve(surface, r)
+    radial = np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0)
+    return z, radial * x, radial * y
+
+
+def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
+    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : (n,) float64, mm
+    """
+    by_x, by_y = gradients(surface, x, y)
+    n = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
+    return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
+
+
+def reach(surface: Any) -> float:
+    """Return the largest radius within which the surface exists everywhere, mm; inf when it has no rim of its own."""
+    own = 0.0
+    if surface["curvature"] != 0.0:
+        own = max(own, float((1.0 + surface["conic"]) * surface["curvature"] ** 2))
+    if surface["kind"] == BICONIC:
+        own = max(own, float((1.0 + surface["conic_x"]) * surface["curvature_x"] ** 2))
+    return min(float(1.0 / np.sqrt(own)) if own > 0.0 else np.inf, float(surface["end"]))
+
+
+@kernel
+def sag_at(s: Any, r2: float) -> float:
+    """Return the sag of a conic with even terms at squared radius r² (scalar; NaN where the surface does not reach)."""
+    c = s.curvature
+    z = c * r2 / (1.0 + np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2))
+    power = r2
+    for i in range(s.terms):
+        power *= r2
+        z += s.asphere[i] * power
+    return z
+
+
+@kernel
+def half_slope_at(s: Any, r2: float) -> float:
+    """Return dz/d(r²) of a conic with even terms: twice this times (x, y) is the gradient, on the axis too."""
+    c = s.curvature
+    slope = 0.5 * c / np.sqrt(1.0 - (1.0 + s.conic) * c * c * r2)
+    power = r2
+    for i in range(s.terms):
+        slope += (i + 2) * s.asphere[i] * power
+        power *= r2
+    return slope
+
+
+@kernel
+def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a surface of any kind; beyond its end, of how it goes on.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y : float, mm
+    """
+    if s.kind == BICONIC:
+        return _biconic_at(s.curvature_x, s.conic_x, s.curvature, s.conic, x, y)
+    if s.kind == TOROID:
+        return _toroid_at(s, x, y)
+    r2 = x * x + y * y
+    z, g = _even_curve_at(s, r2)
+    r = np.sqrt(r2)
+    for i in range(s.odd_terms):
+        g += (2 * i + 3) * s.odd[i] * r
+        r *= r2
+        z += s.odd[i] * r
+    return z, g * x, g * y
+
+
+@kernel
+def _even_curve_at(s: Any, r2: float) -> tuple[float, float]:
+    """Return z at squared radius r² and its derivative by r over r, by the conic and the even terms."""
+    c = s.curvature
+    root2 = 1.0 - (1.0 + s.conic) * c * c * r2
+    root = np.sqrt(root2) if root2 > 0.0 else 0.0
+    z, g = c * r2 / (1.0 + root), (c / root if root2 > 0.0 else 2.0 * c)
+    power = r2
+    for i in range(s.terms):
+        g += (2 * i + 4) * s.asphere[i] * power
+        power *= r2
+        z += s.asphere[i] * power
+    return z, g
+
+
+@kernel
+def _biconic_at(cx: float, kx: float, cy: float, ky: float, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a biconic: (cx x² + cy y²) / (1 + √(1 − (1 + kx) cx² x² − (1 + ky) cy² y²))."""
+    a, b = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+    q, root2 = cx * x * x + cy * y * y, 1.0 - a * x * x - b * y * y
+    if not root2 > 0.0:
+        return q, 2.0 * cx * x, 2.0 * cy * y
+    root = np.sqrt(root2)
+    over = 1.0 / (1.0 + root)
+    z = q * over
+    more = z * over / root
+    return z, x * (2.0 * cx * over + a * more), y * (2.0 * cy * over + b * more)
+
+
+@kernel
+def _toroid_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Return z, dz/dx and dz/dy of a toroid: with the curve f(y), c_x ((z − f)² + 2 f (z − f) + x²) = 2 (z − f)."""
+    f, g = _even_curve_at(s, y * y)
+    cx = s.curvature_x
+    u = 1.0 - cx * f
+    root2 = u * u - cx * cx * x * x
+    if u > 0.0 and root2 > 0.0:
+        root = np.sqrt(root2)
+        return f + cx * x * x / (u + root), cx * x / root, g * y * u / root
+    slope = np.copysign(1.0, cx * x)
+    return f + slope * x, slope, g * y
+
+
+@kernel
+def _gradient_with_terms(s: Any, x: float, y: float) -> tuple[float, float]:
+    """Return dz/dx and dz/dy of a surface that is no conic."""
+    if s.kind == CONIC_AND_EVEN:
+        g = 2.0 * half_slope_at(s, x * x + y * y)
+        return g * x, g * y
+    _, gx, gy = form_at(s, x, y)
+    return gx, gy
+
+
+@inlined
+def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit normal, towards +z on the sheet of the vertex, at a point of the surface.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y, z : float, mm
+        From the vertex.
+    """
+    if s.terms == 0:
+        c = s.curvature
+        nx, ny, nz = -c * x, -c * y, 1.0 - c * (1.0 + s.conic) * z
+        if s.conic == 0.0:
+            # A sphere's is of unit length as it stands, to the rounding of the point.
+            return nx, ny, nz
+    else:
+        gx, gy = _gradient_with_terms(s, x, y)
+        nx, ny, nz = -gx, -gy, 1.0
+    scale = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx * scale, ny * scale, nz * scale
+
+
+@inlined
+def conic_distance(
+    c: float, k: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Return whether, and at which distance t along the ray, it crosses a conic in a given sense.
+
+    Of the quadratic's two roots, one crosses along the normal (towards +z on the vertex's sheet), the other against
+    it, and a caller that knows the medium it is in knows which it wants. The caller starts from a point close to the
+    surface (where the ray crosses the facet that Embree found), so t is a small correction, of either sign, and its
+    rounding error is that of the facet's size, not of the ray's length.
+
+    Parameters
+    ----------
+    sense : float
+        1 to cross along the normal, −1 against it.
+    """
+    q = 1.0 + k
+    a = c * (dx * dx + dy * dy + q * dz * dz)
+    b = c * (x * dx + y * dy + q * z * dz) - dz
+    g = c * (x * x + y * y + q * z * z) - 2.0 * z
+    root = b * b - a * g
+    if not root >= 0.0:
+        return False, 0.0
+    # Normal · direction is sense · sqrt(root) at t = (−b − sense √) / a = g / (−b + sense √): take the form in which
+    # nothing cancels.
+    signed = np.copysign(np.sqrt(root), sense)
+    above, below = g, signed - b
+    if signed * b > 0.0:
+        above, below = -b - signed, a
+    if below == 0.0:
+        return False, 0.0
+    return True, above / below
+
+
+@kernel
+def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return how far the ray's point at t stands above a conic with even terms, along z."""
+    px, py = x + t * dx, y + t * dy
+    return z + t * dz - sag_at(s, px * px + py * py)
+
+
+@kernel
+def _rate(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return the derivative of `_height` by t."""
+    px, py = x + t * dx, y + t * dy
+    return dz - 2.0 * half_slope_at(s, px * px + py * py) * (px * dx + py * dy)
+
+
+@kernel
+def _height_by_form(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return how far the ray's point at t stands above a surface of any kind, along z."""
+    return z + t * dz - form_at(s, x + t * dx, y + t * dy)[0]
+
+
+@kernel
+def _rate_by_form(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
+    """Return the derivative of `_height_by_form` by t."""
+    _, gx, gy = form_at(s, x + t * dx, y + t * dy)
+    return dz - gx * dx - gy * dy
+
+
+def _searcher(height_at: Any, rate_at: Any) -> Any:
+    """Return the search for a crossing by the height above a kind of surface, and its rate along the ray.
+
+    A kernel for each: in one for all, the way through the surface's kind costs an even asphere a sixth of its time.
+    """
+
+    @kernel
+    def newton(
+        s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, low: float, high: float, at_low: float
+    ) -> tuple[bool, float]:
+        """Return the root of the height between low and high: by Newton's method, or by bisection where that leaves."""
+        scale = abs(x) + abs(y) + abs(z)
+        t = high
+        for _ in range(NEWTON_STEPS):
+            height = height_at(s, x, y, z, dx, dy, dz, t)
+            if height * at_low > 0.0:
+                low = t
+            else:
+                high = t
+            following = t - height / rate_at(s, x, y, dx, dy, dz, t)
+            if not min(low, high) <= following <= max(low, high):
+                following = 0.5 * (low + high)
+            settled = abs(following - t) <= SETTLED * (scale + abs(t))
+            t = following
+            if settled:
+                break
+        return True, t
+
+    @kernel
+    def search(
+        s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, of_conic: float
+    ) -> tuple[bool, float]:
+        """Return the crossing next to the ray's start, in a given sense: bracketed, then by Newton's method.
+
+        A ray may cross such a surface more than twice, and its conic part may lie far from it. On which side of the
+        surface the start lies tells which way the crossing does: one that is still in front of the surface goes on, one
+        that has passed it goes back.
+        """
+        low = 0.0
+        here = height_at(s, x, y, z, dx, dy, dz, low)
+        if not abs(here) < np.inf:
+            # A facet's edge reaches beyond the end of its surface.
+            low = of_conic
+            here = height_at(s, x, y, z, dx, dy, dz, low)
+        if here == 0.0:
+            return True, low
+        ahead = -1.0 if sense * here > 0.0 else 1.0
+        rate = sense * rate_at(s, x, y, dx, dy, dz, low)
+        step = OVERSTEP * abs(here) / max(rate, STEEP)
+        for _ in range(DOUBLINGS):
+            high = low + ahead * step
+            there = height_at(s, x, y, z, dx, dy, dz, high)
+            if here * there <= 0.0:
+                return newton(s, x, y, z, dx, dy, dz, low, high, here)
+            if abs(there) < np.inf:
+                low, step = high, 2.0 * step
+            else:
+                # Past the surface's end.
+                step *= 0.5
+        return False, 0.0
+
+    return search
+
+
+_first_crossing = crossing_finder(form_at)
+
+
+@kernel
+def first_crossing(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, begin: float, end: float,
+    from_it: bool,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether and where a ray first crosses a surface inside its `domain`, however it grazes it.
+
+    Parameters
+    ----------
+    s : SURFACE record
+        That has its bends, see `tessellation.set_bends`.
+    x, y, z : float, mm
+        From the vertex.
+    dx, dy, dz : float
+        Unit.
+    sense : float
+        1 to cross along the normal, −1 against it.
+    begin, end : float, mm
+        Distances between which it is looked for.
+    from_it : bool
+        The ray starts on the surface, and does not meet it there.
+    """
+    a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - s.domain * s.domain
+    if a > 0.0:
+        root = b * b - a * c
+        if not root >= 0.0:
+            return False, 0.0
+        begin, end = max(begin, (-b - np.sqrt(root)) / a), min(end, (np.sqrt(root) - b) / a)
+    elif c > 0.0:
+        return False, 0.0
+    if not begin < end:
+        return False, 0.0
+    sag, _, _ = form_at(s, x + begin * dx, y + begin * dy)
+    if not (from_it or sense * (sag - z - begin * dz) > 0.0):
+        # It comes from beside the surface, and not from the side that it would be crossed from.
+        return False, 0.0
+    most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)
+    return _first_crossing(s, x, y, z, dx, dy, dz, sense, most, begin, end)
+
+
+_asphere_distance = _searcher(_height, _rate)
+_distance_by_form = _searcher(_height_by_form, _rate_by_form)
+
+
+@inlined
+def distance_to(
+    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
+) -> tuple[bool, float]:
+    """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`.
+
+    Parameters
+    ----------
+    s : SURFACE record
+    x, y, z : float, mm
+        From the vertex.
+    dx, dy, dz : float
+        Unit.
+    sense : float
+        1 to cross along the normal, −1 against it.
+    """
+    meets, t = conic_distance(s.curvature, s.conic, x, y, z, dx, dy, dz, sense)
+    if s.terms > 0:
+        if s.kind == CONIC_AND_EVEN:
+            meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, sense, t)
+        else:
+            meets, t = _distance_by_form(s, x, y, z, dx, dy, dz, sense, t)
+    return meets, t

@@ -1,0 +1,428 @@
+"""From exact surfaces to meshes: caps, the rings that close the space between two caps, solids.
+
+All caps of one lens have the same number of rings of triangles, so that the rims of neighbouring surfaces have the
+same number of vertices at the same azimuths and a ring joins them without a gap.
+"""
+
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry import frame
+from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals, joined
+from lfmesh.geometry.surfaces.surface import gradients, heights, in_place, is_revolved, normals, reach, sag, slope
+
+OVERREACH = 0.02
+"""How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
+
+FLOAT32_MARGIN = 2.0**-20
+"""Some roundings of a float32 coordinate, relative."""
+
+MAX_RINGS = 120
+
+AZIMUTHS = 96
+"""Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
+
+QUARTER = 25
+"""Azimuths of a quarter turn by which a biconic or toroid is judged, which is symmetric about x and y."""
+
+QUADRATIC = 4.0 / 3.0
+"""Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an
+equilateral one from a paraboloid, whose middle lies as far off as a circle's that goes round it."""
+
+HIGHER_ORDERS = 1.25
+"""Factor on that for what a surface has beyond quadratic terms within a facet."""
+
+BEND_CIRCLES = 512
+"""Circles on which the second derivatives of a surface are sampled."""
+
+BEND_STEP = 1e-5
+"""Share of a surface's radius over which they are differences of its slopes."""
+
+BEND_BOUND = 1.05
+"""Factor on the largest values found, for what lies between the samples."""
+
+ANNULUS_LEAN = 0.05
+"""Rise of a ring's annulus over the length of its cylinder."""
+
+
+@cache
+def disk_pattern(rings: int) -> tuple[Index, Array, Index]:
+    """Return the topology of a disk: (v,) ring of each vertex, (v,) azimuth in rad, (f, 3) faces facing +z.
+
+    Ring i has 6 i vertices, so that triangles stay near equilateral: 6 rings² faces in all.
+    """
+    ring = np.repeat(np.arange(rings + 1), [1, *(6 * i for i in range(1, rings + 1))])
+    azimuth = np.concatenate([[0.0], *(2 * np.pi * np.arange(6 * i) / (6 * i) for i in range(1, rings + 1))])
+    first = np.concatenate([[0], 1 + 3 * np.arange(rings) * (np.arange(rings) + 1)])
+    faces = []
+    for i in range(1, rings + 1):
+        inner, outer = max(6 * (i - 1), 1), 6 * i
+        for sector in range(6):
+            for step in range(i):
+                a = first[i] + (sector * i + step) % outer
+                b = first[i] + (sector * i + step + 1) % outer
+                c = first[i - 1] + (sector * (i - 1) + step) % inner
+                faces.append((a, b, c))
+                if step < i - 1:
+                    faces.append((b, first[i - 1] + (sector * (i - 1) + step + 1) % inner, c))
+    return ring.astype(np.int64), azimuth, np.array(faces, dtype=np.int64)
+
+
+def last_radius(surface: Any) -> float:
+    """Return the largest radius at which the sag is sure to be a number."""
+    return reach(surface) * (1.0 - 4.0 * np.finfo(np.float64).eps)
+
+
+def rim_radius(surface: Any, rings: int, overreach: float = OVERREACH) -> float:
+    """Return the radius of the mesh's rim: its edges, chords of that circle, stay outside the clear aperture.
+
+    Where the surface ends before, its last circle is what they stay outside of, by more than a float32 query rounds.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+        Rings of triangles.
+    overreach : float
+        Share of the aperture by which the mesh goes beyond it.
+    """
+    inner = min(surface["semi_diameter"] * (1.0 + overreach), last_radius(surface) * (1.0 + FLOAT32_MARGIN))
+    return float(inner / np.cos(np.pi / (6 * rings)))
+
+
+def mesh_sag(surface: Any, r: ArrayLike) -> Array:
+    """Return the sag that a mesh has at radii `r`: beyond the surface's end, that of its end."""
+    return sag(surface, np.minimum(r, last_radius(surface)))
+
+
+def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf) -> Array:
+    """Return z above the vertex that a mesh has at points (x, y) of one shape: beyond the end, that of its end.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    x, y : float64, mm
+    most : float, mm
+        Radius beyond which z is that of this radius.
+    """
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    r, most = np.hypot(x, y), min(most, last_radius(surface))
+    if is_revolved(surface):
+        return sag(surface, np.minimum(r, most))
+    inside = np.minimum(1.0, np.divide(most, r, out=np.ones_like(r), where=r > 0.0))
+    return heights(surface, inside * x, inside * y)
+
+
+def steepness(surface: Any, r: ArrayLike) -> Array:
+    """Return the largest slope that a surface has at radii (n,), at any azimuth.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    r : (n,) float64, mm
+    """
+    r = np.asarray(r, dtype=np.float64)
+    if is_revolved(surface):
+        return np.abs(slope(surface, r))
+    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
+    return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
+
+
+def set_bends(surface: Any, rim: float) -> None:
+    """Enter in a SURFACE record how much it bends at least and at most, out to the rim of its mesh.
+
+    By differences of its slopes, on circles and azimuths of a quarter turn.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    domain = min(rim, last_radius(surface)) * (1.0 - BEND_STEP)
+    if not domain < np.inf:
+        return
+    step = BEND_STEP * domain
+    # A whole step off the axis, where odd powers have a kink.
+    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    x, y = r * np.cos(phi), r * np.sin(phi)
+    xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
+    xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))
+    mean, half = 0.5 * (xx + yy), 0.5 * np.hypot(xx - yy, xy + yx)
+    surface["least_bend"] = BEND_BOUND * (mean - half).min() / (2.0 * step)
+    surface["most_bend"] = BEND_BOUND * (mean + half).max() / (2.0 * step)
+    surface["domain"] = domain
+
+
+def ring_radii(surface: Any, rings: int, rim: float) -> Array:
+    """Return (rings + 1,) radii equally spaced along the meridian's arc, so that steep rims get their share.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
+    # Sampled in the angle of a quarter turn, whose points crowd at the rim, where a hemisphere's slope runs away.
+    fine = min(rim, last_radius(surface)) * np.sin(np.linspace(0.0, 0.5 * np.pi, 2049))
+    if is_revolved(surface):
+        rise = np.diff(sag(surface, fine))
+    else:
+        phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)[:, None]
+        rise = np.abs(np.diff(heights(surface, np.cos(phi) * fine, np.sin(phi) * fine))).max(axis=0)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), rise))])
+    radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)
+    radii[-1] = rim
+    return radii
+
+
+def cap(surface: Any, rings: int, rim: float) -> Mesh:
+    """Return the mesh of a surface out to `rim`, facing +z, in the frame of the lens, with exact corner normals.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
+    ring, azimuth, faces = disk_pattern(rings)
+    return disk_mesh(surface, ring_radii(surface, rings, rim)[ring], azimuth, faces)
+
+
+def disk_mesh(surface: Any, r: Array, azimuth: Array, faces: Index) -> Mesh:
+    """Return the mesh of a surface with given vertices and faces, in the frame of the lens, with exact corner normals.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    r : (v,) float64, mm
+    azimuth : (v,) float64, rad
+    faces : (f, 3) int64
+        Facing +z.
+    """
+    x, y = r * np.cos(azimuth), r * np.sin(azimuth)
+    z = mesh_sag(surface, r) if is_revolved(surface) else mesh_heights(surface, x, y)
+    vertices = np.column_stack([x, y, z + surface["vertex_z"]])
+    inside = np.minimum(1.0, np.divide(last_radius(surface), r, out=np.ones_like(r), where=r > 0.0))
+    return Mesh(vertices, faces, normals(surface, inside * x, inside * y)[faces])
+
+
+def revolved(profile: Array, azimuths: int) -> Mesh:
+    """Return the mesh of a meridional polyline (n, 2) of (r, z) turned about the axis.
+
+    It faces the axis where the polyline runs towards +z. The azimuths are those of a cap's rim: the ends meet it.
+    """
+    phi = 2 * np.pi * np.arange(azimuths) / azimuths
+    r, z = profile[:, :1], profile[:, 1:]
+    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (len(z), azimuths))], axis=-1)
+    return strip(vertices)
+
+
+def strip(circles: Array) -> Mesh:
+    """Return the mesh of the strips between neighbouring closed lines of points, (lines, points, 3) mm.
+
+    It faces inwards where the lines follow each other towards +z and run from x to y.
+    """
+    lines, count, _ = circles.shape
+    here = np.arange(count)
+    there = (here + 1) % count
+    faces = []
+    for k in range(lines - 1):
+        low, high = k * count, (k + 1) * count
+        faces.append(np.column_stack([low + here, high + here, low + there]))
+        faces.append(np.column_stack([low + there, high + here, high + there]))
+    mesh = Mesh(circles.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
+    # Ends that touch leave nothing to close between them.
+    return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
+
+
+def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Array:
+    """Return the meridional polyline, front rim to back rim, that closes the space between two surfaces.
+
+    A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
+    one of the surfaces; then a cone.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    front_rim, back_rim : float, mm
+        Radii of the two meshes.
+
+    Returns
+    -------
+    (n, 2) float64, mm
+        r and z.
+    """
+    a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
+    b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
+    narrow, wide = (a, b) if a[0] < b[0] else (b, a)
+    # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
+    corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
+    turned = np.stack([a, corner, b]) if a[0] != b[0] else np.stack([a, b])
+    for profile in (turned, np.stack([a, b])):
+        if b[1] >= a[1] - abs(b[0] - a[0]) and _clears(profile, front, front_rim, back, back_rim):
+            return profile
+    raise SceneError(
+        f"the rims of two neighbouring surfaces cross: one reaches z = {a[1]:.6g} mm at radius {a[0]:.6g} mm, the next "
+        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm; give more thickness or smaller semi-diameters"
+    )
+
+
+def _clears(profile: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
+    """Tell whether a profile stays behind the front surface and before the back one."""
+    share = np.linspace(0.0, 1.0, 129)[1:-1, None]
+    points = np.concatenate([p + share * (q - p) for p, q in pairwise(profile)])
+    r, z = points[:, 0], points[:, 1]
+    before = (r < front_rim) & (z < front["vertex_z"] + mesh_sag(front, np.minimum(r, front_rim)))
+    behind = (r < back_rim) & (z > back["vertex_z"] + mesh_sag(back, np.minimum(r, back_rim)))
+    return not bool(np.any(before | behind))
+
+
+def chord_error(surface: Any, rings: int, rim: float) -> float:
+    """Return a bound of the distance along z between the surface and its mesh, mm: along meridian and parallel.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rings : int
+    rim : float, mm
+    """
+    if not is_revolved(surface):
+        return _facet_error(surface, cap(surface, rings, rim))
+    r = ring_radii(surface, rings, rim)
+    middle = 0.5 * (r[1:] + r[:-1])
+    z = mesh_sag(surface, r)
+    radial = np.abs(sag(surface, middle) - 0.5 * (z[1:] + z[:-1])).max()
+    # A chord of ring i lies inside the circle by r (1 − cos(π/6i)), which the slope turns into sag.
+    i = np.arange(1, rings + 1)
+    around = (
+        np.abs(slope(surface, np.minimum(r[1:], 0.999 * reach(surface)))) * r[1:] * (1 - np.cos(np.pi / (6 * i)))
+    ).max()
+    return float(radial + around)
+
+
+def _facet_error(surface: Any, mesh: Mesh) -> float:
+    """Return a bound of the distance along z between a surface and its mesh, mm, by the middles of all edges.
+
+    Of a quadratic surface a triangle is off the most on an edge, where the surface is a saddle there or the triangle
+    obtuse as its curvature sees it; else by up to `QUADRATIC` times that.
+    """
+    corners = mesh.vertices[mesh.faces]
+    middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
+    off = middles[..., 2] - surface["vertex_z"] - mesh_heights(surface, middles[..., 0], middles[..., 1])
+    return float(QUADRATIC * HIGHER_ORDERS * np.abs(off).max())
+
+
+def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.inf) -> int:
+    """Return how many rings keep every mesh within a sag tolerance.
+
+    Parameters
+    ----------
+    surfaces : (K,) SURFACE
+    least : int
+        Rings to begin with.
+    tolerance_mm : float
+        Of the sag.
+    """
+    rings = least
+    while rings < MAX_RINGS:
+        rims = [rim_radius(s, rings) for s in surfaces]
+        errors = [chord_error(s, rings, rim) for s, rim in zip(surfaces, rims, strict=True)]
+        if max(errors, default=0.0) <= tolerance_mm:
+            break
+        rings = max(rings + 1, int(rings * 1.2))
+    return min(rings, MAX_RINGS)
+
+
+def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
+    """End surfaces that touch outside their clear apertures, or at their rims, where they do.
+
+    Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
+    """
+    for front, back in pairwise(surfaces):
+        inner = float(min(front["semi_diameter"], back["semi_diameter"]))
+        if not np.isfinite(inner):
+            continue
+        outer = min(rim_radius(front, rings), rim_radius(back, rings), last_radius(front), last_radius(back))
+        if _gap_at(front, back, outer) > 0.0:
+            continue
+        low, high = inner, max(inner, outer)
+        while (middle := 0.5 * (low + high)) not in (low, high):
+            low, high = (middle, high) if _gap_at(front, back, middle) > 0.0 else (low, middle)
+        for s in (front, back):
+            if s["semi_diameter"] <= low:
+                s["end"] = min(float(s["end"]), low)
+
+
+def _gap_at(front: Any, back: Any, radius: float) -> float:
+    if not (stand_together(front, back) and is_revolved(front) and is_revolved(back)):
+        return smallest_gap_on(front, back, np.array([radius]))
+    return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
+
+
+def stand_together(front: Any, back: Any) -> bool:
+    """Tell whether two surfaces stand to each other as prescribed: no pose has moved one against the other."""
+    return np.array_equal(front["pose"], back["pose"])
+
+
+def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
+    """Return points (len(r), azimuths, 3) of a surface on circles about its axis, where it stands, mm.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    r : (n,) float64, mm
+    azimuths : int
+    """
+    phi = 2 * np.pi * np.arange(azimuths) / azimuths
+    x, y = np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi))
+    if is_revolved(record):
+        z = np.broadcast_to((record["vertex_z"] + mesh_sag(record, r))[:, None], x.shape)
+    else:
+        z = mesh_heights(record, x, y) + record["vertex_z"]
+    points = np.stack([x, y, z], axis=-1)
+    return frame.points(record["pose"], points) if record["posed"] else points
+
+
+def height_above(record: Any, points: Array) -> tuple[Array, Array]:
+    """Return how far points stand above a surface along its axis, and their distances from that axis, mm.
+
+    Parameters
+    ----------
+    record : SURFACE record
+    points : (..., 3) float64, mm, camera frame
+    """
+    p = in_place(record, points)
+    r = np.hypot(p[..., 0], p[..., 1])
+    return p[..., 2] - record["vertex_z"] - mesh_heights(record, p[..., 0], p[..., 1]), r
+
+
+def smallest_gap_on(front: Any, back: Any, r: Array) -> float:
+    """Return the smallest gap between two surfaces, not both of revolution about one axis, mm.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    r : (n,) float64, mm
+        Radii of the circles, of either surface, on which the gap is measured, along the other surface's axis.
+    """
+    behind_front, _ = height_above(front, on_circles(back, r))
+    behind_back, _ = height_above(back, on_circles(front, r))
+    return float(min(behind_front.min(), -behind_back.max()))
+
+
+def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:
+    """Return the closed solid between two caps (facing +z) and the ring (facing the axis), outward-oriented.
+
+    Parameters
+    ----------
+    front, back : Mesh
+        The caps.
+    ring : Mesh
+    """
+    return joined([front.flipped(), ring.flipped(), back])

@@ -1,0 +1,1 @@
+"""White images, and the places of micro-images."""

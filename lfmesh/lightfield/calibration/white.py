@@ -1,0 +1,105 @@
+"""The white image: the raw image of a uniform Lambertian plane that fills the field of the same camera."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.scene import Camera, Scene
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.render.render import render
+
+RADIANCE = 1.0
+"""Of the plane, W/(m² sr), so that a raw image divided by the white one is the radiance of what it shows."""
+
+WIDTH_OVER_DISTANCE = 12.0
+"""Rays leave the lens at up to 80° from its axis and still meet the plane."""
+
+FOCAL_LENGTHS_AWAY = 10.0
+"""How far off the plane stands; a uniform plane looks the same from anywhere."""
+
+
+def white_scene(scene: Scene) -> Scene:
+    """Return a scene with the same camera and transport that shows nothing but a glowing plane.
+
+    It is traced from the sensor whatever the scene asks for: from a plane that fills every field, hardly any light
+    would find the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Raises
+    ------
+    SceneError
+        As `solved_camera`.
+    """
+    camera = solved_camera(scene)
+    scene = camera.scene
+    # An afocal lens has no focal length to measure by.
+    distance = FOCAL_LENGTHS_AWAY * min(abs(camera.report.efl_mm), 100.0 * max(scene.camera.sensor.size_mm))
+    pose = scene.camera.pose
+    (place,) = frames.points(frames.frame(pose.tilt_deg, pose.shift_mm), np.array([[0.0, 0.0, -distance]]))
+    width = WIDTH_OVER_DISTANCE * distance
+    plane = {
+        "name": "white",
+        "shape": {"kind": "plane", "width_mm": width, "height_mm": width},
+        "position_mm": tuple(place.tolist()),
+        "rotation_deg": pose.tilt_deg,
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": RADIANCE},
+    }
+    return scene.camera_alone(
+        {
+            "name": f"{scene.name}, white".lstrip(", "),
+            "targets": (plane,),
+            "transport.method": "adjoint",
+        }
+    )
+
+
+def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
+    """Refuse to divide a raw image by a white one that does not belong to it.
+
+    Parameters
+    ----------
+    white, image : Image
+    camera : Camera
+        The raw image's, solved.
+
+    Raises
+    ------
+    LfmeshError
+        The white image has other pixels or wavelengths, or another camera.
+    """
+    if white.mean.shape != image.mean.shape or white.wavelengths_nm != image.wavelengths_nm:
+        raise LfmeshError(
+            f"the white image has the shape {white.mean.shape} at {list(white.wavelengths_nm)} nm, the raw image "
+            f"{image.mean.shape} at {list(image.wavelengths_nm)} nm; render the white image of the same scene"
+        )
+    if solved_camera(white.scene).scene.camera != camera:
+        raise LfmeshError("the white image is of another camera; render the white image of the same scene")
+
+
+def white_image(scene: Scene, progress: Callable[[Progress], None] | bool | None = None) -> Image:
+    """Render the white image of a scene's camera, with the scene's transport settings.
+
+    Parameters
+    ----------
+    scene : Scene
+    progress : callable or bool, optional
+        As for `lf.render`.
+
+    Returns
+    -------
+    Image
+        Its `scene` is that of the white plane.
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built.
+    """
+    return render(white_scene(scene), progress)

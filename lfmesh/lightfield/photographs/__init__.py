@@ -1,0 +1,1 @@
+"""Photographs and depth from a light field."""

@@ -1,0 +1,1 @@
+"""Rays in object space that pixels and views see."""

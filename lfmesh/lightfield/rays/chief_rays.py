@@ -1,0 +1,288 @@
+"""Chief rays: from the middle of the stop through the apex of every lenslet to the sensor, traced.
+
+The rays pass the lens as `lf.trace` has it, whatever it is made of. Through the array they need no search: at the apex
+the curved face is square to the array's axis, so that a lenslet is a plane-parallel plate to the ray through it.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.array.lenslets import Lenslets
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
+from lfmesh.lightfield.rays.lens_alone import lens_alone
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import MicrolensArray, Scene
+from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.interfaces import interface_tables
+from lfmesh.transport.tables.lens import mla_tables
+from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.trace import Status, trace
+
+Array = NDArray[np.float64]
+
+FAN = 41
+"""Rays along each side of the fan from which the first guess is made."""
+
+DEGREE = 5
+"""Of the polynomial that tells from the place on the array how a chief ray leaves the stop."""
+
+
+class ChiefRays(NamedTuple):
+    """One ray a lenslet; where the lens stops it, or an apex lies beyond its reach, all of it but `apex` is NaN.
+
+    Attributes
+    ----------
+    apex : (rows, columns, 3) float64, mm, camera frame
+    entry : (rows, columns, 3) float64, mm, camera frame
+        Where it meets the array's first face: the apex, where the curved face looks at the lens.
+    direction : (rows, columns, 3) float64
+        Unit, in the air between lens and array, camera frame.
+    landing : (rows, columns, 2) float64, mm, sensor frame
+    """
+
+    apex: Array
+    entry: Array
+    direction: Array
+    landing: Array
+
+    @property
+    def traced(self) -> NDArray[np.bool_]:
+        """(rows, columns): the lenslets that have a chief ray."""
+        return np.isfinite(self.landing[..., 0])
+
+
+class Plate(NamedTuple):
+    """Array and cover as a chief ray sees them: their glass, and the face that it meets first."""
+
+    lenslets: Lenslets
+    glass: float
+    curved_to_lens: bool
+    moves: Array
+    cover_mm: float = 0.0  # thickness of the cover; 0: none
+    cover_index: float = 1.0
+
+    @property
+    def apexes(self) -> Array:
+        """(rows · columns, 2) mm, array frame."""
+        return self.lenslets.apexes.reshape(-1, 2)
+
+    def at_apexes(self, position: Array, direction: Array) -> Array:
+        """Return where (n, 3) rays of the camera frame cross the plane of the apexes, (n, 2) mm in the array frame."""
+        p = frames.points(self.moves[CAMERA_FRAME, MLA_FRAME], position)
+        d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
+        if self.curved_to_lens:
+            return p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        t = (self.lenslets.thickness - p[:, 2]) / d[:, 2]
+        inside = self.inside(d)
+        return p[:, :2] + t[:, None] * d[:, :2] - (self.lenslets.thickness / inside[:, 2])[:, None] * inside[:, :2]
+
+    def entries(self, direction: Array) -> Array:
+        """Return where rays that come to the apexes meet the array's first face, (n, 3) mm in the camera frame."""
+        points = np.column_stack([self.apexes, np.zeros(len(self.apexes))])
+        if not self.curved_to_lens:
+            inside = self.inside(frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction))
+            points = points + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
+        return frames.points(self.moves[MLA_FRAME, CAMERA_FRAME], points)
+
+    def landing(self, direction: Array) -> Array:
+        """Return where rays through the apexes meet the sensor, (n, 2) mm in its frame.
+
+        Parameters
+        ----------
+        direction : (n, 3) float64
+            Before the array, camera frame.
+        """
+        d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
+        leaves = np.column_stack([self.apexes, np.zeros(len(d))])
+        if self.curved_to_lens:
+            inside = self.inside(d)
+            leaves = leaves + (self.lenslets.thickness / inside[:, 2])[:, None] * inside
+        p = frames.points(self.moves[MLA_FRAME, SENSOR_FRAME], leaves)
+        d = frames.directions(self.moves[MLA_FRAME, SENSOR_FRAME], d)
+        landed = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+        return landed if self.cover_mm == 0.0 else landed + self.moved_by_cover(d)
+
+    def moved_by_cover(self, direction: Array) -> Array:
+        """Return how far the cover moves rays sideways on their way to the sensor, (n, 2) mm in the sensor's frame.
+
+        In a plate of thickness t a ray goes t tan θ' sideways in place of t tan θ, with sin θ = n sin θ'.
+
+        Parameters
+        ----------
+        direction : (n, 3) float64
+            In air, unit, sensor frame.
+        """
+        across, along = direction[:, :2], np.abs(direction[:, 2])
+        in_glass = np.sqrt(self.cover_index**2 - np.einsum("ij,ij->i", across, across))
+        return self.cover_mm * (1.0 / in_glass - 1.0 / along)[:, None] * across
+
+    def inside(self, direction: Array) -> Array:
+        """Return unit directions (array frame) in the glass, by Snell's law at a face square to the axis."""
+        across = direction[:, :2] / self.glass
+        along = np.sqrt(1.0 - np.einsum("ij,ij->i", across, across))
+        return np.column_stack([across, np.copysign(along, direction[:, 2])])
+
+
+def refuse_undecodable(mla: MicrolensArray) -> None:
+    """Refuse an array whose light field has directions across its lenslets only, or with lenslets on both faces.
+
+    Raises
+    ------
+    LfmeshError
+        The message says what takes such an array.
+    """
+    if mla.cylinder_axis is not None:
+        raise LfmeshError(
+            f'camera.mla.cylinder_axis = "{mla.cylinder_axis}": cylindrical lenslets make lines, not micro-images, and '
+            "are not decoded or calibrated; render, check, draw and view take them, and lf.white_image"
+        )
+    if mla.has_back:
+        raise LfmeshError(
+            "camera.mla.back: arrays with lenslets on both faces are not decoded or calibrated, as chief rays are "
+            "known through a flat face only; render, check, draw and view take them, and lf.white_image"
+        )
+
+
+def plate_of(scene: Scene) -> Plate:
+    """Return the array of a scene as chief rays see it.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera, or one with cylindrical lenslets, or lenslets on both faces.
+    """
+    mla = scene.camera.mla
+    if mla is None:
+        raise LfmeshError("camera.mla is missing: a conventional camera has no lenslets to calibrate or decode by")
+    refuse_undecodable(mla)
+    primary = scene.primary_nm
+    _, tables = mla_tables(scene, (primary,), interface_tables(scene, (primary,)).mla, MediumList.of(scene))
+    moves = frame_table(scene, np.zeros(3))
+    cover = scene.camera.sensor.cover
+    covered = (0.0, 1.0) if cover is None else (cover.thickness_mm, refractive_index(cover.medium, primary))
+    return Plate(tables.lenslets, refractive_index(mla.medium, primary), tables.curved_to_lens, moves, *covered)
+
+
+def chief_rays(scene: Scene) -> ChiefRays:
+    """Trace the chief ray of every lenslet, at the primary wavelength.
+
+    Raises
+    ------
+    LfmeshError
+        A conventional camera, or one whose lens lets no chief ray through to the array.
+    """
+    return _chief_rays(solved_camera(scene))
+
+
+@lru_cache(maxsize=2)
+def _chief_rays(camera: SolvedCamera) -> ChiefRays:
+    """Trace the chief rays of a camera; kept for decoding, calibration and views of the same one."""
+    plate = plate_of(camera.scene)
+    apexes = plate.apexes
+    reach = float(np.hypot(*apexes.T).max()) + plate.lenslets.lattice.pitch
+    fan = _Fan(camera, plate, reach)
+
+    def landing(slopes: Array, _: NDArray[np.int64]) -> Array:
+        return plate.at_apexes(*fan.trace(slopes))
+
+    # Where facets leave gaps, the nearest ray that was found stands for the one to the apex.
+    aimed = aim_rays(landing, apexes, fan.guess(apexes), fan.derivative(apexes), reach)
+    _, direction = fan.trace(aimed.start)
+    lattice = plate.lenslets.lattice
+    in_camera = frames.points(plate.moves[MLA_FRAME, CAMERA_FRAME], np.column_stack([apexes, np.zeros(len(apexes))]))
+    shape = (lattice.rows, lattice.columns, -1)
+    rays = ChiefRays(
+        in_camera.reshape(shape),
+        plate.entries(direction).reshape(shape),
+        direction.reshape(shape),
+        plate.landing(direction).reshape(shape),
+    )
+    for values in rays:
+        values.setflags(write=False)
+    return rays
+
+
+class _Fan:
+    """Rays from the middle of the stop, and the polynomial that inverts where they meet the array."""
+
+    def __init__(self, camera: SolvedCamera, plate: Plate, reach: float) -> None:
+        scene, paraxial = camera.scene, camera.paraxial
+        self._world = lens_alone(scene)
+        lens = scene.camera.lens
+        self._wavelength = scene.primary_nm
+        after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
+        # Behind the stop, which may be a surface of glass, and well before the next surface.
+        self._start = frames.points(pose_of(lens, paraxial.stop), [[0.0, 0.0, lens.vertices_mm[paraxial.stop]]])[0]
+        self._ahead = after / 16.0
+        self._reach = reach
+        array_z = lens.vertices_mm[-1] + (scene.camera.mla.distance_mm or 0.0 if scene.camera.mla else 0.0)
+        m = paraxial.from_stop
+        height = m.b + m.d * (array_z - lens.vertices_mm[-1])
+        widest = 1.3 * reach / abs(height * paraxial.indices[paraxial.stop + 1])
+        one = np.linspace(-widest, widest, FAN)
+        slopes = np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2)
+        hit = plate.at_apexes(*self.trace(slopes))
+        through = np.isfinite(hit[:, 0])
+        if through.sum() < 2 * len(self._terms(np.zeros((1, 2)))[0]):
+            raise LfmeshError(
+                "camera: the lens lets hardly any ray from the middle of its stop through to the microlens array; "
+                "check apertures and distances with lfmesh check"
+            )
+        self._coefficients, *_ = np.linalg.lstsq(self._terms(hit[through]), slopes[through], rcond=None)
+
+    def trace(self, slopes: Array) -> tuple[Array, Array]:
+        """Return position and direction, camera frame, in the air before the array, of rays from the stop; NaN: lost.
+
+        Parameters
+        ----------
+        slopes : (n, 2) float64
+            dx/dz and dy/dz behind the stop; NaN is passed on.
+        """
+        ahead = np.column_stack([slopes, np.ones(len(slopes))])
+        known = np.isfinite(slopes[:, 0])
+        position, direction = np.full((2, len(slopes), 3), np.nan)
+        paths = trace(
+            self._world, self._start + self._ahead * ahead[known], ahead[known], self._wavelength, split="transmit"
+        )  # fmt: skip
+        arrived = paths.status == Status.SENSOR
+        rays = np.flatnonzero(known)[paths.source[arrived]]
+        position[rays], direction[rays] = paths.position[arrived], paths.direction[arrived]
+        return position, direction
+
+    def guess(self, apexes: Array) -> Array:
+        """Return the slopes behind the stop, (n, 2), of the rays that meet the array near (n, 2) points of it."""
+        return self._terms(apexes) @ self._coefficients
+
+    def derivative(self, apexes: Array) -> Array:
+        """Return how far rays move on the array for a change of the slopes of those that meet it at (n, 2) points.
+
+        (n, 2, 2) mm: the inverse of the derivative of the polynomial.
+        """
+        by_x, by_y = (terms @ self._coefficients for terms in polynomial_slopes(apexes / self._reach, DEGREE))
+        return np.asarray(np.linalg.inv(np.stack([by_x, by_y], axis=2) / self._reach))
+
+    def _terms(self, points: Array) -> Array:
+        return polynomial_terms(points / self._reach, DEGREE)
+
+
+def polynomial_terms(points: Array, degree: int) -> Array:
+    """Return the (n, terms) monomials x^i y^j, i + j ≤ degree, of (n, 2) points."""
+    x, y = points.T
+    return np.column_stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+
+
+def polynomial_slopes(points: Array, degree: int) -> tuple[Array, Array]:
+    """Return the derivatives of `polynomial_terms` by x and by y, (n, terms) each."""
+    x, y = points.T
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    by_x = np.column_stack([i * x ** max(i - 1, 0) * y**j for i, j in powers])
+    by_y = np.column_stack([j * x**i * y ** max(j - 1, 0) for i, j in powers])
+    return by_x, by_y

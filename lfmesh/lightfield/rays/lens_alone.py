@@ -1,0 +1,123 @@
+"""The main lens by itself: real rays through it to the plane of the array, and where they focus."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.world import World, build
+
+FAN = 64
+"""Rays that the focus is found by, at the radii of as many rings of equal area in the entrance pupil."""
+
+FAR = 1e3
+"""In focal lengths: stands for infinity, where a camera is focused on that or beyond."""
+
+ASIDE = 0.2
+"""Part of the distance in focus by which objects stand before and behind it, where vergences do not tell."""
+
+NEARER = 0.1
+"""The nearer object lies this share of the way from the plane in focus to the front focal point, by vergence."""
+
+
+def lens_alone(scene: Scene) -> World:
+    """Build the main lens alone, with a wide plane in place of the array, in the camera frame."""
+    mla, sensor = scene.camera.mla, scene.camera.sensor
+    assert mla is not None
+    assert mla.distance_mm is not None
+    # So wide that whatever leaves the lens towards the array meets it.
+    wide = 100.0 * (max(mla.size_mm) + max(sensor.size_mm) + mla.distance_mm)
+    alone = scene.camera_alone(
+        {
+            "camera.pose": {},
+            "camera.mla": None,
+            "camera.sensor": {"pixels": (2, 2), "pixel_mm": wide, "distance_mm": mla.distance_mm},
+            "transport.engine": "auto",
+        }
+    )
+    return _built(solved_camera(alone))
+
+
+@lru_cache(maxsize=4)
+def _built(camera: SolvedCamera) -> World:
+    return build(camera.scene)
+
+
+def focus_shift(scene: Scene) -> tuple[float, float]:
+    """Return the distance along the axis from the paraxial image of an axial point to its sharpest one, by real rays.
+
+    Where a bundle that fills the aperture has its smallest rms radius, from the paraxial image along z, for objects
+    nearer and farther than the plane in focus; between them it goes as the inverse distance.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved, with a microlens array; elements given as meshes measured.
+
+    Returns
+    -------
+    shift : float, mm
+        For a distant object.
+    slope : float, mm²
+        Over the object's distance from the front principal plane: added.
+    """
+    return _focus_shift(solved_camera(scene))
+
+
+@lru_cache(maxsize=8)
+def _focus_shift(camera: SolvedCamera) -> tuple[float, float]:
+    facts = camera.report
+    principal_z = facts.front_principal_plane_z_mm
+    distances = _probed_mm(facts)
+    world = lens_alone(camera.scene)
+    at_near, at_far = (_focus_shift_mm(camera, world, distance) for distance in distances)
+    near, far = (1.0 / (distance + principal_z) for distance in distances)
+    slope = (at_near - at_far) / (near - far)
+    return at_far - slope * far, slope
+
+
+def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
+    """Return the distances of two objects before the first vertex, one on each side of the plane in focus.
+
+    By vergence, reckoned from the principal plane, where that is near the lens. A relay's lies far away, and so would
+    objects at half the vergence: its own stand round the plane in focus.
+    """
+    principal_z, focus = facts.front_principal_plane_z_mm, facts.object_distance_mm
+    in_focus = 1.0 / (focus + principal_z)
+    if facts.efl_mm > 0.0 and not 1.0 / (FAR * facts.efl_mm) < in_focus < 1.0 / facts.efl_mm:
+        in_focus = 1.0 / (FAR * facts.efl_mm)
+        focus = 1.0 / in_focus - principal_z
+    near = 1.0 / ((1.0 - NEARER) * in_focus + NEARER / facts.efl_mm) - principal_z
+    far = 2.0 / in_focus - principal_z
+    if abs(principal_z) < focus and 0.0 < near < focus < far:
+        return near, far
+    return (1.0 - ASIDE) * focus, focus / (1.0 - ASIDE)
+
+
+def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> float:
+    """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the entrance pupil."""
+    facts, lens = camera.report, camera.scene.camera.lens
+    pupil_z, pupil_radius = facts.entrance_pupil_z_mm, 0.5 * facts.entrance_pupil_diameter_mm
+    # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
+    front_focus = facts.efl_mm - facts.front_principal_plane_z_mm
+    if not math.isfinite(pupil_z) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
+        return 0.0
+    ring = pupil_radius * np.sqrt((np.arange(FAN) + 0.5) / FAN)
+    toward = np.column_stack([ring, np.zeros(FAN), np.full(FAN, pupil_z + distance_mm)])
+    # A relay's pupil may lie before the object, which then sends its rays away from it.
+    toward *= math.copysign(1.0, pupil_z + distance_mm)
+    # From close before the lens: the object may be far, and rays are as exact as the place they start from.
+    ahead = max(distance_mm - abs(facts.efl_mm), 0.5 * distance_mm)
+    start = np.array([0.0, 0.0, -distance_mm]) + toward * (ahead / toward[:, 2:])
+    paths = trace(world, start, toward, facts.wavelength_nm, split="transmit")
+    arrived = paths.status == Status.SENSOR
+    x, z = paths.position[arrived, 0], paths.position[arrived, 2]
+    slope = paths.direction[arrived, 0] / paths.direction[arrived, 2]
+    if not slope.any():
+        return 0.0
+    sharpest = float(z[0] - (x * slope).sum() / (slope * slope).sum())
+    paraxial = camera.paraxial.image_mm(distance_mm)
+    return sharpest - lens.vertices_mm[-1] - paraxial

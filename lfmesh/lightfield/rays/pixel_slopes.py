@@ -1,0 +1,126 @@
+"""The rays that leave points of the sensor, through its cover, for points of the array."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame as frames
+from lfmesh.lightfield.rays.chief_rays import Plate
+from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 20
+"""Steps by which the ray through a cover is found; each takes off a few digits, the more the less it is inclined."""
+
+
+class PixelSlopes(NamedTuple):
+    """Rays between sensor and array, in the array's frame.
+
+    Attributes
+    ----------
+    seen : (n, 3) float64, mm
+        Where the straight line of the ray before the cover comes from: without a cover the point of the sensor.
+    slope : (n, 2) float64
+        dx/|dz| and dy/|dz| in the air before the array; NaN where no ray leads to the point.
+    derivative : (n, 2, 2) float64, mm
+        Of the point that the ray comes to, by its slopes.
+    """
+
+    seen: Array
+    slope: Array
+    derivative: Array
+
+
+def pixel_slopes(plate: Plate, on_sensor: Array, to: Array, before_mm: Array, glass_mm: Array) -> PixelSlopes:
+    """Find the rays from points of the sensor to points of the array.
+
+    Parameters
+    ----------
+    plate : Plate
+    on_sensor : (n, 2) float64, mm
+        Sensor frame.
+    to : (n, 2) float64, mm
+        Array frame.
+    before_mm : (n,) float64
+        How far the array reaches, from the plane of its apexes, towards the sensor.
+    glass_mm : (n,) float64
+        Glass that the ray crosses behind a flat face before it comes to the point.
+    """
+    to_array = plate.moves[SENSOR_FRAME, MLA_FRAME]
+    # Seen through a cover, a pixel appears nearer, and off its place by what is of third order in the angle.
+    nearer = plate.cover_mm * (1.0 - 1.0 / plate.cover_index)
+    moved = np.column_stack([on_sensor, np.full(len(on_sensor), -nearer)])
+    for _ in range(MOST_STEPS if nearer > 0.0 else 1):
+        seen = frames.points(to_array, moved)
+        slope, derivative = slopes_across(to - seen[:, :2], np.abs(seen[:, 2]) - before_mm, glass_mm, plate.glass)
+        if nearer > 0.0:
+            place = on_sensor + _off_its_place(plate, slope)[0]
+            still = np.array_equal(place, moved[:, :2], equal_nan=True)
+            moved[:, :2] = place
+            if still:
+                break
+    if nearer > 0.0:
+        by_slope = to_array[:, :2] @ _off_its_place(plate, slope)[1]
+        derivative = derivative + by_slope[:, :2]
+        derivative += np.sign(seen[:, 2])[:, None, None] * slope[:, :, None] * by_slope[:, 2:]
+    return PixelSlopes(seen, slope, derivative)
+
+
+def ahead(plate: Plate, slope: Array) -> Array:
+    """Return the (n, 3) directions, not of unit length, of slopes towards the lens in the array's frame."""
+    # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
+    return np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
+
+
+def _off_its_place(plate: Plate, slope: Array) -> tuple[Array, Array]:
+    """Return how far aside of itself a pixel is seen through the cover, (n, 2) mm (sensor frame), and derivatives.
+
+    With slopes s in the sensor's frame, a plate of thickness t and index n moves a ray by t s (1 / n' − 1), where
+    n' = √(n² + (n² − 1) s²); that the pixel is seen nearer accounts for t s (1 / n − 1).
+    """
+    n, more = plate.cover_index, plate.cover_index**2 - 1.0
+    turn = plate.moves[MLA_FRAME, SENSOR_FRAME][:, :3]
+    way = ahead(plate, slope) @ turn.T
+    along = np.abs(way[:, 2])
+    s = way[:, :2] / along[:, None]
+    by_slope = (turn[:2, :2] - (np.sign(way[:, 2])[:, None] * s)[:, :, None] * turn[2, :2]) / along[:, None, None]
+    inside = np.sqrt(n * n + more * np.square(s).sum(axis=1))
+    share = 1.0 / inside - 1.0 / n
+    off = plate.cover_mm * share[:, None] * s
+    by_s = share[:, None, None] * np.eye(2) - (more / inside**3)[:, None, None] * s[:, :, None] * s[:, None, :]
+    return off, plate.cover_mm * by_s @ by_slope
+
+
+def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -> tuple[Array, Array]:
+    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN where none has it.
+
+    With them the derivatives of the offset by the slope, (n, 2, 2) mm.
+
+    Parameters
+    ----------
+    offset : (n, 2) float64, mm
+    air_mm, glass_mm : (n,) float64
+        Thickness of the air and of the plate.
+    index : float
+        Refractive index of the plate.
+    """
+    more = index * index - 1.0
+
+    def landing(slope: Array, which: NDArray[np.int64]) -> Array:
+        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
+        return slope * (air_mm[which] + glass_mm[which] / in_glass)[:, None]
+
+    # First order gives slopes that are too small, and less is added the larger they are: steps come from below.
+    guess = offset / (air_mm + glass_mm / index)[:, None]
+
+    def derivative(slope: Array) -> Array:
+        in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
+        along = (air_mm + glass_mm / in_glass)[:, None, None] * np.eye(2)
+        return along - (glass_mm * more / in_glass**3)[:, None, None] * slope[:, :, None] * slope[:, None, :]
+
+    aimed = aim_rays(landing, offset, guess, derivative(guess), air_mm + glass_mm)
+    slopes = np.where(aimed.arrived[:, None], aimed.start, np.nan)
+    return slopes, derivative(slopes)

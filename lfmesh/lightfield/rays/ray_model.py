@@ -1,0 +1,267 @@
+"""The two maps between the shift from view to view and a distance in object space.
+
+`RayModel` is the map of first-order optics, moved to the best focus of a filled aperture: right for photographs. Views
+from near the rim of the pupil focus elsewhere than those from the middle, and depth is measured on the views that are
+used: `TracedShift` is the map fitted to their rays. Both are a `ShiftMap`.
+
+A pixel seen through its lenslet's principal points belongs to one point of the exit pupil and one of the array: the
+two planes between which a light field is measured. Views a pixel apart are `view_step_mm` apart on the pupil. An
+object whose image lies ε behind the array crosses it, from view to view, by shift = k ε / (1 + ε/D) with k = pixel/d.
+This is the model of C. Hahne et al., "Refocusing distance of a standard plenoptic camera", Opt. Express 24 (2016)
+21521, whose shift parameter `a` is the shift in lenslets.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
+from lfmesh.lightfield.rays.chief_rays import refuse_undecodable
+from lfmesh.lightfield.rays.lens_alone import focus_shift
+from lfmesh.scene import Scene
+from lfmesh.scene.first_order.report import lenslet_to_sensor_mm
+
+Array = NDArray[np.float64]
+
+ROUNDS = 10
+"""Of successive approximation, for the distance of a shift."""
+
+
+class ShiftMap(Protocol):
+    """Map between the distance of a plane and its shift on the array from one view to the next."""
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far a point moves on the array from one view to the next; positive nearer than the focus.
+
+        Parameters
+        ----------
+        distance_mm : float
+            Of the object plane, before the first vertex.
+        """
+
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances before the first vertex whose points move so far: the inverse of `shift_mm`.
+
+        Parameters
+        ----------
+        shift_mm : float, or array of any shape
+
+        Returns
+        -------
+        float, or array of that shape, mm
+            inf at infinity; negative for virtual objects, which lie beyond it.
+        """
+
+
+@dataclass(frozen=True)
+class RayModel:
+    """A light-field camera by its cardinal points. All z are in the camera frame, whose origin is the first vertex.
+
+    Attributes
+    ----------
+    efl_mm : float
+        Focal length of the main lens.
+    front_principal_z_mm, rear_principal_z_mm : float
+    array_z_mm : float
+        The lenslets' front principal points.
+    pupil_to_array_mm : float
+        D, from the exit pupil to the lenslets' front principal points; inf for a telecentric lens, negative where the
+        pupil lies behind the array.
+    lenslet_to_sensor_mm : float
+        d, from the lenslets' rear principal points to the sensor, in air.
+    lenslet_pitch_mm, pixel_mm : float
+    f_number : float
+        Of the main lens, on the image side, at its focus.
+    focus_shift_mm, focus_shift_mm2 : float
+        From where first-order optics images a point of the axis to where the rays of the full aperture come closest
+        together, along z: what spherical aberration does to the focus. The second is divided by the object's distance
+        from the front principal plane and added.
+    """
+
+    efl_mm: float
+    front_principal_z_mm: float
+    rear_principal_z_mm: float
+    array_z_mm: float
+    pupil_to_array_mm: float
+    lenslet_to_sensor_mm: float
+    lenslet_pitch_mm: float
+    pixel_mm: float
+    f_number: float
+    focus_shift_mm: float = 0.0
+    focus_shift_mm2: float = 0.0
+
+    @classmethod
+    def of(cls, scene: Scene) -> "RayModel":
+        """Read a scene's camera, with the shifts along z and the pitch error of its array, and trace its real focus.
+
+        Raises
+        ------
+        LfmeshError
+            A conventional camera, one with cylindrical lenslets, or an afocal lens.
+        """
+        known = solved_camera(scene)
+        scene, facts = known.scene, known.report
+        camera, wavelength = scene.camera, scene.primary_nm
+        mla = camera.mla
+        if mla is None:
+            raise LfmeshError("camera.mla is missing: a conventional camera records no light field")
+        refuse_undecodable(mla)
+        if not math.isfinite(facts.efl_mm):
+            raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
+        array_z = facts.image_z_mm + mla.pose.shift_mm[2]
+        shift, slope = focus_shift(scene)
+        return cls(
+            efl_mm=facts.efl_mm,
+            front_principal_z_mm=facts.front_principal_plane_z_mm,
+            rear_principal_z_mm=facts.rear_principal_plane_z_mm,
+            array_z_mm=array_z,
+            pupil_to_array_mm=array_z - _exit_pupil_z_mm(known),
+            lenslet_to_sensor_mm=lenslet_to_sensor_mm(camera, wavelength)
+            + camera.sensor.pose.shift_mm[2]
+            - mla.pose.shift_mm[2],
+            lenslet_pitch_mm=mla.pitch_mm * (1.0 + mla.form.pitch_error),
+            pixel_mm=camera.sensor.pixel_mm,
+            f_number=facts.working_f_number,
+            focus_shift_mm=shift,
+            focus_shift_mm2=slope,
+        )
+
+    @property
+    def paraxial(self) -> "RayModel":
+        """The same camera by first-order optics alone: without what aberrations do to its focus."""
+        return replace(self, focus_shift_mm=0.0, focus_shift_mm2=0.0)
+
+    @property
+    def slope_step(self) -> float:
+        """Difference in direction, dx/dz, of neighbouring views at a lenslet: k = pixel/d, in rad."""
+        return self.pixel_mm / self.lenslet_to_sensor_mm
+
+    @property
+    def view_step_mm(self) -> float:
+        """Distance of neighbouring views on the exit pupil; inf for a telecentric lens."""
+        return self.slope_step * self.pupil_to_array_mm
+
+    @property
+    def micro_image_pitch_px(self) -> float:
+        """Distance of neighbouring micro-images, (p/pixel)(D + d)/D."""
+        return self.lenslet_pitch_mm / self.pixel_mm * (1.0 + self.lenslet_to_sensor_mm / self.pupil_to_array_mm)
+
+    @property
+    def refocus_range_mm(self) -> tuple[float, float]:
+        """Nearest and farthest object distance that refocuses sharply: a shift of one lenslet between views."""
+        near = self.distance_mm(self.lenslet_pitch_mm)
+        far = self.distance_mm(-self.lenslet_pitch_mm)
+        return near if near > 0.0 else math.inf, far if far > near > 0.0 else math.inf
+
+    @property
+    def nearest_mm(self) -> float:
+        """Distance of the front focal point before the first vertex; nearer objects have no real image."""
+        return self.efl_mm - self.front_principal_z_mm
+
+    def image_excess_mm(self, distance_mm: float) -> float:
+        """Return ε, how far behind the array an object this far before the first vertex is imaged most sharply.
+
+        Raises
+        ------
+        LfmeshError
+            The object has no real image.
+        """
+        # With a negative focal length, a relay's, objects on either side of it may have one.
+        if not (distance_mm > self.nearest_mm or (self.efl_mm < 0.0 and distance_mm < self.nearest_mm)):
+            raise LfmeshError(
+                f"distance_mm = {distance_mm:g}: must lie before the front focal point, {self.nearest_mm:.6g} mm in "
+                "front of the first vertex"
+            )
+        vergence = 1.0 / (distance_mm + self.front_principal_z_mm)
+        image = self._image_mm(vergence) + self.focus_shift_mm + self.focus_shift_mm2 * vergence
+        return self.rear_principal_z_mm + image - self.array_z_mm
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far an object point moves on the array from one view to the next; positive nearer than focus."""
+        excess = self.image_excess_mm(distance_mm)
+        return self.slope_step * excess / (1.0 + excess / self.pupil_to_array_mm)
+
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances whose points move so far; see `ShiftMap`."""
+        shift = np.asarray(shift_mm, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            excess = shift / (self.slope_step - shift / self.pupil_to_array_mm)
+            sharpest = self.array_z_mm - self.rear_principal_z_mm + excess
+            vergence = np.zeros_like(shift)
+            # What aberrations add depends on the vergence by so little that every round settles two digits more.
+            for _ in range(ROUNDS):
+                image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
+                vergence = 1.0 / self.efl_mm - 1.0 / image
+            return _alike(shift_mm, 1.0 / (vergence + 0.0) - self.front_principal_z_mm)
+
+    def object_scale(self, distance_mm: float) -> float:
+        """Return the size of an object over that of its image in the middle view, where that crosses the array.
+
+        The refocused picture keeps the middle view's place and size whatever it is focused on.
+        """
+        enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
+        from_principal = distance_mm + self.front_principal_z_mm
+        return enlarged * from_principal / self._image_mm(1.0 / from_principal)
+
+    def _image_mm(self, vergence: float) -> float:
+        """Return the distance of a paraxial image from the rear principal plane; vergence: 1/object distance, 1/mm."""
+        return 1.0 / (1.0 / self.efl_mm - vergence)
+
+
+@dataclass(frozen=True)
+class TracedShift:
+    """The map between shift and distance as the lens has it on average over array and pupil, from traced rays.
+
+    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
+    c u, where b and c are linear in V; of t and v the same holds with −y for x. A point stays where it is if s moves by
+    −c/b from view to view.
+
+    Attributes
+    ----------
+    place : tuple of float
+        b = place[0] + place[1] V, for s in mm.
+    view : tuple of float, 1/mm and mm/mm
+        c = view[0] + view[1] V, for u in views.
+    """
+
+    place: tuple[float, float]
+    view: tuple[float, float]
+
+    def shift_mm(self, distance_mm: float) -> float:
+        """Return how far a point moves on the array from one view to the next; positive nearer than the focus."""
+        vergence = 1.0 / distance_mm
+        return (self.view[0] + self.view[1] * vergence) / (self.place[0] + self.place[1] * vergence)
+
+    @overload
+    def distance_mm(self, shift_mm: float) -> float: ...
+    @overload
+    def distance_mm(self, shift_mm: Array) -> Array: ...
+    def distance_mm(self, shift_mm: Any) -> Any:
+        """Return the distances whose points move so far; see `ShiftMap`."""
+        shift = np.asarray(shift_mm, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            vergence = (shift * self.place[0] - self.view[0]) / (self.view[1] - shift * self.place[1])
+            return _alike(shift_mm, 1.0 / (vergence + 0.0))
+
+
+def _alike(given: Any, values: Array) -> Any:
+    """Return values as the argument came: a number for a number."""
+    return values if isinstance(given, np.ndarray) else float(values)
+
+
+def _exit_pupil_z_mm(camera: SolvedCamera) -> float:
+    paraxial = camera.paraxial
+    z, _ = paraxial.exit_pupil(camera.scene.camera.lens.surfaces[paraxial.stop].semi_diameter_mm or 1.0)
+    return z if math.isfinite(z) else -math.inf

@@ -1,0 +1,1 @@
+"""Views decoded or rendered from raw images."""

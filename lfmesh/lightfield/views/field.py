@@ -1,0 +1,190 @@
+"""The 4D light field: a view of the scene for every part of the exit pupil, with the standard error of every sample."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.notebook import Pictured
+from lfmesh.scene import Scene
+
+if TYPE_CHECKING:
+    import xarray
+
+Array = NDArray[np.float64]
+Samples = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class LightField(Pictured):
+    """Samples of a light field, upright as an observer behind the camera sees it, views and pictures alike.
+
+    An object further to the right (+x) lies at larger s, one further down (−y) at larger t. Larger u looks from further
+    right, larger v from further down, through the entrance pupil: from there, what is nearer than the focus moves
+    towards smaller s and t.
+
+    Attributes
+    ----------
+    data : (v, u, t, s, c) float32
+        NaN where the sensor has no pixel for a sample or, divided by a white image, that was dark.
+    stderr : (v, u, t, s, c) float32
+        Standard error of `data`, pixels taken as independent.
+    v_rad, u_rad : (v,), (u,) float64
+        Direction of each view at a lenslet against its chief ray, as a slope; ascending, v_rad positive for views from
+        −y and u_rad for views from +x in object space. Times the distance of the exit pupil from the array it is, but
+        for its sign, a place on the exit pupil.
+    t_mm, s_mm : (t,), (s,) float64
+        Place on the array, from its middle, along its columns and rows; ascending, t_mm positive where −y and s_mm
+        where +x is in object space.
+    wavelengths_nm : tuple of float
+        One a channel.
+    unit : str
+        Of `data`: "W per pixel", or "W/(m² sr)" where it was divided by the white image.
+    scene : Scene
+        Solved.
+    sampling : str
+        How (t, s) come from the lenslets, in words.
+    sharing : (t, s) float32
+        By what factor the variance of a mean over neighbouring views of a lenslet exceeds that of independent samples:
+        they are interpolated between pixels that neighbours share. 1 where the centre falls on a pixel.
+    """
+
+    data: Samples
+    stderr: Samples
+    v_rad: Array
+    u_rad: Array
+    t_mm: Array
+    s_mm: Array
+    wavelengths_nm: tuple[float, ...]
+    unit: str
+    scene: Scene
+    sampling: str
+    sharing: Samples
+
+    def __repr__(self) -> str:
+        v, u, t, s, channels = self.data.shape
+        return (
+            f"<LightField: {u} × {v} views of {s} × {t} samples, {channels} wavelength{'s' if channels > 1 else ''}, "
+            f"{self.unit}>"
+        )
+
+    @cached_property
+    def model(self) -> RayModel:
+        """The camera's map between shift and distance: first-order optics, moved to the best focus of its bundles."""
+        return RayModel.of(self.scene)
+
+    @property
+    def views(self) -> tuple[int, int]:
+        """Number of views: rows, columns."""
+        return self.data.shape[0], self.data.shape[1]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a view, in samples."""
+        return self.data.shape[2], self.data.shape[3]
+
+    @property
+    def spacing_mm(self) -> tuple[float, float]:
+        """Distance of neighbouring samples on the array, along t and s."""
+        pitch = self.model.lenslet_pitch_mm
+        return _step(self.t_mm, pitch), _step(self.s_mm, pitch)
+
+    def view(self, v: int, u: int) -> Samples:
+        """Return one view, (t, s, c).
+
+        Raises
+        ------
+        LfmeshError
+            There is no such view.
+        """
+        rows, columns = self.views
+        _refuse_index("v", v, rows)
+        _refuse_index("u", u, columns)
+        return self.data[v, u]
+
+    def epi(self, *, t: int | None = None, s: int | None = None, v: int | None = None, u: int | None = None) -> Samples:
+        """Return an epipolar-plane image.
+
+        Parameters
+        ----------
+        t, s : int
+            One of them: a row `t` gives the horizontal EPI (u, s, c) of the views of row `v`, a column `s` the
+            vertical EPI (v, t, c) of the views of column `u`.
+        v, u : int, optional
+            The middle one if omitted.
+
+        Raises
+        ------
+        LfmeshError
+            Neither or both of t and s, or an index beyond the light field.
+        """
+        if (t is None) == (s is None):
+            raise LfmeshError(f"epi(t={t}, s={s}): give a row t or a column s, one of them")
+        rows, columns = self.views
+        height, width = self.size
+        if t is not None:
+            row = rows // 2 if v is None else v
+            _refuse_index("v", row, rows)
+            _refuse_index("t", t, height)
+            return self.data[row, :, t]
+        assert s is not None
+        column = columns // 2 if u is None else u
+        _refuse_index("u", column, columns)
+        _refuse_index("s", s, width)
+        return self.data[:, column, :, s]
+
+    def views_mosaic(self) -> Samples:
+        """Return all views side by side, (v·t, u·s, c)."""
+        return mosaic(self.data)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return data and standard error as an xarray Dataset with labelled axes.
+
+        Raises
+        ------
+        LfmeshError
+            xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise LfmeshError("to_xarray needs the package xarray: pip install 'lfmesh[data]'") from None
+        axes = ("v", "u", "t", "s", "wavelength")
+        coordinates: dict[str, Any] = {
+            "v": ("v", self.v_rad, {"unit": "rad", "long_name": "direction of the view, towards -y"}),
+            "u": ("u", self.u_rad, {"unit": "rad", "long_name": "direction of the view, towards +x"}),
+            "t": ("t", self.t_mm, {"unit": "mm", "long_name": "place on the array, towards -y in object space"}),
+            "s": ("s", self.s_mm, {"unit": "mm", "long_name": "place on the array, towards +x in object space"}),
+            "wavelength": ("wavelength", np.asarray(self.wavelengths_nm), {"unit": "nm"}),
+        }
+        values = {
+            "data": (axes, self.data, {"unit": self.unit}),
+            "stderr": (axes, self.stderr, {"unit": self.unit, "long_name": "standard error of data"}),
+        }
+        return xarray.Dataset(values, coordinates, {"name": self.scene.name, "sampling": self.sampling})
+
+
+def mosaic(samples: Samples) -> Samples:
+    """Return (v, u, t, s, c) samples as one picture (v·t, u·s, c)."""
+    v, u, t, s, c = samples.shape
+    return samples.transpose(0, 2, 1, 3, 4).reshape(v * t, u * s, c)
+
+
+def from_mosaic(picture: Samples, views: tuple[int, int]) -> Samples:
+    """Return what `mosaic` was made from, given the number of views, rows and columns."""
+    height, width, channels = picture.shape
+    v, u = views
+    return np.ascontiguousarray(picture.reshape(v, height // v, u, width // u, channels).transpose(0, 2, 1, 3, 4))
+
+
+def _step(axis: Array, alone: float) -> float:
+    return float(axis[1] - axis[0]) if len(axis) > 1 else alone
+
+
+def _refuse_index(name: str, value: int, size: int) -> None:
+    if not 0 <= value < size:
+        raise LfmeshError(f"{name} = {value}: the light field has {name} from 0 to {size - 1}")

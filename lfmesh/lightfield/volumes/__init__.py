@@ -1,0 +1,1 @@
+"""Volumes that emit: the projection matrix of a camera, and reconstruction by it."""

@@ -1,0 +1,46 @@
+"""The sensor's cover glass: a plane-parallel plate before the pixels."""
+
+from collections.abc import Iterator
+
+from lfmesh.optics.glass import Medium
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Index, Positive, Text
+
+
+class Cover(Model):
+    """A plate of glass parallel to the sensor, with air on both sides.
+
+    It turns with the sensor's pose. It has no rim: it reaches as far as light does, as a cover that is wider than what
+    the pixels can see.
+    """
+
+    thickness_mm: Positive
+    """Thickness, in mm."""
+    gap_mm: Positive
+    """Air between the plate and the sensor, in mm."""
+    index: Index | None = None
+    """Refractive index of the plate. Or give `glass`."""
+    glass: Glass | None = None
+    """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
+    vd = 64.17 }."""
+    coating: Text = UNCOATED
+    """Name of the coating of both faces, or "none": bare."""
+
+    @property
+    def medium(self) -> Medium:
+        """Material of the plate: an index or the name of a glass."""
+        return self.index if self.index is not None else self.glass or 1.0
+
+    @property
+    def height_mm(self) -> float:
+        """From the sensor to the plate's far face, in mm."""
+        return self.gap_mm + self.thickness_mm
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.index is None and self.glass is None:
+            yield Fault(("index",), None, "missing: give the cover's index, or glass")
+        elif self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")

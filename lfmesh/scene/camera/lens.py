@@ -1,0 +1,626 @@
+"""The main lens: a list of surfaces, from the object to the sensor."""
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import zip_longest
+
+from pydantic import Field
+
+from lfmesh.optics.glass import AIR, Medium
+from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
+from lfmesh.scene.camera.sections import (
+    AZIMUTHS,
+    Biconic,
+    Toroid,
+    biconic_sag_mm,
+    curvature,
+    toroid_reach_mm,
+    toroid_sag_mm,
+)
+from lfmesh.scene.literals import at_least, at_most
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.objects.refractor import MeshFace, Refractor
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import (
+    LARGEST,
+    Coefficient,
+    Flag,
+    FocalLength,
+    Index,
+    NonNegative,
+    Number,
+    Positive,
+    Radius,
+    Text,
+    Whole,
+)
+
+MOST_TILT_DEG = 45.0
+"""Angle between the axis of a posed element and that of the lens, which a pose must stay below: light that comes along
+the axis of the lens then still crosses the element's surfaces in their order."""
+
+STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
+"""Keys that give the stop its size in place of the prescription."""
+
+# Sags of neighbouring surfaces are compared at this many heights; at fewer where they are to be at many azimuths.
+_HEIGHTS = 256
+_HEIGHTS_ALL_ROUND = 64
+
+# Keys whose values are tables, too long for a message.
+_TABLES = ("mesh", "qcon", "qbfs", "biconic", "toroid")
+
+
+class Surface(Model):
+    """An interface, and what follows it; without curvature and without glass on either side, a pure stop."""
+
+    radius_mm: Radius = math.inf
+    """Radius of curvature at the vertex, in mm: positive when the centre lies towards the sensor; inf is
+    flat."""
+    thickness_mm: NonNegative | None = None
+    """Distance from this vertex to the next, in mm. Omit it at the last surface only."""
+    index: Index | None = None
+    """Refractive index of what follows the surface. Neither `index` nor `glass`: air."""
+    glass: Glass | None = None
+    """Glass that follows the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like
+    { nd = 1.5168, vd = 64.17 }."""
+    semi_diameter_mm: Positive | None = None
+    """Radius of the clear aperture, in mm. A stop may omit it whose size `stop_semi_diameter_mm`, `f_number` or
+    `epd_mm` sets. Where a stop is marked, the others may, too: by paraxial rays they then pass the whole beam of every
+    point of the picture, with 5 % to spare, unless the surface ends or meets its neighbour before."""
+    stop: Flag = False
+    """Whether this surface's aperture is the aperture stop of the lens."""
+    coating: Text = UNCOATED
+    """Name of a coating of the scene, or "none": bare."""
+    finish: AnyFinish = POLISHED
+    """"polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
+    conic: Number = 0.0
+    """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
+    asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
+    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm; of a toroid
+    those of y⁴, y⁶, y⁸, ..."""
+    odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
+    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, mm⁻⁶, ..., beside the even ones. None of r: that
+    would be a cone, without a normal at the vertex."""
+    qcon: Qcon | None = None
+    """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
+    { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
+    qbfs: Qbfs | None = None
+    """Forbes' mild asphere, with the same keys, without `conic`, `asphere_mm` and `qcon`: a deviation along the normal
+    of the sphere of `radius_mm`, which is then the best-fit sphere; at the vertex the surface has another radius."""
+
+    biconic: Biconic | None = None
+    """Another section in x: `radius_mm` and `conic` are then those of the section y–z, and this gives those of the
+    section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }."""
+    toroid: Toroid | None = None
+    """A circle in x: the curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) in the section y–z turns about
+    a line parallel to y, such as { radius_x_mm = 40.0 }; inf shifts it along x, a cylinder."""
+
+    paraxial: Flag = False
+    """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
+    focal_length_mm: FocalLength | None = None
+    """Focal length of a `paraxial` surface, in mm: positive converges, negative diverges; inf does not bend light."""
+
+    refractor: Refractor | None = None
+    """In place of all of the above but `thickness_mm` and `semi_diameter_mm`: a whole element whose shape is a mesh,
+    its axis the mesh's z axis. `thickness_mm` is then the distance from its last vertex to what follows."""
+    mesh: MeshFace | None = None
+    """A mesh that gives this surface its real shape; radius and asphere are then its best fit, for first-order
+    optics."""
+
+    @property
+    def medium(self) -> Medium:
+        """Material behind the surface: an index, the name of a glass, or None for air."""
+        if self.index is not None:
+            return None if self.index == AIR else self.index
+        return self.glass
+
+    @property
+    def curvature_per_mm(self) -> float:
+        """Curvature at the vertex; 0 for a flat surface."""
+        return 0.0 if math.isinf(self.vertex_radius_mm) else 1.0 / self.vertex_radius_mm
+
+    @property
+    def vertex_radius_mm(self) -> float:
+        """Radius of curvature at the vertex: `radius_mm`, where no `qbfs` deviates from it there."""
+        form = self._qbfs_form
+        return self.radius_mm if form is None else form.radius_mm
+
+    @property
+    def vertex_conic(self) -> float:
+        """Conic constant of the conic that `terms_mm` are added to."""
+        form = self._qbfs_form
+        return self.conic if form is None else form.conic
+
+    @property
+    def _qbfs_form(self) -> EvenForm | None:
+        return None if self.qbfs is None else self.qbfs.even_form(1.0 / self.radius_mm)
+
+    @property
+    def terms_mm(self) -> tuple[float, ...]:
+        """Coefficients of r⁴, r⁶, ... of all that the surface deviates from its conic by, in mm⁻³, mm⁻⁵, ..."""
+        form = self._qbfs_form
+        if form is not None:
+            return form.asphere_mm
+        if self.qcon is None:
+            return self.asphere_mm
+        return tuple(a + b for a, b in zip_longest(self.asphere_mm, self.qcon.asphere_mm, fillvalue=0.0))
+
+    @property
+    def terms_key(self) -> str:
+        """Name of the key that `terms_mm` come from."""
+        return "qbfs" if self.qbfs is not None else "asphere_mm" if self.qcon is None else "qcon"
+
+    @property
+    def thin_lens_power_per_mm(self) -> float:
+        """Power of a `paraxial` surface, 1/mm; 0 for every other."""
+        return 0.0 if self.focal_length_mm is None else 1.0 / self.focal_length_mm
+
+    @property
+    def curvature_x_per_mm(self) -> float:
+        """Curvature at the vertex in the section x–z."""
+        section = self.biconic or self.toroid
+        return self.curvature_per_mm if section is None else curvature(section.radius_x_mm)
+
+    @property
+    def section_key(self) -> str | None:
+        """Name of the key that makes the section x–z another one; None: the surface is one of revolution."""
+        return "biconic" if self.biconic is not None else "toroid" if self.toroid is not None else None
+
+    @property
+    def reach_mm(self) -> float:
+        """Height up to which the surface exists at every azimuth; inf where it never ends."""
+        if self.toroid is not None:
+            return _toroid_reach_mm(self)
+        reach = _reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic)
+        if self.biconic is not None:
+            return min(reach, _reach_of_conic_mm(self.biconic.radius_x_mm, self.biconic.conic_x))
+        return reach
+
+    def sags_mm(self, height_mm: float, azimuths: int = 1) -> tuple[float, ...]:
+        """Return z above the vertex plane at a height from the axis, at so many azimuths from the y axis to the x axis.
+
+        One is enough for a surface of revolution; a biconic or toroid is symmetric about both axes.
+
+        Parameters
+        ----------
+        height_mm : float, mm
+        azimuths : int
+        """
+        if self.section_key is None:
+            return (self.sag_mm(height_mm),) * azimuths
+        turns = [0.5 * math.pi * k / max(1, azimuths - 1) for k in range(azimuths)]
+        return tuple(self.sag_at_mm(height_mm * math.sin(turn), height_mm * math.cos(turn)) for turn in turns)
+
+    def sag_at_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return z of the surface above its vertex plane at a point, all in mm.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+        """
+        if self.biconic is not None:
+            section = self.biconic
+            return biconic_sag_mm(
+                self.curvature_x_per_mm, section.conic_x, self.curvature_per_mm, self.conic, x_mm, y_mm
+            )
+        if self.toroid is not None:
+            return toroid_sag_mm(self.curvature_x_per_mm, self.sag_mm(y_mm), x_mm)
+        return self.sag_mm(math.hypot(x_mm, y_mm))
+
+    def sag_mm(self, height_mm: float) -> float:
+        """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
+
+        Of a biconic or toroid it is that of the section y–z.
+
+        The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with
+        `terms_mm` and `odd_asphere_mm`.
+        """
+        c, r2 = self.curvature_per_mm, height_mm * height_mm
+        root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
+        terms = (_term_mm(a, abs(height_mm), power) for power, a in self.powers_mm)
+        return c * r2 / (1 + root) + sum(terms)
+
+    @property
+    def powers_mm(self) -> tuple[tuple[int, float], ...]:
+        """Each power of r that is added to the conic, with its coefficient."""
+        even = ((2 * j + 4, a) for j, a in enumerate(self.terms_mm))
+        return (*even, *((2 * j + 3, a) for j, a in enumerate(self.odd_asphere_mm)))
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with this surface by itself."""
+        if self.refractor is not None:
+            yield from self._element_faults()
+            return
+        if self.paraxial or self.focal_length_mm is not None:
+            yield from self._thin_lens_faults()
+        elif self.qbfs is not None:
+            yield from self._qbfs_faults(self.qbfs)
+        if self.section_key is not None:
+            yield from self._section_faults(self.section_key)
+        if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
+            yield Fault(
+                ("semi_diameter_mm",),
+                self.semi_diameter_mm,
+                f"with {self._shape_in_words()} the surface ends {self.reach_mm:.6g} mm from the axis; give "
+                f"{at_most(self.reach_mm)} at most",
+            )
+        for key, coefficients, lowest in (
+            ("asphere_mm", self.asphere_mm, 4),
+            ("odd_asphere_mm", self.odd_asphere_mm, 3),
+        ):
+            for j, coefficient in enumerate(coefficients if self.semi_diameter_mm is not None else ()):
+                power = lowest + 2 * j
+                if not abs(_term_mm(coefficient, self.semi_diameter_mm or 0.0, power)) <= LARGEST:
+                    yield Fault(
+                        (key, j),
+                        coefficient,
+                        f"times r^{power} this makes a sag of more than {LARGEST:g} mm inside the clear aperture",
+                    )
+        if self.qcon is not None and not self._rim_mm() <= LARGEST:
+            yield Fault(("qcon",), None, f"makes a sag of more than {LARGEST:g} mm inside the clear aperture")
+        elif self.qcon is not None and not within_floats(self.qcon.asphere_mm, self.qcon.norm_radius_mm):
+            yield Fault(("qcon", "norm_radius_mm"), self.qcon.norm_radius_mm, "its powers leave the range of numbers")
+        if self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from both_given(self.coating, self.finish, "finish")
+
+    def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
+        """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
+        rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a sphere, by all its terms"
+        own = {"conic": self.conic, "asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
+        for key, value in own.items():
+            if value:
+                yield Fault((key,), value, omit)
+        if self.qcon is not None:
+            yield Fault(("qcon",), None, omit)
+        if self.semi_diameter_mm is None:
+            yield Fault(("semi_diameter_mm",), None, f"missing: qbfs needs one, of {rho:g} mm at most")
+        elif self.semi_diameter_mm > rho:
+            yield Fault(("semi_diameter_mm",), self.semi_diameter_mm, f"qbfs ends at norm_radius_mm = {rho:g}")
+        form = self._qbfs_form
+        if form is None:
+            yield Fault(
+                ("qbfs",), None,
+                f"with radius_mm = {self.radius_mm:g} its sphere, or that at its vertex, ends inside norm_radius_mm = "
+                f"{rho:g}; give a longer radius or smaller coefficients",
+            )  # fmt: skip
+        elif not form.error_mm <= (most := qbfs.largest_error_mm):
+            yield Fault(
+                ("qbfs",), None,
+                f"{MOST_ASPHERE_TERMS} even terms give its sag to {form.error_mm:.2g} mm only; {most:g} mm "
+                "is the limit; give a longer radius, fewer or smaller coefficients",
+            )  # fmt: skip
+
+    def _shape_in_words(self) -> str:
+        """Return the keys that say where the surface ends, with their values."""
+        y = f"radius_mm = {self.radius_mm:g} and conic = {self.conic:g}"
+        if self.biconic is not None:
+            return f"{y}, radius_x_mm = {self.biconic.radius_x_mm:g} and conic_x = {self.biconic.conic_x:g}"
+        return y if self.toroid is None else f"{y}, radius_x_mm = {self.toroid.radius_x_mm:g}"
+
+    def _section_faults(self, key: str) -> Iterator[Fault]:
+        """Yield what another section in x does not go with."""
+        if self.biconic is not None and self.toroid is not None:
+            yield Fault(("toroid",), None, "biconic is given too; give one of them")
+        evens = {"asphere_mm": self.asphere_mm} if key == "biconic" else {}
+        for name, value in {**evens, "odd_asphere_mm": self.odd_asphere_mm}.items():
+            if value:
+                yield Fault((name,), value, f"omit it: a {key} has no such terms")
+        for name in ("qcon", "qbfs", "mesh"):
+            if getattr(self, name) is not None:
+                yield Fault((name,), None, f"omit it: it does not go with a {key}")
+
+    def _rim_mm(self) -> float:
+        """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
+        at = self.semi_diameter_mm or (self.qcon.norm_radius_mm if self.qcon is not None else 0.0)
+        return max(abs(_term_mm(a, at, 2 * j + 4)) for j, a in enumerate(self.terms_mm))
+
+    def _thin_lens_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with a thin lens, or with a surface that is half one."""
+        if not self.paraxial:
+            yield Fault(("focal_length_mm",), self.focal_length_mm, "only a thin lens has one; add paraxial = true")
+            return
+        if self.focal_length_mm is None:
+            yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
+        own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
+        own |= {"qbfs": None, "odd_asphere_mm": (), "biconic": None, "toroid": None}
+        for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
+            given = getattr(self, key)
+            if given != value:
+                shown = given.kind if key == "finish" else None if key in _TABLES else given
+                yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
+
+    def _element_faults(self) -> Iterator[Fault]:
+        own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
+        own |= {"qcon": None, "qbfs": None, "odd_asphere_mm": (), "paraxial": False, "focal_length_mm": None}
+        own |= {"biconic": None, "toroid": None}
+        for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
+            if getattr(self, key) != value:
+                beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
+                shown = None if key in _TABLES else getattr(self, key)
+                yield Fault((key,), shown, f"omit it: the refractor is a whole element{beside}")
+        if self.refractor is not None and self.refractor.box_mm is not None:
+            yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
+        if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
+            yield Fault(
+                ("refractor", "absorption_per_mm"), None,
+                "only in front of the camera; camera.absorption = true takes that of the catalogue's glasses",
+            )  # fmt: skip
+        if self.refractor is not None and self.refractor.priority != 0:
+            yield Fault(
+                ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
+            )
+
+
+@lru_cache(maxsize=1024)
+def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float, ...]) -> tuple[float, float]:
+    """Return the distance of two vertices at which their surfaces touch inside an aperture, and the height there, mm.
+
+    No more than the distance that is given, where bounds tell that they do not. Kept, as a study asks for the same pair
+    at thousands of points.
+    """
+    radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
+    given = front.thickness_mm or 0.0
+    if front.section_key is not None or back.section_key is not None:
+        heights = [radius * k / _HEIGHTS_ALL_ROUND for k in range(_HEIGHTS_ALL_ROUND + 1)]
+        return max((-_gap_round_mm(front, back, h), h) for h in heights)
+    if not front.powers_mm and not back.powers_mm:
+        # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
+        highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
+        if highest - lowest <= given:
+            return given, 0.0
+    heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
+    return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+
+
+def _gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
+    """Return the smallest difference of sags, back less front, at a height, over the azimuths that tell."""
+    around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
+    sags = zip(front.sags_mm(height_mm, around), back.sags_mm(height_mm, around), strict=True)
+    return min(of_back - of_front for of_front, of_back in sags)
+
+
+def _reach_of_conic_mm(radius_mm: float, conic: float) -> float:
+    """Return the height at which a conic turns back and ends."""
+    return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
+
+
+@lru_cache(maxsize=256)
+def _toroid_reach_mm(surface: Surface) -> float:
+    most = _reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
+    return toroid_reach_mm(surface.curvature_x_per_mm, surface.sag_mm, most)
+
+
+def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
+    """Return one term of an asphere's sag, infinite where it is larger than any float."""
+    try:
+        return coefficient * height_mm**power
+    except OverflowError:
+        return math.copysign(math.inf, coefficient) if coefficient else 0.0
+
+
+class Element(Model):
+    """A rigid group of neighbouring surfaces that stands off its place in the prescription."""
+
+    surfaces: tuple[Whole, ...]
+    """Numbers of the surfaces, from 0, without a gap; the stop may be among them."""
+    pose: Pose = Field(default_factory=Pose)
+    """Rotation of the group about the vertex of its first surface, then a shift. First-order optics, and what is
+    solved from it, stay those of the lens without poses."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with this group by itself."""
+        if not self.surfaces:
+            yield Fault(("surfaces",), [], "must name one surface or more, such as [0, 1]")
+            return
+        first = self.surfaces[0]
+        if list(self.surfaces) != list(range(first, first + len(self.surfaces))):
+            yield Fault(
+                ("surfaces",), list(self.surfaces), "must be neighbouring surfaces in their order, such as [0, 1]"
+            )
+        x, y, _ = (math.radians(angle) for angle in self.pose.tilt_deg)
+        tilt = math.degrees(math.acos(max(-1.0, min(1.0, math.cos(x) * math.cos(y)))))
+        if not tilt < MOST_TILT_DEG:
+            yield Fault(
+                ("pose", "tilt_deg"),
+                list(self.pose.tilt_deg),
+                f"inclines the axis by {tilt:.4g} degrees; it must stay below {MOST_TILT_DEG:g}",
+            )
+
+
+class Lens(Model):
+    """The main lens as its prescription, or the file that holds it."""
+
+    file: Text | None = None
+    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx or CODE V .seq file, relative
+    to the scene file, or "lib:" and the name of a lens that comes with lfmesh; it is read in place of `surfaces`."""
+    name: Text | None = None
+    """What the lens is called."""
+    source: Text | None = None
+    """Where the prescription was published."""
+    surfaces: tuple[Surface, ...] = ()
+    """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame."""
+    stop_semi_diameter_mm: Positive | None = None
+    """Radius of the aperture stop, in mm, in place of the one in the prescription. Or give `f_number` or `epd_mm`."""
+    f_number: Positive | None = None
+    """Sets the radius of the stop so that focal length / entrance pupil diameter is this number (no unit)."""
+    epd_mm: Positive | None = None
+    """Sets the radius of the stop so that the entrance pupil has this diameter, in mm."""
+    elements: tuple[Element, ...] = ()
+    """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
+
+    @property
+    def stop_index(self) -> int | None:
+        """Number of the surface that is the stop; None where none is marked."""
+        return next((i for i, surface in enumerate(self.surfaces) if surface.stop), None)
+
+    @property
+    def vertices_mm(self) -> tuple[float, ...]:
+        """Z of every surface's vertex in the camera frame, in mm."""
+        z = [0.0]
+        for surface in self.surfaces[:-1]:
+            z.append(z[-1] + (surface.thickness_mm or 0.0))
+        return tuple(z)
+
+    def element_of(self, number: int) -> int | None:
+        """Return which of `elements` surface `number` belongs to; None: to none."""
+        return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
+
+    def is_pure_stop(self, number: int) -> bool:
+        """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
+        surface = self.surfaces[number]
+        before = self.surfaces[number - 1].medium if number else None
+        bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
+        bare = bare and not any(a for _, a in surface.powers_mm)
+        return surface.stop and bare and not surface.paraxial and before == surface.medium
+
+    def aperture_mm(self, number: int) -> float | None:
+        """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it."""
+        surface = self.surfaces[number]
+        if surface.stop and self.stop_semi_diameter_mm is not None:
+            return self.stop_semi_diameter_mm
+        return None if surface.stop and self.stop_size else surface.semi_diameter_mm
+
+    @property
+    def stop_size(self) -> dict[str, float]:
+        """Value that sizes the stop in place of the prescription, by its key: nothing, or one entry."""
+        sizes = {key: getattr(self, key) for key in STOP_SIZES}
+        return {key: size for key, size in sizes.items() if size is not None}
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between surfaces."""
+        if self.file is not None:
+            if self.surfaces:
+                yield Fault(("file",), self.file, "surfaces are given too; give one of them")
+            return
+        if not self.surfaces:
+            yield Fault(("surfaces",), None, 'missing: give the prescription, or file = "..." with one')
+            return
+        if all(self.is_pure_stop(i) and surface.mesh is None for i, surface in enumerate(self.surfaces)):
+            yield Fault(
+                ("surfaces",),
+                None,
+                "nothing but a stop: a lens needs a surface with glass behind it; for a pinhole camera put a flat "
+                "window before the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
+                "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
+            )
+            return
+        for i, surface in enumerate(self.surfaces):
+            if self.is_pure_stop(i) and surface.mesh is None:
+                given = {"coating": surface.coating} if surface.coating != UNCOATED else {}
+                given |= {"finish": surface.finish.kind} if surface.finish != POLISHED else {}
+                for key, value in given.items():
+                    yield Fault(("surfaces", i, key), value, "omit it: a stop without glass is no interface")
+        for i, surface in enumerate(self.surfaces[1:], start=1):
+            if surface.paraxial and self.surfaces[i - 1].medium is not None:
+                medium = self.surfaces[i - 1].medium
+                yield Fault(
+                    ("surfaces", i, "paraxial"), True,
+                    f"surfaces[{i - 1}] puts {medium if isinstance(medium, str) else 'glass'} before it; a thin lens "
+                    "stands in air",
+                )  # fmt: skip
+        yield from self._stop_faults()
+        yield from self._spacing_faults()
+        yield from self._element_faults()
+        last = len(self.surfaces) - 1
+        if self.surfaces[last].medium is not None:
+            key = "glass" if self.surfaces[last].glass is not None else "index"
+            yield Fault(("surfaces", last, key), self.surfaces[last].medium, "the lens must end in air: omit this")
+
+    def _stop_faults(self) -> Iterator[Fault]:
+        stops = [i for i, surface in enumerate(self.surfaces) if surface.stop]
+        if len(stops) > 1:
+            yield Fault(("surfaces", stops[1], "stop"), True, f"surfaces[{stops[0]}] is the stop already; keep one")
+        sizes = list(self.stop_size.items())
+        for key, size in sizes[1:]:
+            yield Fault((key,), size, f"{sizes[0][0]} = {sizes[0][1]:g} is given too; give one of them")
+        for i, surface in enumerate(self.surfaces):
+            sized = surface.stop and bool(self.stop_size)
+            if sized and surface.qbfs is not None:
+                yield Fault(
+                    ("surfaces", i, "qbfs"), None,
+                    f"ends at norm_radius_mm; size this stop by semi_diameter_mm, not {sizes[0][0]}",
+                )  # fmt: skip
+            solved = bool(stops) and not surface.stop and surface.mesh is None
+            if surface.semi_diameter_mm is None and not sized and not solved and surface.refractor is None:
+                hint = "" if stops else "; or mark the stop, which the others follow from"
+                yield Fault(
+                    ("surfaces", i, "semi_diameter_mm"), None, f"missing: the radius of the clear aperture{hint}"
+                )
+
+    def _element_faults(self) -> Iterator[Fault]:
+        last = len(self.surfaces) - 1
+        owner: dict[int, int] = {}
+        for i, element in enumerate(self.elements):
+            beyond = [number for number in element.surfaces if number > last]
+            if beyond:
+                yield Fault(
+                    ("elements", i, "surfaces"),
+                    list(element.surfaces),
+                    f"there is no surface {beyond[0]}; the lens has surfaces 0 to {last}",
+                )
+            taken = [number for number in element.surfaces if number in owner]
+            if taken:
+                yield Fault(
+                    ("elements", i, "surfaces"),
+                    list(element.surfaces),
+                    f"surface {taken[0]} belongs to elements[{owner[taken[0]]}] already; name it once",
+                )
+            owner.update((number, i) for number in element.surfaces if number not in owner)
+
+    def _spacing_faults(self) -> Iterator[Fault]:
+        last = len(self.surfaces) - 1
+        for i, surface in enumerate(self.surfaces[:-1]):
+            if surface.thickness_mm is None:
+                yield Fault(("surfaces", i, "thickness_mm"), None, "missing: the distance to the next vertex")
+            else:
+                yield from self._crossing(i)
+        if self.surfaces[last].thickness_mm:
+            yield Fault(
+                ("surfaces", last, "thickness_mm"),
+                self.surfaces[last].thickness_mm,
+                "omit it at the last surface: mla.distance_mm or sensor.distance_mm gives what follows",
+            )
+
+    @property
+    def has_meshes(self) -> bool:
+        """True if surfaces are given by mesh files, and have no exact form."""
+        return any(surface.mesh is not None or surface.refractor is not None for surface in self.surfaces)
+
+    @property
+    def number_off_revolution(self) -> int | None:
+        """The first surface with another section in x than in y; None where all are surfaces of revolution."""
+        return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
+
+    def gap_mm(self, number: int, height_mm: float) -> float:
+        """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
+
+        The smallest over all azimuths.
+        """
+        front, back = self.surfaces[number], self.surfaces[number + 1]
+        return (front.thickness_mm or 0.0) + _gap_round_mm(front, back, height_mm)
+
+    def _crossing(self, number: int) -> Iterator[Fault]:
+        """Compare the sags of a surface and the next over the aperture they share."""
+        front, back = self.surfaces[number], self.surfaces[number + 1]
+        if front.refractor is not None or back.refractor is not None:
+            return
+        apertures = [a for a in (self.aperture_mm(number), self.aperture_mm(number + 1)) if a is not None]
+        if not apertures:
+            return
+        needed, height = _thickness_to_touch(front, back, tuple(apertures))
+        given = front.thickness_mm or 0.0
+        # Elements may touch; what rounding makes of that is no crossing.
+        if needed > given + 1e-9 * (1 + given):
+            yield Fault(
+                ("surfaces", number, "thickness_mm"),
+                given,
+                f"surfaces {number} and {number + 1} cross inside their clear aperture, by "
+                f"{needed - given:.4g} mm at {height:.4g} mm from the axis; give {at_least(needed)} or more, or "
+                "smaller semi-diameters",
+            )

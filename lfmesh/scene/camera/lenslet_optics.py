@@ -1,0 +1,81 @@
+"""First-order optics of a lenslet with both faces of its plate: focal length and principal points, section by section.
+
+The two faces have the powers φ₁ towards the lens and φ₂ towards the sensor; in between is the reduced thickness t/n of
+the plate. Then (for instance Hecht, Optics, section 6.1) the power is φ = φ₁ + φ₂ − φ₁ φ₂ t/n, the front principal
+point lies φ₂/φ · t/n behind the first face, and the rear one φ₁/φ · t/n before the second, both as in air. A cylinder
+has its power in one section and none in the other.
+"""
+
+import math
+from typing import NamedTuple
+
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.camera.mla import MicrolensArray
+from lfmesh.scene.first_order.paraxial import quotient
+
+
+class LensletOptics(NamedTuple):
+    """A lenslet in one section, as in air.
+
+    Attributes
+    ----------
+    power_per_mm : float
+        1 / focal length; 0: it does not focus in this section.
+    front_principal_mm : float
+        From the face towards the lens to the front principal point, towards the sensor.
+    rear_principal_mm : float
+        From the rear principal point to the face towards the sensor.
+    """
+
+    power_per_mm: float
+    front_principal_mm: float
+    rear_principal_mm: float
+
+    @property
+    def focal_length_mm(self) -> float:
+        """Focal length; inf without power."""
+        return quotient(1.0, self.power_per_mm)
+
+    @property
+    def focus_behind_mm(self) -> float:
+        """Distance of the rear focal point behind the face towards the sensor."""
+        return self.focal_length_mm - self.rear_principal_mm
+
+
+def lenslet_optics(
+    mla: MicrolensArray, wavelength_nm: float, kind: int = 0, section: str | None = None
+) -> LensletOptics:
+    """Return the first-order optics of a type of lenslet of a solved array.
+
+    Parameters
+    ----------
+    mla : MicrolensArray
+        With radii.
+    wavelength_nm : float
+    kind : int
+        Type of the lenslet.
+    section : str, optional
+        "x" or "y": the section through the axis that is meant. Omitted: the one in which the curved face bends rays.
+    """
+    n = refractive_index(mla.medium, wavelength_nm)
+    if section is None:
+        section = "y" if mla.cylinder_axis == "x" else "x"
+    assert mla.radius_mm is not None
+    main = 0.0 if mla.cylinder_axis == section else (n - 1) / mla.radius_mm[kind]
+    other = 0.0
+    if mla.back is not None and mla.back.cylinder_axis != section and not math.isinf(mla.back.radius_mm):
+        other = (n - 1) / mla.back.radius_mm
+    first, second = (main, other) if mla.curved_side == "lens" else (other, main)
+    reduced = mla.thickness_mm / n
+    power = first + second - first * second * reduced
+    if first == 0.0 or second == 0.0:
+        # Exact, and defined where there is no power at all.
+        front = reduced if second != 0.0 or (first == 0.0 and mla.curved_side == "sensor") else 0.0
+        return LensletOptics(power, front, reduced - front)
+    return LensletOptics(power, quotient(second * reduced, power), quotient(first * reduced, power))
+
+
+def sections(mla: MicrolensArray) -> tuple[str, ...]:
+    """Return the sections in which an array's lenslets differ: "x" and "y", or only one name where they do not."""
+    has_cylinders = mla.cylinder_axis is not None or (mla.back is not None and mla.back.cylinder_axis is not None)
+    return ("x", "y") if has_cylinders else ("x",)

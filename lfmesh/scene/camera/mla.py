@@ -1,0 +1,243 @@
+"""The microlens array: lenslets on one face of a plate, or on both, spheres, aspheres or cylinders."""
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field
+
+from lfmesh.optics.glass import Medium
+from lfmesh.scene.camera.back_face import BackFace
+from lfmesh.scene.camera.lenslet_depth import cell_corner_mm, highest_and_deepest_mm, profile_words
+from lfmesh.scene.camera.per_type import ConicPerType, TermsPerType
+from lfmesh.scene.literals import at_least
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import (
+    Index,
+    NonNegative,
+    Number,
+    OneOrMore,
+    Pair,
+    Positive,
+    Text,
+    Whole,
+)
+
+
+class ArrayForm(Model):
+    """Manufacturing error of the array; each is an rms over lenslets, drawn from `seed`."""
+
+    pitch_error: Number = Field(default=0.0, gt=-0.5, lt=0.5)
+    """Relative error of the pitch, the same over the whole array (no unit)."""
+    decenter_mm: NonNegative = 0.0
+    """Rms shift of a lenslet's axis in each of x and y, in mm."""
+    radius_error: NonNegative = Field(default=0.0, lt=0.5)
+    """Rms relative error of a lenslet's radius of curvature (no unit)."""
+    seed: Whole = 0
+    """Which array of this quality: the random errors follow from it alone."""
+
+
+class MicrolensArray(Model):
+    """A plate with one curved face and one that is flat, or curved too."""
+
+    layout: Literal["square", "hexagonal"] = "square"
+    """"square", or "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
+    count: Pair
+    """Number of lenslets: columns, rows."""
+    pitch_mm: Positive
+    """Distance between the centres of neighbouring lenslets, in mm."""
+    focal_length_mm: OneOrMore | None = None
+    """Focal length of a lenslet in air, in mm; a list of up to 3 makes a multi-focus array. Or give
+    `radius_mm`."""
+    radius_mm: OneOrMore | None = None
+    """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list as above."""
+    conic: ConicPerType = (0.0,)
+    """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one a type."""
+    asphere_mm: TermsPerType = ((),)
+    """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass; a list of lists: one a
+    type."""
+    cylinder_axis: Literal["x", "y"] | None = None
+    """The axis along which the lenslets are cylinders, over a whole column ("y") or row ("x") of a square layout, as on
+    a lenticular sheet. Omitted: surfaces of revolution."""
+    index: Index | None = None
+    """Refractive index of the plate. Or give `glass`."""
+    glass: Glass | None = None
+    """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
+    vd = 64.17 }."""
+    thickness_mm: Positive
+    """From the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
+    curved_coating: Text = UNCOATED
+    """Name of the coating of the curved face, or "none": bare."""
+    flat_coating: Text = UNCOATED
+    """Name of the coating of the flat face, or of that of `back`; "none": bare."""
+    curved_finish: AnyFinish = POLISHED
+    """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
+    flat_finish: AnyFinish = POLISHED
+    """Finish of the flat face, or of that of `back`."""
+    curved_side: Literal["lens", "sensor"] = "lens"
+    """Which way the curved face looks."""
+    back: BackFace | None = None
+    """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. With it the
+    curved face is given by `radius_mm`."""
+    distance_mm: Positive | None = None
+    """From the last lens vertex to the array's face nearest the lens (the apexes where the curved face looks
+    there), in mm. Omitted: solved from `focus_mm`."""
+    pose: Pose = Field(default_factory=Pose)
+    """Installation error, about the array's centre."""
+    form: ArrayForm = Field(default_factory=ArrayForm)
+    """Manufacturing error."""
+
+    @property
+    def medium(self) -> Medium:
+        """Material of the plate: an index or the name of a glass."""
+        return self.index if self.index is not None else self.glass or 1.0
+
+    @property
+    def types(self) -> int:
+        """Number of kinds of lenslet in the array."""
+        return len(self.radius_mm or self.focal_length_mm or ())
+
+    @property
+    def row_pitch_mm(self) -> float:
+        """Distance between rows of lenslets, in mm."""
+        return self.pitch_mm * (math.sqrt(3) / 2 if self.layout == "hexagonal" else 1.0)
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height of the array, in mm."""
+        return self.count[0] * self.pitch_mm, self.count[1] * self.row_pitch_mm
+
+    @property
+    def corner_mm(self) -> float:
+        """From a lenslet's axis to the farthest corner of its cell, in mm; of a cylinder from its line of apexes."""
+        return cell_corner_mm(self.pitch_mm, self.layout, self.cylinder_axis)
+
+    @property
+    def has_back(self) -> bool:
+        """True if both faces have lenslets."""
+        return self.back is not None and not self.back.is_flat
+
+    @property
+    def frame_side(self) -> Literal["lens", "sensor"]:
+        """The side of the face from which the array's frame runs into the glass: of two curved ones the sensor's."""
+        return "sensor" if self.has_back else self.curved_side
+
+    def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
+        """Return the conic constant and the even terms of a type of lenslet."""
+        conic = self.conic[kind if len(self.conic) > 1 else 0]
+        return conic, self.asphere_mm[kind if len(self.asphere_mm) > 1 else 0]
+
+    @property
+    def profile_words(self) -> str:
+        """Shape of lenslets that are no spheres, as "aspheres" or "cylinders along y"; else nothing."""
+        return profile_words(self.conic, self.asphere_mm, self.cylinder_axis)
+
+    def cap_fault(self, radius_mm: float, scale: float = 1.0, kind: int = 0) -> str | None:
+        """Return why a face of this radius cannot be cut into the plate, and what can; None if it can.
+
+        Parameters
+        ----------
+        radius_mm : float
+        scale : float
+            What the user gives, over the radius.
+        kind : int
+            Type of the lenslet, whose conic constant and terms count.
+        """
+        if kind < self.types and (self.profile_of(kind)[0] or any(self.profile_of(kind)[1])):
+            return self._profile_fault(radius_mm, *self.profile_of(kind))
+        if abs(radius_mm) < self.corner_mm:
+            return (
+                f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
+                f"{self.corner_mm:.6g} mm from the axis: {self._least(radius_mm, scale)} or a smaller pitch_mm"
+            )
+        depth = abs(radius_mm) - math.sqrt(radius_mm**2 - self.corner_mm**2)
+        if radius_mm > 0 and depth > self.thickness_mm:
+            return (
+                f"the curved face is {depth:.6g} mm deep at the corner of its cell, more than "
+                f"thickness_mm = {self.thickness_mm:g}: a plate of {at_least(depth)} mm or more, or "
+                f"{self._least(radius_mm, scale)}"
+            )
+        return None
+
+    def _profile_fault(self, radius_mm: float, conic: float, terms: tuple[float, ...]) -> str | None:
+        """Return why a conic with even terms cannot be cut into the plate; None if it can."""
+        corner = self.corner_mm
+        if (1 + conic) * corner**2 >= radius_mm**2:
+            return (
+                f"with conic = {conic:g} and a radius of {abs(radius_mm):.6g} mm the lenslets end "
+                f"{abs(radius_mm) / math.sqrt(1 + conic):.6g} mm from the axis, before the corner of their cells, "
+                f"{corner:.6g} mm from it: give a larger radius or a smaller pitch_mm"
+            )
+        high, deep = highest_and_deepest_mm(radius_mm, conic, terms, corner)
+        if not deep <= self.thickness_mm:
+            return (
+                f"with conic and asphere_mm the curved face is up to {deep:.6g} mm deep in its cell, more than "
+                f"thickness_mm = {self.thickness_mm:g}: give a thicker plate, a larger radius or smaller coefficients"
+            )
+        if not high <= self.pitch_mm:
+            return (
+                f"with conic and asphere_mm the curved face rises up to {high:.6g} mm over its apexes, more than "
+                f"pitch_mm = {self.pitch_mm:g}: give a larger radius or smaller coefficients"
+            )
+        return None
+
+    def _profile_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the profiles of the lenslets."""
+        for key, given in (("conic", self.conic), ("asphere_mm", self.asphere_mm)):
+            if len(given) > 1 and len(given) != self.types:
+                why = f"give one for each of the {self.types} types of radii, or one for all; not {len(given)}"
+                yield Fault((key,), list(given), why)
+        if self.cylinder_axis is not None and self.layout != "square":
+            yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')
+
+    def _least(self, radius_mm: float, scale: float) -> str:
+        """Return in words the smallest radius of this sign, or what it follows from by `scale`, that a face can have.
+
+        Of a cap as deep as the plate, R = (corner² + t²) / 2t, if that is less than half a sphere.
+        """
+        corner, thickness = self.corner_mm, self.thickness_mm
+        least = (corner**2 + thickness**2) / (2 * thickness) if radius_mm > 0 and thickness < corner else corner
+        # As much as the rounding of the sagitta of a deep cap.
+        words = at_least(abs(scale) * least * (1 + 1e-9))
+        return f"give {words} or more" if radius_mm * scale > 0 else f"give -{words} or less"
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        yield from both_given(self.curved_coating, self.curved_finish, "curved_finish")
+        yield from both_given(self.flat_coating, self.flat_finish, "flat_finish")
+        if self.radius_mm is not None and self.focal_length_mm is not None:
+            yield Fault(("focal_length_mm",), list(self.focal_length_mm), "radius_mm is given too; give one of them")
+        elif self.radius_mm is None and self.focal_length_mm is None:
+            yield Fault(("focal_length_mm",), None, "missing: give focal_length_mm or radius_mm")
+        shapes = list(self._profile_faults())
+        for kind, radius in enumerate(self.radius_mm or () if not shapes else ()):
+            if why := self.cap_fault(radius, kind=kind):
+                shapes.append(Fault(("radius_mm",), radius, why))
+        yield from shapes
+        if self.back is not None:
+            yield from self._back_faults(self.back, sound=not shapes)
+        yield from self._medium_faults()
+
+    def _back_faults(self, back: BackFace, *, sound: bool) -> Iterator[Fault]:
+        """Yield what is wrong with the second face; `sound`: the shape of the first is without fault."""
+        if self.focal_length_mm is not None and not back.is_flat:
+            why = "a focal length does not say what each face of camera.mla.back and this one does: give radius_mm"
+            yield Fault(("focal_length_mm",), list(self.focal_length_mm), why)
+        depth = None
+        if sound and self.radius_mm is not None:
+            corner = self.corner_mm
+            each = [highest_and_deepest_mm(r, *self.profile_of(k), corner)[1] for k, r in enumerate(self.radius_mm)]
+            depth = max(each)
+        yield from back.faults_in(self.layout, self.pitch_mm, self.thickness_mm, depth)
+
+    def _medium_faults(self) -> Iterator[Fault]:
+        if self.index is None and self.glass is None:
+            yield Fault(("index",), None, "missing: give the plate's index, or glass")
+        elif self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        elif self.index == 1:
+            yield Fault(("index",), self.index, "must be above 1: a plate of air bends no light")

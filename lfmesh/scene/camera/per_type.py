@@ -1,0 +1,46 @@
+"""Values of a microlens array that hold for all types of its lenslets, or for each of them."""
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
+
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
+from lfmesh.scene.quantities import Coefficient, Number, as_list, not_empty, number_per_type_schema
+
+
+def as_list_of_lists(value: Any) -> Any:
+    """Let a list of numbers stand for a list of one list."""
+    if isinstance(value, list | tuple) and not any(isinstance(item, list | tuple) for item in value):
+        return [value]
+    return value
+
+
+ConicPerType = Annotated[
+    tuple[Number, ...],
+    Field(max_length=3),
+    AfterValidator(not_empty),
+    BeforeValidator(as_list),
+    number_per_type_schema,
+]
+"""A conic constant, or a list of up to three: one a lenslet type."""
+
+TermsPerType = Annotated[
+    tuple[Annotated[tuple[Coefficient, ...], Field(max_length=MOST_ASPHERE_TERMS)], ...],
+    Field(max_length=3),
+    AfterValidator(not_empty),
+    BeforeValidator(as_list_of_lists),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "array", "items": {"type": "number"}, "maxItems": MOST_ASPHERE_TERMS},
+                {
+                    "type": "array",
+                    "items": {"type": "array", "items": {"type": "number"}, "maxItems": MOST_ASPHERE_TERMS},
+                    "minItems": 1,
+                    "maxItems": 3,
+                },
+            ]
+        }
+    ),
+]
+"""Even aspheric coefficients, or a list of up to three lists of them: one a lenslet type."""

@@ -1,0 +1,139 @@
+"""Forbes' mild aspheres, "Q-bfs": a deviation along the normal of a sphere, in terms whose slopes are orthogonal.
+
+G. W. Forbes, "Shape specification for axially symmetric optical surfaces", Opt. Express 15 (2007) 5218-5226: with
+u = r / ρ, the sag beside the sphere of curvature c is u² (1 − u²) / √(1 − c² ρ² u²) Σ a_m Q_m(u²). The Q_m follow from
+the recurrence of "Robust, efficient computational methods for axially symmetric optical aspheres", Opt. Express 18
+(2010) 19700-19712. The surface is traced as an even asphere about the curvature that it has at its vertex.
+"""
+
+import math
+from dataclasses import dataclass
+from decimal import Decimal, localcontext
+from functools import lru_cache
+
+from pydantic import Field
+
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, within_floats
+from lfmesh.scene.model import Model
+from lfmesh.scene.quantities import Coefficient, Positive
+
+_LARGEST_ERROR = 1e-9
+"""A surface that no even asphere gives to within this, in mm or in ρ where that is less than 1 mm, is refused."""
+
+_WANTED = 0.01
+"""No terms are added to those that give the sag to within this share of the largest error."""
+
+_DIGITS = 50
+_CHECKED = 64
+
+
+class Qbfs(Model):
+    """Deviation from the sphere by Forbes' coefficients."""
+
+    norm_radius_mm: Positive
+    """Height at which the surface meets its sphere again, in mm: the radius of the clear aperture, or a little more."""
+    coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
+    """a₀, a₁, ..., in mm."""
+
+    @property
+    def largest_error_mm(self) -> float:
+        """Bound of the difference between the sag of the even form and the formula's."""
+        return _LARGEST_ERROR * min(1.0, self.norm_radius_mm)
+
+    def even_form(self, curvature_per_mm: float) -> "EvenForm | None":
+        """Return the even asphere that is this deviation from a sphere; None where a sphere ends below ρ."""
+        wanted = _WANTED * self.largest_error_mm
+        return _even_form(curvature_per_mm, self.norm_radius_mm, self.coefficients_mm, wanted)
+
+
+@dataclass(frozen=True)
+class EvenForm:
+    """A conic and even terms, and how far their sag is from that of Forbes' formula."""
+
+    radius_mm: float
+    conic: float
+    asphere_mm: tuple[float, ...]
+    error_mm: float
+
+
+def _q(x: Decimal, coefficients: tuple[Decimal, ...]) -> Decimal:
+    """Return Σ a_m Q_m(x)."""
+    p_before, p = Decimal(2), 6 - 8 * x
+    f, g, q_before, q = Decimal(19).sqrt() / 2, Decimal("-0.5"), Decimal(0), Decimal(1)
+    f_before, total = Decimal(2), coefficients[0]
+    h = Decimal(0)
+    for m, a in enumerate(coefficients[1:], start=1):
+        if m > 1:
+            h = -Decimal(m * (m - 1)) / (2 * f_before)
+            g_next = -(1 + g * h) / f
+            f_before, f = f, (m * (m + 1) + 3 - g_next * g_next - h * h).sqrt()
+            g = g_next
+            p_before, p = p, (2 - 4 * x) * p - p_before
+        q_before, q = q, (p - g * q - h * q_before) / f
+        total += a * q
+    return total
+
+
+def _sphere(curvature: Decimal, conic: int, r2: Decimal) -> Decimal:
+    return curvature * r2 / (1 + (1 - (1 + conic) * curvature * curvature * r2).sqrt())
+
+
+@lru_cache(maxsize=256)
+def _even_form(
+    curvature: float, norm_radius: float, coefficients: tuple[float, ...], wanted_mm: float
+) -> EvenForm | None:
+    """Return the even form with the fewest terms that reach the wanted error, or with the least error."""
+    with localcontext() as context:
+        context.prec = _DIGITS
+        c, rho = Decimal(curvature), Decimal(norm_radius)
+        a = tuple(Decimal(value) for value in coefficients)
+        at_vertex = c + 2 * _q(Decimal(0), a) / rho**2
+        radius = float(1 / at_vertex) if at_vertex else math.inf
+        if radius == 0.0 or max(abs(c), abs(at_vertex)) * rho >= 1:
+            return None
+        vertex, conic = (Decimal(0) if math.isinf(radius) else 1 / Decimal(radius)), (0 if curvature else -1)
+
+        def beyond(x: Decimal) -> Decimal:
+            r2 = x * rho * rho
+            forbes = x * (1 - x) / (1 - c * c * r2).sqrt() * _q(x, a)
+            return _sphere(c, 0, r2) + forbes - _sphere(vertex, conic, r2)
+
+        places = [Decimal(k) / _CHECKED for k in range(1, _CHECKED + 1)]
+        true = [float(beyond(x)) for x in places]
+        best: EvenForm | None = None
+        for count in range(1, MOST_ASPHERE_TERMS + 1):
+            nodes = [Decimal(0.5 - 0.5 * math.cos((k + 0.5) * math.pi / count)) for k in range(count)]
+            terms = _interpolated(nodes, [beyond(x) / x**2 for x in nodes])
+            found = tuple(float(term / rho ** (2 * k + 4)) for k, term in enumerate(terms))
+            error = max(abs(_float_sum(terms, x) - z) for x, z in zip(places, true, strict=True))
+            if not within_floats(found, norm_radius):
+                error = math.inf
+            if best is None or not error >= best.error_mm:
+                best = EvenForm(radius, conic, found, error)
+            if error <= wanted_mm:
+                break
+        return best
+
+
+def _float_sum(terms: list[Decimal], x: Decimal) -> float:
+    """Return the sag of the terms at u² = x as the tracer adds it, rounding included."""
+    power = place = float(x)
+    total = 0.0
+    for term in terms:
+        power *= place
+        total += float(term) * power
+    return total
+
+
+def _interpolated(nodes: list[Decimal], values: list[Decimal]) -> list[Decimal]:
+    """Return the coefficients, from x⁰ up, of the polynomial through values at nodes: Newton's divided differences."""
+    divided = list(values)
+    for level in range(1, len(nodes)):
+        for i in range(len(nodes) - 1, level - 1, -1):
+            divided[i] = (divided[i] - divided[i - 1]) / (nodes[i] - nodes[i - level])
+    terms = [divided[-1]]
+    for node, constant in zip(reversed(nodes[:-1]), reversed(divided[:-1]), strict=True):
+        shifted = [Decimal(0), *terms]
+        terms = [s - node * t for s, t in zip(shifted, [*terms, Decimal(0)], strict=True)]
+        terms[0] += constant
+    return terms

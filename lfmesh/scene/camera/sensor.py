@@ -1,0 +1,55 @@
+"""The sensor: pixels and their place."""
+
+from collections.abc import Iterator
+
+from pydantic import Field
+
+from lfmesh.scene.camera.bands import Bands, band_faults
+from lfmesh.scene.camera.cover import Cover
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.pose import Pose
+from lfmesh.scene.quantities import FractionOfOne, Pair, Positive
+
+
+class Sensor(Model):
+    """A flat grid of square pixels."""
+
+    pixels: Pair
+    """Number of pixels: columns, rows."""
+    pixel_mm: Positive
+    """Width of a pixel, which is also the distance to the next, in mm."""
+    distance_mm: Positive | None = None
+    """From the microlens array's face nearest the sensor, or from the last lens vertex in a conventional
+    camera, to the sensor, in mm. Omitted: the microlens focal plane; in a conventional camera the image of
+    `focus_mm`."""
+    reflectance: FractionOfOne = 0.0
+    """Share of the light that the pixels' surface reflects, as a mirror does and at any angle; they detect the rest.
+    What is reflected may come back. Beside the pixels all light is absorbed."""
+    cover: Cover | None = None
+    """Cover glass before the pixels. It lies between the array, or the lens, and the sensor, and does not move the
+    sensor: it moves the image away from the lens, by t (1 - 1/n), which a `distance_mm` that is omitted follows."""
+    bands: Bands | None = None
+    """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`: a list of bands, or
+    "rgb" (Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm) or
+    "xyz" (the CIE 1931 colour-matching functions from 380 to 780 nm). A pixel's value is the power by wavelength,
+    weighted with the response. First-order optics takes the centroid of the first band's response."""
+    pose: Pose = Field(default_factory=Pose)
+    """Installation error, about the sensor's centre."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the bands."""
+        if self.bands is not None:
+            yield from band_faults(self.bands)
+        if self.cover is not None and self.distance_mm is not None and self.cover.height_mm >= self.distance_mm:
+            height, room = self.cover.height_mm, self.distance_mm
+            yield Fault(
+                ("cover", "thickness_mm"),
+                self.cover.thickness_mm,
+                f"with gap_mm = {self.cover.gap_mm:g} the cover begins {height:.6g} mm before the sensor, which has "
+                f"distance_mm = {room:.6g} of room; thickness_mm and gap_mm together must be less",
+            )
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height, in mm."""
+        return self.pixels[0] * self.pixel_mm, self.pixels[1] * self.pixel_mm

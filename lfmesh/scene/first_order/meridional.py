@@ -1,0 +1,118 @@
+"""Real rays in the meridional plane of a lens: how wide its axial beam really is where the paraxial one would be wider.
+
+Plain floats: a scene is judged before anything is built.
+"""
+
+import math
+
+from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.scene.camera.lens import Lens, Surface
+
+STEPS = 50
+"""Of Newton's method towards a surface."""
+
+HALVINGS = 60
+"""Of the interval in which the ray at the edge of the stop is sought."""
+
+
+def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
+    """Return the heights at the surfaces, in order, of a real ray from the axial object point.
+
+    Parameters
+    ----------
+    lens : Lens
+        Solved, its surfaces all of revolution.
+    wavelength_nm : float
+    object_mm : float
+        Before the first vertex; inf for light along the axis. Negative: the ray converges to the point behind it.
+    height_mm : float
+        In the plane of the first vertex.
+
+    Returns
+    -------
+    list of float
+        As many as the ray reaches: it ends where it misses a surface, or is totally reflected.
+    """
+    z, y = 0.0, height_mm
+    angle = 0.0 if math.isinf(object_mm) else math.atan2(height_mm, object_mm)
+    if object_mm < 0:
+        angle = math.atan2(-height_mm, -object_mm)
+    heights: list[float] = []
+    index = AIR
+    for surface, vertex in zip(lens.surfaces, lens.vertices_mm, strict=True):
+        after = refractive_index(surface.medium, wavelength_nm)
+        met = _meet(surface, y, z - vertex, math.tan(angle))
+        if met is None:
+            return heights
+        y, sag = met
+        z = vertex + sag
+        heights.append(y)
+        if surface.paraxial:
+            angle = math.atan(math.tan(angle) - y * surface.thin_lens_power_per_mm)
+            continue
+        # The normal is inclined by the angle whose tangent is the slope of the sag, towards the axis.
+        normal = -math.atan(_slope(surface, y))
+        sine = index / after * math.sin(angle - normal)
+        if abs(sine) > 1.0:
+            return heights
+        angle = normal + math.asin(sine)
+        index = after
+    return heights
+
+
+def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> list[float]:
+    """Return the heights at the surfaces of the real axial ray that meets the edge of the stop, no aperture in its way.
+
+    Empty where no ray reaches it: the glass itself ends before.
+
+    Parameters
+    ----------
+    lens : Lens
+    wavelength_nm, object_mm : float
+        As for `heights_mm`.
+    guess_mm : float
+        Height of the paraxial ray in the plane of the first vertex.
+    """
+    stop = lens.stop_index or 0
+    radius = lens.surfaces[stop].semi_diameter_mm or math.nan
+
+    def at(height: float) -> list[float]:
+        return heights_mm(lens, wavelength_nm, object_mm, height)
+
+    def beyond(heights: list[float]) -> bool:
+        return len(heights) <= stop or abs(heights[stop]) >= radius
+
+    low, high = 0.0, abs(guess_mm)
+    for _ in range(8):
+        if beyond(at(high)):
+            break
+        low, high = high, 1.5 * high
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if beyond(at(middle)) else (middle, high)
+    heights = at(low)
+    return heights if len(heights) > stop and abs(heights[stop]) >= radius * (1 - 1e-6) else []
+
+
+def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, float] | None:
+    """Return height and sag at which a ray meets a surface, given from its vertex; None if it misses it."""
+    height = y - z * slope
+    for _ in range(STEPS):
+        if abs(height) > surface.reach_mm:
+            return None
+        excess = height - (y + (surface.sag_mm(height) - z) * slope)
+        if abs(excess) < 1e-13 * (1 + abs(height)):
+            return height, surface.sag_mm(height)
+        fall = 1 - _slope(surface, height) * slope
+        if fall == 0:
+            return None
+        height -= excess / fall
+    return None
+
+
+def _slope(surface: Surface, height: float) -> float:
+    """Return the derivative of the sag."""
+    c = surface.curvature_per_mm
+    root = math.sqrt(max(1e-300, 1 - (1 + surface.vertex_conic) * c * c * height * height))
+    terms = (power * a * abs(height) ** (power - 1) for power, a in surface.powers_mm)
+    return c * height / root + math.copysign(1.0, height) * sum(terms)

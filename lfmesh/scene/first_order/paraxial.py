@@ -1,0 +1,236 @@
+"""Paraxial optics of a lens in air: the y-nu trace and what follows from it.
+
+Heights are in mm, angles in rad, reduced (times the index), so that each surface and each gap is a matrix of
+determinant 1. The lens stands in air, where reduced angles are plain ones. The formulas are those of any
+textbook, such as W. J. Smith, Modern Optical Engineering.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.scene.camera.lens import Lens
+
+
+class Ray(NamedTuple):
+    """A paraxial ray at a plane."""
+
+    height_mm: float
+    angle: float
+
+
+class Matrix(NamedTuple):
+    """Maps (height, reduced angle) at one plane to another: y' = A y + B u, u' = C y + D u."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+
+    def __call__(self, ray: Ray) -> Ray:
+        """Return a ray as it is after this matrix."""
+        return Ray(self.a * ray.height_mm + self.b * ray.angle, self.c * ray.height_mm + self.d * ray.angle)
+
+    def then(self, after: "Matrix") -> "Matrix":
+        """Return the matrix of this followed by `after`."""
+        return Matrix(
+            after.a * self.a + after.b * self.c,
+            after.a * self.b + after.b * self.d,
+            after.c * self.a + after.d * self.c,
+            after.c * self.b + after.d * self.d,
+        )
+
+
+NOTHING = Matrix(1.0, 0.0, 0.0, 1.0)
+
+
+def gap(length_mm: float, index: float = AIR) -> Matrix:
+    """Return the matrix of a distance in a medium."""
+    return Matrix(1.0, length_mm / index, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Paraxial:
+    """A lens at one wavelength.
+
+    Attributes
+    ----------
+    curvatures : tuple of float, 1/mm
+        One a surface.
+    gaps_mm : tuple of float
+        From each vertex to the next, one fewer than surfaces.
+    indices : tuple of float
+        Before the first surface and after each.
+    stop : int
+        Number of the surface whose aperture is the stop.
+    thin_powers : tuple of float, 1/mm
+        Of the surfaces that are thin lenses; 0 for the others. Empty: there is none.
+    """
+
+    curvatures: tuple[float, ...]
+    gaps_mm: tuple[float, ...]
+    indices: tuple[float, ...]
+    stop: int
+    thin_powers: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, lens: Lens, wavelength_nm: float, *, section_x: bool = False) -> "Paraxial":
+        """Read a prescription; without a marked stop, the first surface counts as the stop.
+
+        Parameters
+        ----------
+        lens : Lens
+        wavelength_nm : float
+        section_x : bool
+            In the section x–z, which only biconics and toroids make another one, in place of y–z.
+        """
+        return cls(
+            curvatures=tuple(
+                surface.curvature_x_per_mm if section_x else surface.curvature_per_mm for surface in lens.surfaces
+            ),
+            gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
+            indices=(AIR, *(refractive_index(surface.medium, wavelength_nm) for surface in lens.surfaces)),
+            stop=lens.stop_index or 0,
+            thin_powers=tuple(surface.thin_lens_power_per_mm for surface in lens.surfaces),
+        )
+
+    def refraction(self, number: int) -> Matrix:
+        """Matrix of surface `number` alone."""
+        power = (self.indices[number + 1] - self.indices[number]) * self.curvatures[number]
+        if self.thin_powers:
+            power += self.thin_powers[number]
+        return Matrix(1.0, 0.0, -power, 1.0)
+
+    def heights_mm(self, ray: Ray) -> list[float]:
+        """Return the height at every surface of a ray given at the first vertex."""
+        heights = []
+        for number in range(len(self.curvatures)):
+            if number:
+                ray = gap(self.gaps_mm[number - 1], self.indices[number])(ray)
+            heights.append(ray.height_mm)
+            ray = self.refraction(number)(ray)
+        return heights
+
+    def reflected_twice(self, first: int, second: int) -> Matrix:
+        """From the first vertex to just behind the last, for light reflected back at one surface and forth at another.
+
+        Parameters
+        ----------
+        first, second : int
+            Numbers of the surfaces, in the order in which light meets them: first > second.
+        """
+        matrix = self._run(0, first, last_refracts=False).then(self._reflection(first, from_front=True))
+        for number in range(first - 1, second - 1, -1):
+            matrix = matrix.then(gap(self.gaps_mm[number], self.indices[number + 1]))
+            if number > second:
+                # Light that comes back is refracted as light that goes on: sides and sense change sign together.
+                matrix = matrix.then(self.refraction(number))
+        matrix = matrix.then(self._reflection(second, from_front=False))
+        if second + 1 < len(self.curvatures):
+            on = self._run(second + 1, len(self.curvatures) - 1)
+            matrix = matrix.then(gap(self.gaps_mm[second], self.indices[second + 1])).then(on)
+        return matrix
+
+    def _reflection(self, number: int, *, from_front: bool) -> Matrix:
+        """Matrix of a reflection at surface `number`; angles are counted along the light's way."""
+        index = self.indices[number] if from_front else -self.indices[number + 1]
+        return Matrix(1.0, 0.0, 2.0 * index * self.curvatures[number], 1.0)
+
+    @cached_property
+    def to_stop(self) -> Matrix:
+        """From the first vertex to just before the stop surface."""
+        return self._run(0, self.stop, last_refracts=False)
+
+    @cached_property
+    def from_stop(self) -> Matrix:
+        """From just before the stop surface to just behind the last vertex."""
+        return self._run(self.stop, len(self.curvatures) - 1)
+
+    @cached_property
+    def whole(self) -> Matrix:
+        """From the first vertex to just behind the last."""
+        return self.to_stop.then(self.from_stop)
+
+    def _run(self, first: int, last: int, last_refracts: bool = True) -> Matrix:
+        matrix = NOTHING
+        for number in range(first, last):
+            matrix = matrix.then(self.refraction(number)).then(gap(self.gaps_mm[number], self.indices[number + 1]))
+        return matrix.then(self.refraction(last)) if last_refracts else matrix
+
+    @property
+    def length_mm(self) -> float:
+        """From the first vertex to the last."""
+        return sum(self.gaps_mm)
+
+    @property
+    def efl_mm(self) -> float:
+        """Effective focal length; inf for an afocal lens."""
+        return _ratio(-1.0, self.whole.c)
+
+    @property
+    def bfl_mm(self) -> float:
+        """From the last vertex to the rear focal point."""
+        return _ratio(-self.whole.a, self.whole.c)
+
+    @property
+    def ffl_mm(self) -> float:
+        """From the first vertex to the front focal point: negative where that lies before the lens."""
+        return _ratio(self.whole.d, self.whole.c)
+
+    def image_mm(self, object_mm: float) -> float:
+        """Return the image distance behind the last vertex of an object this far before the first."""
+        if math.isinf(object_mm):
+            return self.bfl_mm
+        m = self.whole
+        return _ratio(-(m.a * object_mm + m.b), m.c * object_mm + m.d)
+
+    def object_mm(self, image_mm: float) -> float:
+        """Return the object distance before the first vertex whose image lies this far behind the last.
+
+        It is negative for a virtual object: an image between the lens and its rear focal point.
+        """
+        m = self.whole
+        distance = _ratio(-(m.b + m.d * image_mm), m.a + m.c * image_mm)
+        return abs(distance) if math.isinf(distance) else distance
+
+    def magnification(self, object_mm: float) -> float:
+        """Return the transverse magnification of an object this far off; negative for an inverted image."""
+        return 0.0 if math.isinf(object_mm) else _ratio(1.0, self.whole.c * object_mm + self.whole.d)
+
+    def axial_ray(self, object_mm: float) -> Ray:
+        """Return some ray from the axial point of an object, at the first vertex."""
+        return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm, 1.0)
+
+    def marginal_ray(self, object_mm: float, stop_radius_mm: float) -> Ray:
+        """Return the axial object point's ray, at the first vertex, that grazes the edge of the stop."""
+        ray = self.axial_ray(object_mm)
+        scale = _ratio(stop_radius_mm, self.to_stop(ray).height_mm)
+        return Ray(ray.height_mm * scale, ray.angle * scale)
+
+    def entrance_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
+        """Return z and diameter of the stop's image in object space, in mm; both inf if telecentric."""
+        m = self.to_stop
+        return _ratio(m.b, m.a), abs(_ratio(2 * stop_radius_mm, m.a))
+
+    def exit_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
+        """Return z and diameter of the stop's image in image space, in mm; both inf if telecentric."""
+        m = self.from_stop
+        return self.length_mm - _ratio(m.b, m.d), abs(_ratio(2 * stop_radius_mm, m.d))
+
+
+def quotient(numerator: float, denominator: float) -> float:
+    """Divide, with x/0 = inf of the sign of x, and 0/0 = nan."""
+    if denominator == 0:
+        return math.copysign(math.inf, numerator) if numerator else math.nan
+    return numerator / denominator
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    """Divide, with x/0 = inf of the sign of x.
+
+    A denominator that is only rounding of a sum that should vanish counts as 0: the numbers are mm and 1/mm
+    of camera lenses, far above it.
+    """
+    return math.copysign(math.inf, numerator) if abs(denominator) < 1e-14 else numerator / denominator

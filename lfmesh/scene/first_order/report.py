@@ -1,0 +1,481 @@
+"""The first-order report of a camera: cardinal points, pupils, micro-images, sampling, refocus range."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from lfmesh.notebook import Shown
+from lfmesh.scene.advice import warnings
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.lenslet_optics import lenslet_optics, sections
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
+from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, rear_principal_mm, solved
+from lfmesh.scene.scene import Scene
+
+AIRY_RING = 1.2196698912665045
+"""First zero of the Bessel function J₁ over π."""
+
+
+@dataclass(frozen=True)
+class AtWavelength:
+    """Paraxial properties of the lens at one wavelength, or at the centroid of a band."""
+
+    wavelength_nm: float
+    efl_mm: float
+    bfl_mm: float
+    image_shift_mm: float
+    """How far behind that of the primary wavelength the image of the plane in focus lies."""
+
+
+@dataclass(frozen=True)
+class LensletSection:
+    """Lenslets of the first type in one section through their axis."""
+
+    section: str
+    """"x": the section x–z, "y": the section y–z; "": all, of lenslets of revolution."""
+    focal_length_mm: float
+    """Of both faces of the plate; inf where neither bends rays."""
+    focus_behind_mm: float
+    """Of collimated light, behind the array's face towards the sensor."""
+    f_number: float | None
+    """Distance from the sensor, in air, over the pitch in this section; None where rays are not bent."""
+    micro_image_pitch_px: float | None
+    """As those of the report, in this section; None where there is no micro-image."""
+    micro_image_diameter_px: float | None
+
+
+@dataclass(frozen=True)
+class FirstOrder(Shown):
+    """Paraxial properties of a camera at its primary wavelength.
+
+    All z are in the camera frame, where the first lens vertex is the origin. Pupils at infinity (a
+    telecentric lens) and objects at infinity are inf. What only a microlens array has is None without one.
+    """
+
+    wavelength_nm: float
+    """The primary wavelength."""
+    efl_mm: float
+    """Effective focal length."""
+    bfl_mm: float
+    """From the last vertex to the rear focal point."""
+    ffl_mm: float
+    """From the first vertex to the front focal point; negative where that lies before the lens."""
+    front_principal_plane_z_mm: float
+    rear_principal_plane_z_mm: float
+    entrance_pupil_z_mm: float
+    entrance_pupil_diameter_mm: float
+    exit_pupil_z_mm: float
+    exit_pupil_diameter_mm: float
+    object_distance_mm: float
+    """The plane in focus, before the first vertex: what the apexes of the array (or the sensor) are the image
+    of."""
+    image_z_mm: float
+    """The plane the lens focuses on: the apexes, seen through the plate where its flat face looks at the
+    lens, or the sensor of a conventional camera."""
+    magnification: float
+    """Transverse, between these two planes; negative for an inverted image."""
+    working_f_number: float
+    """On the image side, at the actual focus: 1 / (2 u') of the paraxial marginal ray."""
+    microlens_f_number: float | None
+    """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
+    plane."""
+    micro_image_pitch_px: float | None
+    """Distance of neighbouring micro-images on the sensor, in pixels."""
+    micro_image_diameter_px: float | None
+    """Diameter of a micro-image, the image of the exit pupil, in pixels."""
+    object_sampling_mm: float
+    """Size of a lenslet, or of a pixel in a conventional camera, on the plane in focus."""
+    field_of_view_mm: tuple[float, float]
+    """Width and height that array and sensor see of the plane in focus."""
+    airy_wavelength_nm: float
+    """The longest wavelength of the scene, for which the Airy disks are given: theirs are the largest."""
+    airy_disk_mm: float
+    """Diameter of the lens's Airy disk, to its first dark ring, on the array's apexes or the sensor. What is traced is
+    geometric optics, without it."""
+    airy_disk_samples: float
+    """The same in lenslet pitches, or in pixels in a conventional camera."""
+    microlens_airy_disk_px: float | None
+    """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
+    near_mm: float
+    """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of
+    field."""
+    far_mm: float
+    """The farthest one; inf where it reaches infinity."""
+    view_spacing_mm: float | None = None
+    """Distance of neighbouring views, a pixel of a micro-image apart, on the entrance pupil: their stereo baseline."""
+    views_across: float | None = None
+    """Views side by side on the diameter of the pupil."""
+    refocused_mm: tuple[tuple[float, float, float], ...] = ()
+    """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
+    refocus range, the plane in focus, the far end. Of a photograph of all views."""
+    cover_shift_mm: float | None = None
+    """How far the sensor's cover moves the image away from the lens, t (1 - 1/n); None without a cover. The sensor
+    stays where the scene puts it; the other figures are those behind the cover."""
+    by_wavelength: tuple[AtWavelength, ...] = ()
+    """The lens at each wavelength or band, if there are several."""
+    efl_x_mm: float | None = None
+    """Effective focal length in the section x–z, where a biconic or toroid makes it another than in y–z, for which all
+    other figures are."""
+    image_x_shift_mm: float | None = None
+    """How far behind the image plane the section x–z has the image of the plane in focus."""
+    lenslet_sections: tuple["LensletSection", ...] = ()
+    """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
+    the lenslets above are those of the section in which the curved face bends rays."""
+    poses: tuple[str, ...] = ()
+    """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
+    warnings: tuple[str, ...] = ()
+    """What is likely to disappoint, in plain words."""
+
+    def __repr__(self) -> str:
+        lens = f"f = {self.efl_mm:.5g} mm, f/{self.working_f_number:.3g}"
+        span = f"in focus {_mm(self.object_distance_mm)}, sharp from {_mm(self.near_mm)} to {_mm(self.far_mm)}"
+        number = len(self.warnings)
+        return f"<FirstOrder: {lens}, {span}, {number or 'no'} warning{'' if number == 1 else 's'}>"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the report without its warnings: the name of every property, and its value with its unit."""
+        mla = self.microlens_f_number is not None
+        width, height = self.field_of_view_mm
+        rows = [
+            ("wavelength", f"{self.wavelength_nm:g} nm"),
+            ("effective focal length", _mm(self.efl_mm)),
+            ("back focal length", f"{_mm(self.bfl_mm)} behind the last vertex"),
+            ("front focal length", f"{_mm(self.ffl_mm)} from the first vertex"),
+            (
+                "principal planes",
+                f"z = {_mm(self.front_principal_plane_z_mm)}, z = {_mm(self.rear_principal_plane_z_mm)}",
+            ),
+            ("entrance pupil", _pupil(self.entrance_pupil_z_mm, self.entrance_pupil_diameter_mm)),
+            ("exit pupil", _pupil(self.exit_pupil_z_mm, self.exit_pupil_diameter_mm)),
+            ("plane in focus", f"{_mm(self.object_distance_mm)} before the first vertex"),
+            ("image plane", f"z = {_mm(self.image_z_mm)}"),
+            ("magnification", f"{self.magnification:.6g}"),
+            ("working f-number", f"{self.working_f_number:.4g}"),
+        ]
+        if self.cover_shift_mm is not None:
+            rows.append(("sensor's cover", f"moves the image {_um(self.cover_shift_mm)} away from the lens"))
+        if mla:
+            rows += [
+                ("microlens f-number", f"{self.microlens_f_number:.4g}"),
+                ("micro-image pitch", f"{self.micro_image_pitch_px:.6g} pixels"),
+                ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
+            ]
+            rows += [_section_row(at) for at in self.lenslet_sections]
+        rows += [
+            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if mla else 'pixel'}"),
+            ("field of view", f"{_mm(width)} × {_mm(height)}"),
+            (
+                "Airy disk, lens",
+                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if mla else 'pixels'}, "
+                f"at {self.airy_wavelength_nm:g} nm",
+            ),
+            *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if mla else []),
+            ("refocus range" if mla else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
+        ]
+        if self.view_spacing_mm is not None:
+            rows.append(
+                ("views", f"{_mm(self.view_spacing_mm)} apart on the entrance pupil, {self.views_across:.3g} across")
+            )
+        rows += [
+            ("depth of field", f"{_mm(near)} to {_mm(far)} when refocused to {_mm(plane)}")
+            for plane, near, far in self.refocused_mm
+        ]
+        rows += [
+            (
+                f"at {at.wavelength_nm:.6g} nm",
+                f"effective focal length {_mm(at.efl_mm)}, back {_mm(at.bfl_mm)}, "
+                f"image {1e3 * at.image_shift_mm:+.4g} µm",
+            )
+            for at in self.by_wavelength
+        ]
+        if self.efl_x_mm is not None and self.image_x_shift_mm is not None:
+            shift = f"image {1e3 * self.image_x_shift_mm:+.4g} µm"
+            rows.append(("section x–z", f"effective focal length {_mm(self.efl_x_mm)}, {shift}"))
+            rows.append(("", "the figures above are those of the section y–z"))
+        rows += [("posed element", text) for text in self.poses]
+        if self.poses:
+            rows.append(("", "the figures above are those of the lens without poses"))
+        return rows
+
+    def lines(self) -> list[str]:
+        """Return the report, a line a property, warnings last."""
+        return [f"{name:<23}{value}" for name, value in self.rows()] + [f"warning: {text}" for text in self.warnings]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by name, as plain values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        nested = {name: tuple(asdict(at) for at in values[name]) for name in ("by_wavelength", "lenslet_sections")}
+        return values | nested
+
+
+def first_order(scene: Scene) -> FirstOrder:
+    """Compute the first-order report of a scene, which is solved first.
+
+    The micro-image pitch follows from the chief rays: a ray from the middle of the exit pupil through a
+    lenslet's principal points, which lie `D` behind the pupil and (reduced to air) `d` before the sensor,
+    lands (D + d)/D times the lenslet's offset from the axis. The front principal point of a plano-convex
+    lenslet is its apex when the curved face looks at the lens; else it is the apex seen from air through the
+    plate.
+
+    The refocus range ends where the shift between neighbouring views is one lenslet. Views a pixel apart are
+    δu = pixel · D/d apart on the exit pupil; an image point a distance ε behind the array shifts by
+    δu · ε/(D + ε) between them. Setting that to ± one pitch p gives ε = ± (p d / pixel) / (1 ∓ p/δu). For a
+    distant pupil this is what R. Ng et al. found ("Light field photography with a hand-held plenoptic
+    camera", Stanford CTSR 2005-02): P × P pixels a lenslet refocus exactly within the depth of field of an
+    f-number P times higher.
+
+    The Airy disks are what diffraction at a circular aperture makes of a point, `airy_disk_mm`: the lens's at its
+    working f-number, which holds the actual conjugates and the exit pupil; a lenslet's at its own, the distance to the
+    sensor over the pitch. (A square lenslet's pattern has its first dark lines 2 λ N apart, and its corners reach less
+    far: the circle as wide as the pitch stands for it.) They are given for the scene's longest wavelength.
+
+    Raises
+    ------
+    SceneError
+        As `solved`.
+    """
+    return report_of_solved(solved(scene))
+
+
+def report_of_solved(scene: Scene) -> FirstOrder:
+    """Return the first-order report of a scene that is solved already; see `first_order`."""
+    camera, wavelength = scene.camera, scene.primary_nm
+    lens = Paraxial.of(camera.lens, wavelength)
+    stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
+    image = image_plane_mm(camera, wavelength)
+    distance = lens.object_mm(image)
+    magnification = lens.magnification(distance)
+    entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
+    exit_z, exit_diameter = lens.exit_pupil(stop_radius)
+    pupil_to_image = lens.length_mm + image - exit_z if math.isfinite(exit_z) else math.inf
+    angle = lens.whole(lens.marginal_ray(distance, stop_radius)).angle
+    f_number = 1 / (2 * abs(angle)) if angle else math.inf
+    micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
+    blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
+    depth = _refocus_depth_mm(camera, wavelength, f_number)
+
+    def reach(behind_mm: float, before_mm: float) -> tuple[float, float]:
+        return _distances(lens, image, pupil_to_image, behind_mm, before_mm)
+
+    near, far = reach(depth, -depth)
+    refocused: tuple[tuple[float, float, float], ...] = ()
+    if camera.mla is not None:
+        sharp = camera.mla.pitch_mm * f_number
+        planes = ((near, depth), (distance, 0.0), (far, -depth))
+        refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
+    longest = scene.reach_nm[1]
+    facts = FirstOrder(
+        wavelength_nm=wavelength,
+        efl_mm=lens.efl_mm,
+        bfl_mm=lens.bfl_mm,
+        ffl_mm=lens.ffl_mm,
+        front_principal_plane_z_mm=lens.ffl_mm + lens.efl_mm,
+        rear_principal_plane_z_mm=lens.length_mm + lens.bfl_mm - lens.efl_mm,
+        entrance_pupil_z_mm=entrance_z,
+        entrance_pupil_diameter_mm=entrance_diameter,
+        exit_pupil_z_mm=exit_z,
+        exit_pupil_diameter_mm=exit_diameter,
+        object_distance_mm=distance,
+        image_z_mm=lens.length_mm + image,
+        magnification=magnification,
+        working_f_number=f_number,
+        microlens_f_number=micro[0] if micro else None,
+        micro_image_pitch_px=micro[1] if micro else None,
+        micro_image_diameter_px=micro[2] if micro else None,
+        object_sampling_mm=_on_object(blur, magnification),
+        field_of_view_mm=_field_of_view_mm(camera, magnification),
+        airy_wavelength_nm=longest,
+        airy_disk_mm=airy_disk_mm(longest, f_number),
+        airy_disk_samples=airy_disk_mm(longest, f_number) / blur,
+        microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
+        near_mm=near,
+        far_mm=far,
+        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro else None,
+        views_across=micro[2] if micro else None,
+        refocused_mm=refocused,
+        cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
+        by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
+        lenslet_sections=tuple(_lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
+        poses=tuple(_pose_lines(camera)),
+    )
+    if camera.lens.number_off_revolution is not None:
+        across = Paraxial.of(camera.lens, wavelength, section_x=True)
+        width = _field_of_view_mm(camera, _chief_scale(across, distance, image))[0]
+        facts = replace(
+            facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
+            field_of_view_mm=(width, facts.field_of_view_mm[1]),
+        )  # fmt: skip
+    return replace(facts, warnings=warnings(scene, facts))
+
+
+def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
+    """Return the diameter of the first dark ring round the image of a point, in mm: 2.44 λ N.
+
+    The first zero of J₁ is at 1.2197 π: the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics, section
+    8.5.2), N the f-number at which the cone of light converges in air, 1 / (2 sin θ').
+    """
+    return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
+
+
+def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
+
+    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
+    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
+    """
+    if camera.mla is None or camera.sensor.distance_mm is None:
+        return math.nan
+    inside = rear_principal_mm(camera.mla, wavelength_nm)
+    return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
+
+
+def _micro_image(
+    camera: Camera, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
+) -> tuple[float, float, float] | None:
+    """Return microlens f-number, and pitch and diameter of the micro-images in pixels."""
+    if camera.mla is None:
+        return None
+    pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
+    to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
+    return (
+        to_sensor / pitch,
+        pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
+        quotient(to_sensor, f_number) / pixel,
+    )
+
+
+def _lenslet_sections(
+    camera: Camera, wavelength_nm: float, exit_z_mm: float, lens_length_mm: float, f_number: float
+) -> Iterator[LensletSection]:  # fmt: skip
+    """Yield the lenslets section by section, where they are cylinders or stand on both faces."""
+    mla, sensor = camera.mla, camera.sensor
+    if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
+        return
+    for section in sections(mla):
+        at = lenslet_optics(mla, wavelength_nm, section=section)
+        number = pitch = diameter = None
+        if at.power_per_mm != 0.0:
+            inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
+            pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
+            apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
+            pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
+            diameter = quotient(inside, f_number) / sensor.pixel_mm
+            number = inside / apart
+        name = section if len(sections(mla)) > 1 else ""
+        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)
+
+
+def _section_row(at: LensletSection) -> tuple[str, str]:
+    """Return a row of the report about the lenslets in one section."""
+    name = f"lenslets, {at.section}–z" if at.section else "lenslets, both faces"
+    if at.micro_image_pitch_px is None:
+        return name, "no power: light lands on lines"
+    return (
+        name,
+        f"focal length {_mm(at.focal_length_mm)}, f/{at.f_number:.4g}, focus {_mm(at.focus_behind_mm)} behind the "
+        "array; "
+        f"micro-images {at.micro_image_diameter_px:.4g} pixels wide, {at.micro_image_pitch_px:.6g} apart",
+    )
+
+
+def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> float:
+    """Return how deep the range that can be refocused is to each side of the image plane, for a distant pupil, in mm.
+
+    Without an array: the depth in which the blur is a pixel; the pupil's diameter takes the place of the view spacing.
+    """
+    pixel = camera.sensor.pixel_mm
+    if camera.mla is None:
+        return pixel * f_number
+    return camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
+
+
+def _distances(
+    lens: Paraxial, image_mm: float, pupil_to_image_mm: float, behind_mm: float, before_mm: float
+) -> tuple[float, float]:
+    """Return the nearest and the farthest object distance that two image points are the images of, in mm.
+
+    The points lie where views a distance u apart on the pupil shift against each other by u t / D on the image plane, D
+    from the pupil: t / (1 - t/D) behind it. For a distant pupil t is the distance itself.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    image_mm : float
+        Of the image plane behind the last vertex.
+    pupil_to_image_mm : float
+    behind_mm, before_mm : float
+        t of the two.
+    """
+    share = quotient(behind_mm, pupil_to_image_mm)
+    near = lens.object_mm(image_mm + behind_mm / (1 - share)) if share < 1 else -lens.ffl_mm
+    far = lens.object_mm(image_mm + quotient(before_mm, 1 - quotient(before_mm, pupil_to_image_mm)))
+    # Past infinity the conjugates come round as virtual objects, with negative distances.
+    return near if near > 0 else math.inf, far if far > near > 0 else math.inf
+
+
+def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Iterator[AtWavelength]:
+    """Yield the lens at each wavelength of a scene that has several."""
+    wavelengths_nm = scene.wavelengths_nm
+    if len(wavelengths_nm) < 2:
+        return
+    image = primary.image_mm(distance_mm)
+    for wavelength in wavelengths_nm:
+        lens = Paraxial.of(scene.camera.lens, wavelength)
+        yield AtWavelength(wavelength, lens.efl_mm, lens.bfl_mm, lens.image_mm(distance_mm) - image)
+
+
+def _on_object(size_mm: float, magnification: float) -> float:
+    return quotient(size_mm, abs(magnification))
+
+
+def _chief_scale(lens: Paraxial, distance_mm: float, image_mm: float) -> float:
+    """Return how high the chief ray lands over the height of its object point, whether the image is sharp or not.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    distance_mm, image_mm : float
+        Of the object plane before the first vertex, and of the image plane behind the last.
+    """
+    if math.isinf(distance_mm):
+        return 0.0
+    m = lens.to_stop
+    angle = -quotient(m.a, m.a * distance_mm + m.b)
+    ray = lens.whole(Ray(1.0 + angle * distance_mm, angle))
+    return ray.height_mm + ray.angle * image_mm
+
+
+def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    return _on_object(width, magnification), _on_object(height, magnification)
+
+
+def _pose_lines(camera: Camera) -> Iterator[str]:
+    """Yield the pose of every lens element that is not in its place."""
+    for element in camera.lens.elements:
+        shift, tilt = element.pose.shift_mm, element.pose.tilt_deg
+        if any(shift) or any(tilt):
+            first, last = element.surfaces[0], element.surfaces[-1]
+            which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
+            yield (
+                f"{which}: shift {' '.join(f'{x:g}' for x in shift)} mm, "
+                f"tilt {' '.join(f'{x:g}' for x in tilt)} degrees about the vertex of surface {first}"
+            )
+
+
+def _mm(length: float) -> str:
+    return f"{length:.6g} mm" if math.isfinite(length) else "infinity"
+
+
+def _um(length_mm: float) -> str:
+    return f"{1e3 * length_mm:.4g} µm" if math.isfinite(length_mm) else "infinity"
+
+
+def _pupil(z: float, diameter: float) -> str:
+    return f"z = {_mm(z)}, diameter {_mm(diameter)}" if math.isfinite(z) else "at infinity (telecentric)"

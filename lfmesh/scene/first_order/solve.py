@@ -1,0 +1,354 @@
+"""Solving a scene: lens file inlined, stop sized, lenslet radii and distances found."""
+
+import math
+from typing import Any, TypeVar
+
+from lfmesh.errors import SceneError
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.lenslet_optics import lenslet_optics
+from lfmesh.scene.camera.mla import MicrolensArray
+from lfmesh.scene.camera.sensor import Sensor
+from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
+from lfmesh.scene.literals import at_least, at_most
+from lfmesh.scene.materials.glass_in_air import in_its_air
+from lfmesh.scene.model import Model
+from lfmesh.scene.quantities import LARGEST, SMALLEST
+from lfmesh.scene.scene import Scene
+
+M = TypeVar("M", bound=Model)
+
+BEYOND = 1e-6
+"""How far inside a limit that is itself not valid an advised value lies, relative."""
+
+SPARE = 0.05
+"""Share by which solved clear apertures are wider than the beams that they pass."""
+
+HEIGHTS = 256
+"""At which the room between two surfaces is measured."""
+
+
+def solved(scene: Scene) -> Scene:
+    """Return a copy of a scene with nothing left to solve.
+
+    The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
+    `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
+    sensor have their distances; `camera.air` is used up, and glasses name the air round them. All of it is paraxial, at
+    the primary wavelength. A solved scene comes back as it is.
+
+    Raises
+    ------
+    SceneError
+        A distance is neither given nor to be had from `focus_mm`, or what follows from the file is
+        impossible.
+    """
+    primary = scene.primary_nm
+    lens = with_lens_file(scene.camera.lens, scene.folder)
+    for i, surface in enumerate(lens.surfaces):
+        if surface.refractor is not None:
+            raise SceneError(
+                f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
+                "lf.render do that, or see lfmesh.geometry.lens.solved_camera"
+            )
+    if lens is not scene.camera.lens:
+        # The lens came after the scene was checked: check the two together.
+        scene = scene.changed({"camera.lens": lens.model_dump()})
+    scene = in_its_air(scene)
+    camera = scene.camera
+    mla = _with_radii(camera.mla, primary) if camera.mla is not None else None
+    camera = _changed(camera, mla=mla)
+    camera = _with_distances(camera, primary)
+    camera = _changed(camera, lens=_with_stop(camera, primary))
+    camera = _changed(camera, lens=_with_apertures(camera, primary))
+    if camera == scene.camera:
+        return scene
+    # Checked again: a stop made larger, or a radius from a focal length, may make surfaces cross.
+    return scene.changed({"camera": camera.model_dump()})
+
+
+def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return the reduced thickness of the array's plate, t/n, in mm."""
+    return mla.thickness_mm / refractive_index(mla.medium, wavelength_nm)
+
+
+def cover_shift_mm(sensor: Sensor, wavelength_nm: float) -> float:
+    """Return how far the sensor's cover moves the image away from the lens, t (1 - 1/n), in mm; 0 without a cover."""
+    if sensor.cover is None:
+        return 0.0
+    return sensor.cover.thickness_mm * (1.0 - 1.0 / refractive_index(sensor.cover.medium, wavelength_nm))
+
+
+def lenslet_focal_length_mm(mla: MicrolensArray, wavelength_nm: float) -> tuple[float, ...]:
+    """Return the focal lengths of the lenslet types of a solved array, in mm: R / (n − 1), or those of both faces.
+
+    Of cylinders, in the section in which the curved face bends rays.
+    """
+    if mla.has_back:
+        return tuple(lenslet_optics(mla, wavelength_nm, kind).focal_length_mm for kind in range(mla.types))
+    n = refractive_index(mla.medium, wavelength_nm)
+    return tuple(radius / (n - 1) for radius in mla.radius_mm or ())
+
+
+def front_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return how far behind the array's face towards the lens its lenslets' front principal points lie, as in air, mm.
+
+    Where only one face is curved, they are its apexes, which the lens may see through the plate, as t/n behind the flat
+    face. The lens focuses on the plane of these points.
+    """
+    if mla.has_back:
+        return lenslet_optics(mla, wavelength_nm).front_principal_mm
+    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "sensor" else 0.0
+
+
+def rear_principal_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return how far before the array's face towards the sensor the rear principal points lie, as in air, in mm."""
+    if mla.has_back:
+        return lenslet_optics(mla, wavelength_nm).rear_principal_mm
+    return air_thickness_mm(mla, wavelength_nm) if mla.curved_side == "lens" else 0.0
+
+
+def image_plane_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from the last vertex to the plane that the lens focuses on, in mm of air.
+
+    With an array it is the plane of the lenslets' front principal points: of the apexes of a single curved face; where
+    the flat one looks at the lens, these are seen through the plate, t/n behind that face.
+    """
+    if camera.mla is None:
+        return (camera.sensor.distance_mm or math.nan) - cover_shift_mm(camera.sensor, wavelength_nm)
+    return (camera.mla.distance_mm or math.nan) + front_principal_mm(camera.mla, wavelength_nm)
+
+
+def _with_radii(mla: MicrolensArray, wavelength_nm: float) -> MicrolensArray:
+    if mla.focal_length_mm is None:
+        return mla
+    n = refractive_index(mla.medium, wavelength_nm)
+    return _changed(mla, radius_mm=tuple(f * (n - 1) for f in mla.focal_length_mm), focal_length_mm=None)
+
+
+def _with_distances(camera: Camera, wavelength_nm: float) -> Camera:
+    mla, sensor = camera.mla, camera.sensor
+    if mla is None:
+        if sensor.distance_mm is None:
+            distance = _focused_image_mm(camera, "camera.sensor.distance_mm", wavelength_nm)
+            sensor = _changed(sensor, distance_mm=distance + cover_shift_mm(sensor, wavelength_nm))
+        return _changed(camera, sensor=sensor)
+    if mla.distance_mm is None:
+        distance = _focused_image_mm(camera, "camera.mla.distance_mm", wavelength_nm)
+        distance -= front_principal_mm(mla, wavelength_nm)
+        if not math.isfinite(distance):
+            raise SceneError(
+                "camera.mla.distance_mm: missing, and cannot be solved: the two faces of the array make lenslets "
+                "without focal length, whose principal points lie at infinity; give it"
+            )
+        if distance <= 0:
+            raise SceneError(
+                f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer "
+                "or give camera.mla.distance_mm"
+            )
+        mla = _changed(mla, distance_mm=distance)
+    if sensor.distance_mm is None:
+        behind = _focal_plane_mm(mla, wavelength_nm) + cover_shift_mm(sensor, wavelength_nm)
+        sensor = _changed(sensor, distance_mm=behind)
+    return _changed(camera, mla=mla, sensor=sensor)
+
+
+def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> float:
+    """Return the image distance of `focus_mm`, which must be real."""
+    if camera.focus_mm is None:
+        raise SceneError(f"{omitted}: missing; give it, or camera.focus_mm to solve it from")
+    lens = Paraxial.of(camera.lens, wavelength_nm)
+    if camera.focus_from == "sensor":
+        return _image_by_track_mm(camera, lens, wavelength_nm)
+    image = lens.image_mm(camera.focus_mm)
+    if math.isinf(image) or image <= 0:
+        nearest = -lens.ffl_mm
+        wish = (
+            f"the front focal point lies {nearest:.6g} mm before the lens; give "
+            f"{at_least(nearest * (1 + BEYOND))} or more"
+            if lens.efl_mm > 0 and math.isfinite(nearest)
+            else f"the lens has a focal length of {lens.efl_mm:.6g} mm; a camera needs a converging one"
+        )
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: no real image behind the lens; {wish}")
+    return image
+
+
+def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> float:
+    """Return the image distance of an object `focus_mm` before the sensor.
+
+    With the distances x and x' from the focal points, x x' = f² (Newton): of the two that leave x + x' as it is, the
+    object's is the larger one.
+    """
+    assert camera.focus_mm is not None
+    rest = -lens.ffl_mm + lens.length_mm + lens.bfl_mm + _behind_image_mm(camera, wavelength_nm)
+    focal = abs(lens.efl_mm)
+    if not math.isfinite(rest) or not math.isfinite(focal):
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the lens is afocal; give the distances instead")
+    if math.isinf(camera.focus_mm):
+        image = lens.bfl_mm
+    else:
+        both = camera.focus_mm - rest
+        if both < 2 * focal:
+            raise SceneError(
+                f"camera.focus_mm = {camera.focus_mm:g}: no plane this far before the sensor is imaged onto it; give "
+                f"{at_least(rest + 2 * focal)} or more"
+            )
+        image = lens.bfl_mm + 2 * focal**2 / (both + math.sqrt(both**2 - 4 * focal**2))
+    if image <= 0:
+        raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer")
+    return image
+
+
+def _behind_image_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from the plane that the lens focuses on to the sensor, which an array may keep apart.
+
+    Of a camera whose distance behind the lens is not known yet.
+    """
+    mla = camera.mla
+    shift = cover_shift_mm(camera.sensor, wavelength_nm)
+    if mla is None:
+        return shift
+    behind = camera.sensor.distance_mm
+    if behind is None:
+        behind = _focal_plane_mm(mla, wavelength_nm) + shift
+    return mla.thickness_mm - front_principal_mm(mla, wavelength_nm) + behind
+
+
+def focus_wished_mm(camera: Camera, wavelength_nm: float) -> float | None:
+    """Return how far before the first vertex the object plane lies that `focus_mm` names, for a solved camera."""
+    if camera.focus_mm is None or camera.focus_from == "first_vertex":
+        return camera.focus_mm
+    lens = Paraxial.of(camera.lens, wavelength_nm)
+    return (
+        camera.focus_mm
+        - lens.length_mm
+        - image_plane_mm(camera, wavelength_nm)
+        - _behind_image_mm(camera, wavelength_nm)
+    )
+
+
+def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
+    """Return the distance from the array's rear face to the focal plane of the first lenslet type."""
+    focal_length = lenslet_focal_length_mm(mla, wavelength_nm)[0]
+    air = rear_principal_mm(mla, wavelength_nm)
+    if not 0 < focal_length - air < math.inf:
+        why = (
+            "the first lenslet type diverges"
+            if not 0 < focal_length < math.inf
+            else "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
+            if mla.has_back
+            else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
+            f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / air * (1 - BEYOND))} it would not"
+        )
+        raise SceneError(f"camera.sensor.distance_mm: missing, and there is no focal plane to put it in: {why}")
+    return focal_length - air
+
+
+def _with_stop(camera: Camera, wavelength_nm: float) -> Lens:
+    """Mark the stop, if none is, and give it its size."""
+    lens = camera.lens
+    number = lens.stop_index
+    if number is None:
+        number = _limiting_surface(camera, wavelength_nm)
+    radius = lens.surfaces[number].semi_diameter_mm
+    if lens.stop_semi_diameter_mm is not None:
+        radius = lens.stop_semi_diameter_mm
+    elif lens.f_number is not None:
+        surfaces = _with_surface(lens, number, stop=True)
+        paraxial = Paraxial.of(_changed(lens, surfaces=surfaces), wavelength_nm)
+        # The collimated marginal ray enters at half the entrance pupil's diameter.
+        radius = abs(paraxial.to_stop.a) * abs(paraxial.efl_mm) / (2 * lens.f_number)
+        if not 0 < radius < math.inf:
+            raise SceneError(
+                f"camera.lens.f_number = {lens.f_number:g}: an afocal or telecentric lens has none; give "
+                "stop_semi_diameter_mm"
+            )
+    elif lens.epd_mm is not None:
+        surfaces = _with_surface(lens, number, stop=True)
+        radius = abs(Paraxial.of(_changed(lens, surfaces=surfaces), wavelength_nm).to_stop.a) * lens.epd_mm / 2
+        if not radius >= SMALLEST:
+            raise SceneError(
+                f"camera.lens.epd_mm = {lens.epd_mm:g}: the entrance pupil lies at infinity, without a diameter; give "
+                "stop_semi_diameter_mm"
+            )
+    surfaces = _with_surface(lens, number, stop=True, semi_diameter_mm=radius)
+    return _changed(lens, surfaces=surfaces, stop_semi_diameter_mm=None, f_number=None, epd_mm=None)
+
+
+def _with_apertures(camera: Camera, wavelength_nm: float) -> Lens:
+    """Give the surfaces without a clear aperture the one that passes the beams of the whole picture.
+
+    By the marginal ray of the axis and the chief ray of the picture's corner, whose heights add up, with `SPARE`.
+    """
+    lens = camera.lens
+    omitted = [i for i, s in enumerate(lens.surfaces) if s.semi_diameter_mm is None and s.refractor is None]
+    if not omitted:
+        return lens
+    image = image_plane_mm(camera, wavelength_nm)
+    object_mm = Paraxial.of(lens, wavelength_nm).object_mm(image)
+    sections = (False,) if lens.number_off_revolution is None else (False, True)
+    beams = [
+        _beam_mm(camera, Paraxial.of(lens, wavelength_nm, section_x=section), object_mm, image) for section in sections
+    ]
+    for i in omitted:
+        surface = lens.surfaces[i]
+        wished = (1 + SPARE) * max(beam[i] for beam in beams)
+        if not SMALLEST <= wished <= LARGEST:
+            raise SceneError(
+                f"camera.lens.surfaces[{i}].semi_diameter_mm: missing, and the beams that it would have to pass are "
+                f"{2 * wished:.4g} mm wide; give it"
+            )
+        wished = min(wished, surface.reach_mm * (1 - SPARE))
+        for k in (i - 1, i):
+            if 0 <= k < len(lens.surfaces) - 1:
+                wished = min(wished, _room_mm(lens, k, wished))
+        lens = _changed(lens, surfaces=_with_surface(lens, i, semi_diameter_mm=wished))
+    return lens
+
+
+def _beam_mm(camera: Camera, paraxial: Paraxial, object_mm: float, image: float) -> list[float]:
+    """Return the height up to which the beams of the whole picture fill each surface, by paraxial rays."""
+    lens = camera.lens
+    radius = lens.surfaces[paraxial.stop].semi_diameter_mm or math.nan
+    marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, radius))
+    behind = paraxial.from_stop(Ray(0.0, 1.0))
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    slope = quotient(0.5 * math.hypot(width, height), abs(behind.height_mm + image * behind.angle))
+    chief = paraxial.heights_mm(Ray(-slope * paraxial.to_stop.b, slope * paraxial.to_stop.a))
+    return [abs(beam) + abs(axis) for beam, axis in zip(marginal, chief, strict=True)]
+
+
+def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
+    """Return the height up to which surface `number` stays before the next, with some to spare; `widest_mm` at most."""
+    front, back = lens.surfaces[number], lens.surfaces[number + 1]
+    if front.refractor is not None or back.refractor is not None:
+        return widest_mm
+    heights = [widest_mm * k / HEIGHTS for k in range(1, HEIGHTS + 1)]
+    inside = min(front.reach_mm, back.reach_mm, front.semi_diameter_mm or math.inf, back.semi_diameter_mm or math.inf)
+    crossing = (h for h in heights if h <= inside and not lens.gap_mm(number, h) > 0)
+    return next(crossing, widest_mm / (1 - SPARE)) * (1 - SPARE)
+
+
+def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:
+    """Return the surface that is first filled by the growing axial beam of the focused object."""
+    paraxial = Paraxial.of(camera.lens, wavelength_nm)
+    object_mm = paraxial.object_mm(image_plane_mm(camera, wavelength_nm))
+    heights = paraxial.heights_mm(paraxial.axial_ray(object_mm))
+    filling = [
+        abs(height) / (surface.semi_diameter_mm or math.inf)
+        for height, surface in zip(heights, camera.lens.surfaces, strict=True)
+    ]
+    return filling.index(max(filling))
+
+
+def _with_surface(lens: Lens, number: int, **values: Any) -> tuple[Any, ...]:
+    surfaces = list(lens.surfaces)
+    surfaces[number] = surfaces[number].model_copy(update=values)
+    return tuple(surfaces)
+
+
+def _changed(model: M, **values: Any) -> M:
+    return model.model_copy(update=values)

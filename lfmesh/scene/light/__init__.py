@@ -1,0 +1,1 @@
+"""Lamps, particles, and the spectra of light."""

@@ -1,0 +1,436 @@
+"""Particles: points that shine or that a light sheet lights, from a file or drawn at random, moved between frames."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lfmesh.errors import FileError, SceneError
+from lfmesh.optics.number_table import read_table
+from lfmesh.scene.light.spectra import Resolves
+from lfmesh.scene.light.spectra import Shape as SpectralShape
+from lfmesh.scene.media.phase import IsotropicPhase, MiePhase, Phase
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
+from lfmesh.scene.quantities import Count, FilePath, NonNegative, Number, Positive, Text, Vector, Whole
+
+if TYPE_CHECKING:
+    from lfmesh.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+MOST_PARTICLES = 20_000_000
+
+ACROSS = 1e-3
+"""Largest sine of the angle by which a sheet's light may leave its plane."""
+
+PLACE = ("x_mm", "y_mm", "z_mm")
+INTENSITY = "intensity_w_sr"
+VECTOR = ("dx_mm", "dy_mm", "dz_mm")
+
+Bounds = Annotated[Box | Sphere | Cylinder, Field(discriminator="kind")]
+
+
+class Sheet(Model):
+    """A light sheet: parallel light, Gaussian across the sheet and even along it."""
+
+    point_mm: Vector
+    """A point of the sheet's middle plane, in the middle of its width, in mm."""
+    normal: Vector
+    """Square to the sheet; of any length but 0."""
+    direction: Vector
+    """Where the light goes, in the sheet; of any length but 0."""
+    thickness_mm: Positive
+    """Full thickness of the sheet, in mm, where the irradiance is 1/e² of that in its middle."""
+    width_mm: Positive
+    """Extent of the sheet square to `normal` and `direction`, in mm; beyond it there is no light."""
+    power_w: Positive
+    """Power of the sheet, in W: at each wavelength of `transport.wavelengths_nm`, or with bands over the whole range of
+    wavelengths from the first band's beginning to the last one's end."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield directions that are none, or not square to each other."""
+        for key in ("normal", "direction"):
+            if not any(getattr(self, key)):
+                yield Fault((key,), list(getattr(self, key)), "must not be the zero vector")
+        if any(self.normal) and any(self.direction):
+            n, d = unit(self.normal), unit(self.direction)
+            if abs(float(n @ d)) > ACROSS:
+                yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
+
+    def irradiance_w_mm2(self, points_mm: Array) -> Array:
+        """Return the irradiance on a plane square to the light, in W/mm², at points (n, 3), mm."""
+        n, d = unit(self.normal), unit(self.direction)
+        off = points_mm - np.array(self.point_mm)
+        radius = 0.5 * self.thickness_mm
+        # ∫ exp(−2 s² / w²) ds = w √(π/2).
+        peak = self.power_w / (self.width_mm * radius * np.sqrt(0.5 * np.pi))
+        inside = np.abs(off @ np.cross(n, d)) <= 0.5 * self.width_mm
+        return np.asarray(np.where(inside, peak * np.exp(-2.0 * (off @ n / radius) ** 2), 0.0))
+
+
+class UniformDisplacement(Model):
+    """All particles move alike."""
+
+    kind: Literal["uniform"] = "uniform"
+    """Which field this is."""
+    vector_mm: Vector
+    """From one frame to the next, in mm."""
+
+
+class _AboutAxis(Model):
+    center_mm: Vector
+    """A point of the axis, in mm."""
+    axis: Vector
+    """Direction of the axis; of any length but 0."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an axis without direction."""
+        if not any(self.axis):
+            yield Fault(("axis",), list(self.axis), "must not be the zero vector")
+
+
+class RotationDisplacement(_AboutAxis):
+    """All particles turn about an axis together."""
+
+    kind: Literal["rotation"] = "rotation"
+    """Which field this is."""
+    angle_deg: Number
+    """From one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
+
+
+class VortexDisplacement(_AboutAxis):
+    """A vortex of Lamb and Oseen: particles go round an axis on circles, fastest near the core's radius."""
+
+    kind: Literal["vortex"] = "vortex"
+    """Which field this is."""
+    core_mm: Positive
+    """Radius of the core, in mm: along circles the displacement is Γ (1 − exp(−r² / core²)) / (2 π r)."""
+    circulation_mm2: Number
+    """Γ, in mm² from one frame to the next; its sign as that of an angle about the axis."""
+
+
+class MeasuredDisplacement(Model):
+    """Displacements from a file, linear between the nodes of a grid."""
+
+    kind: Literal["file"] = "file"
+    """Which field this is."""
+    file: FilePath
+    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm, whose places
+    are all nodes of a grid with edges along x, y, z, in any order; particles beyond it are not moved."""
+
+
+Displacement = Annotated[
+    UniformDisplacement | RotationDisplacement | VortexDisplacement | MeasuredDisplacement, Field(discriminator="kind")
+]
+
+
+class Particles(Model):
+    """Points that shine alike in all directions, or scatter the light of a light sheet."""
+
+    name: Text | None = None
+    """What they are called in messages."""
+    file: FilePath | None = None
+    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm and, without `sheet` and
+    `intensity_w_sr`, intensity_w_sr. Or give `count` and `bounds`."""
+    count: Annotated[Count, Field(le=MOST_PARTICLES)] | None = None
+    """Number of particles that are drawn evenly in `bounds`."""
+    bounds: Bounds | None = None
+    """Body in which they are drawn: box, sphere or cylinder, as of targets."""
+    seed: Whole = 0
+    """Of their places (no unit); the same seed draws the same places."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the centre of `bounds`, or the origin of the file's places, lies, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations of `bounds`, or of the file's places, about x, then y, then z, in degrees."""
+    intensity_w_sr: NonNegative | None = None
+    """Radiant intensity of each particle, in W/sr, alike in all directions: at each wavelength of
+    `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
+    last one's end."""
+    spectrum: SpectralShape | None = None
+    """How their power, or that of the sheet, is spread by wavelength, in any unit; as of lights. Needs bands."""
+    sheet: Sheet | None = None
+    """The light sheet that lights them, in place of an intensity of their own."""
+    phase: Phase = Field(default_factory=IsotropicPhase)
+    """How they scatter its light: a table with `kind` "isotropic", "henyey_greenstein", "rayleigh", "mie" or
+    "table"."""
+    diameter_um: Positive | None = None
+    """Diameter, in µm, of particles that scatter as much light as falls on their cross-section. With `kind = "mie"`,
+    where the diameter stands in `phase`, the scattering cross-section follows from it."""
+    displacement: Displacement | None = None
+    """Where they move from one frame to the next, for image pairs: a table with `kind` "uniform", "rotation",
+    "vortex" or "file"."""
+    frame: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 0
+    """Number of times that they have been displaced (no unit)."""
+    samples: Count = 64
+    """Packets that start from each particle at each wavelength, towards the lens, shared by all replicates; at least
+    one a replicate."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is missing, or given twice."""
+        if self.file is not None:
+            for key in ("count", "bounds"):
+                if getattr(self, key) is not None:
+                    yield Fault((key,), None, "file is given too: the places are either read or drawn")
+        else:
+            for key in ("count", "bounds"):
+                if getattr(self, key) is None:
+                    yield Fault((key,), None, "missing: give file, or count and bounds")
+        if self.sheet is None:
+            if self.file is None and self.intensity_w_sr is None:
+                yield Fault(("intensity_w_sr",), None, "missing: give it, or a light sheet")
+            if self.phase != IsotropicPhase():
+                yield Fault(("phase",), self.phase.kind, "scatters light of a sheet, and none is given; omit it")
+            if self.diameter_um is not None:
+                yield Fault(("diameter_um",), self.diameter_um, "scatters light of a sheet, and none is given; omit it")
+        else:
+            if self.intensity_w_sr is not None:
+                yield Fault(("intensity_w_sr",), self.intensity_w_sr, "a sheet lights them: give one of the two")
+            mie = isinstance(self.phase, MiePhase)
+            if mie and self.diameter_um is not None:
+                yield Fault(("diameter_um",), self.diameter_um, "stands in phase, where its kind is mie; omit it here")
+            elif not mie and self.diameter_um is None:
+                yield Fault(("diameter_um",), None, "missing: particles in a sheet need it, or phase of kind mie")
+        if self.frame and self.displacement is None:
+            yield Fault(("frame",), self.frame, "needs displacement")
+
+
+def unit(vector: Any) -> Array:
+    """Return a vector of length 1 along another, (3,), however short or long that is."""
+    v = np.array(vector, dtype=np.float64)
+    v /= np.abs(v).max()
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
+    """Return where particles are in the world frame, and their intensities.
+
+    Parameters
+    ----------
+    group : Particles
+    scene : Resolves
+
+    Returns
+    -------
+    points : (n, 3) float64, mm
+    intensity : (n,) float64, W/sr
+        With a light sheet the irradiance, W/mm².
+
+    Raises
+    ------
+    FileError
+        A file cannot be used.
+    """
+    own = None
+    if group.file is not None:
+        path = scene.resolve(group.file)
+        needs_own = group.sheet is None and group.intensity_w_sr is None
+        columns = read_table(path, (*PLACE, INTENSITY) if needs_own else PLACE)
+        if not len(columns[0]):
+            raise FileError(f"{path}: has no particles below its first line")
+        if len(columns[0]) > MOST_PARTICLES:
+            raise FileError(f"{path}: has {len(columns[0]):,} particles; there can be {MOST_PARTICLES:,}")
+        for name, column in zip((*PLACE, INTENSITY), columns, strict=False):
+            wrong = np.flatnonzero(~np.isfinite(column) | ((column < 0.0) if name == INTENSITY else False))
+            if len(wrong):
+                rule = "a finite number, 0 or more" if name == INTENSITY else "a finite number"
+                raise FileError(f"{path}: {name} of particle {wrong[0] + 1} is {column[wrong[0]]:g}; it must be {rule}")
+        points = np.stack(columns[:3], axis=1)
+        own = columns[3] if needs_own else None
+    else:
+        points = _drawn(group)
+    points = points @ _rotation(group.rotation_deg).T + np.array(group.position_mm)
+    points = displaced_places(group, points, scene)
+    if group.sheet is not None:
+        return points, group.sheet.irradiance_w_mm2(points)
+    return points, own if own is not None else np.full(len(points), group.intensity_w_sr or 0.0)
+
+
+def _drawn(group: Particles) -> Array:
+    """Return places evenly distributed in the bounds, (n, 3), mm, in the frame of the bounds."""
+    u = np.random.default_rng(group.seed).random((group.count or 0, 3))
+    match group.bounds:
+        case Box(size_mm=size):
+            return (u - 0.5) * np.array(size)
+        case Sphere(radius_mm=radius):
+            r, cosine, phi = radius * np.cbrt(u[:, 0]), 2.0 * u[:, 1] - 1.0, 2.0 * np.pi * u[:, 2]
+            across = r * np.sqrt(1.0 - cosine**2)
+            return np.stack([across * np.cos(phi), across * np.sin(phi), r * cosine], axis=1)
+        case Cylinder(radius_mm=radius, height_mm=height):
+            r, phi = radius * np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
+            return np.stack([r * np.cos(phi), r * np.sin(phi), height * (u[:, 2] - 0.5)], axis=1)
+    raise AssertionError("particles without places")
+
+
+def _rotation(tilt_deg: Vector) -> Array:
+    """Return the rotation by three angles, about x first, then y, then z, as `geometry.frame` has it for targets."""
+    turn = np.eye(3)
+    for axis, angle in enumerate(tilt_deg):
+        turn = _about(np.eye(3)[axis], np.deg2rad(angle)) @ turn
+    return turn
+
+
+def _about(axis: Array, angle: float) -> Array:
+    """Return the rotation about a unit axis by an angle, rad (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + 2.0 * np.sin(0.5 * angle) ** 2 * cross @ cross)
+
+
+def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
+    """Return the places of particles after all displacements up to their frame.
+
+    Parameters
+    ----------
+    group : Particles
+    points : (n, 3) float64, mm
+        In the first frame, world frame.
+    scene : Resolves
+        Whose files the displacement may name.
+    """
+    for _ in range(group.frame):
+        points = points + displacements(group, points, scene)
+    return points
+
+
+def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
+    """Return how far particles go to the next frame.
+
+    Parameters
+    ----------
+    group : Particles
+    points : (n, 3) float64, mm, world frame
+    scene : Resolves
+
+    Returns
+    -------
+    (n, 3) float64, mm
+
+    Raises
+    ------
+    FileError
+        The file of a field cannot be used.
+    """
+    match group.displacement:
+        case UniformDisplacement(vector_mm=vector):
+            return np.tile(np.array(vector), (len(points), 1))
+        case RotationDisplacement(center_mm=center, axis=axis, angle_deg=angle):
+            off = points - np.array(center)
+            return off @ (_about(unit(axis), np.deg2rad(angle)) - np.eye(3)).T
+        case VortexDisplacement(center_mm=center, axis=axis, core_mm=core, circulation_mm2=circulation):
+            along = unit(axis)
+            off = points - np.array(center)
+            off -= (off @ along)[:, None] * along
+            radius = np.linalg.norm(off, axis=1)
+            # Γ (1 − exp(−r² / c²)) / (2 π r) along the circle, over the radius: its limit on the axis is Γ / (2 π c²).
+            square = (radius / core) ** 2
+            share = np.divide(-np.expm1(-square), square, out=np.ones_like(square), where=square > 0.0)
+            angle = circulation / (2.0 * np.pi * core**2) * share
+            # Along the circle itself, as a displacement along its tangent would lead out of it.
+            turned = np.cross(along, off)
+            return np.sin(angle)[:, None] * turned - 2.0 * (np.sin(0.5 * angle) ** 2)[:, None] * off
+        case MeasuredDisplacement(file=file):
+            return _from_grid(scene, file, points)
+    return np.zeros_like(points)
+
+
+def _from_grid(scene: Resolves, file: str, points: Array) -> Array:
+    """Return the displacements of a file at points, linear between its nodes and 0 beyond them."""
+    path = scene.resolve(file)
+    columns = read_table(path, (*PLACE, *VECTOR))
+    for name, column in zip((*PLACE, *VECTOR), columns, strict=True):
+        if not np.isfinite(column).all():
+            raise FileError(f"{path}: {name} must be finite numbers")
+    axes = [np.unique(column) for column in columns[:3]]
+    size = [len(axis) for axis in axes]
+    if min(size, default=0) < 2:
+        raise FileError(f"{path}: its grid must have two places or more along each of x, y and z")
+    place = [np.searchsorted(axis, column) for axis, column in zip(axes, columns[:3], strict=True)]
+    number = np.ravel_multi_index((place[0], place[1], place[2]), (size[0], size[1], size[2]))
+    if len(number) != np.prod(size) or len(np.unique(number)) != len(number):
+        raise FileError(
+            f"{path}: {len(number)} places are not the nodes of one grid, each once; {size[0]} x {size[1]} x {size[2]} "
+            "values of x, y and z would need all their combinations"
+        )
+    vectors = np.empty((len(number), 3))
+    vectors[number] = np.stack(columns[3:], axis=1)
+    vectors = vectors.reshape(*size, 3)
+    found = np.zeros_like(points)
+    inside = np.ones(len(points), dtype=np.bool_)
+    cells, shares = [], []
+    for axis, column in zip(axes, points.T, strict=True):
+        inside &= (column >= axis[0]) & (column <= axis[-1])
+        cell = np.clip(np.searchsorted(axis, column, side="right") - 1, 0, len(axis) - 2)
+        cells.append(cell)
+        shares.append((column - axis[cell]) / np.diff(axis)[cell])
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod([t if k else 1.0 - t for k, t in zip(corner, shares, strict=True)], axis=0)
+        i, j, k = (cell + step for cell, step in zip(cells, corner, strict=True))
+        found += np.where(inside, weight, 0.0)[:, None] * vectors[i, j, k]
+    return found
+
+
+def displaced(scene: "Scene", frames: int = 1) -> "Scene":
+    """Return a scene some frames later: all particles with a displacement have moved so many times.
+
+    Parameters
+    ----------
+    scene : Scene
+    frames : int
+        0 or more.
+
+    Raises
+    ------
+    SceneError
+        None of its particles moves.
+    """
+    moving = [i for i, group in enumerate(scene.particles) if group.displacement is not None]
+    if not moving:
+        raise SceneError("none of the scene's particles moves: give [[particles]] a displacement")
+    return scene.changed({f"particles[{i}].frame": scene.particles[i].frame + frames for i in moving})
+
+
+def particle_vectors(scene: "Scene") -> tuple[Array, Array]:
+    """Return where all particles of a scene are, and how far they go to the next frame: the truth of an image pair.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    points, steps : (n, 3) float64, mm
+        World frame, in the order of the scene, of dark particles too.
+
+    Raises
+    ------
+    FileError
+        A file cannot be used.
+    """
+    points = [particle_places(group, scene)[0] for group in scene.particles]
+    steps = [displacements(group, p, scene) for group, p in zip(scene.particles, points, strict=True)]
+    return np.concatenate([np.zeros((0, 3)), *points]), np.concatenate([np.zeros((0, 3)), *steps])
+
+
+def write_vectors(path: Path, points: Array, steps: Array) -> None:
+    """Write places and displacements as CSV, in the columns that `displacement = { kind = "file" }` reads.
+
+    Parameters
+    ----------
+    path : Path
+    points, steps : (n, 3) float64, mm
+        World frame.
+
+    Raises
+    ------
+    FileError
+        It cannot be written.
+    """
+    try:
+        table = np.hstack([points, steps])
+        np.savetxt(path, table, delimiter=",", fmt="%.9g", header=",".join((*PLACE, *VECTOR)), comments="")
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None

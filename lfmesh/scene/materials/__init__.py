@@ -1,0 +1,1 @@
+"""Glasses, coatings and finishes of surfaces and bodies."""

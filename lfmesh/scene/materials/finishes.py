@@ -1,0 +1,89 @@
+"""Finish of an interface: polished, diffuse, or ground to a roughness."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+from lfmesh.scene.model import Fault, Model
+
+SMOOTHEST = 1e-4
+"""Roughness below which ground glass is traced as polished: facets then turn light by some tenths of a milliradian."""
+
+Roughness = Annotated[float, Field(strict=True, ge=0, le=1)]
+KINDS = ("polished", "diffuse", "ground")
+
+
+class Finish(Model):
+    """The finish of an interface; without parameters its name is enough."""
+
+    kind: Literal["polished", "diffuse", "ground"] = "polished"
+    """"polished": smooth. "diffuse": reflects and transmits by the cosine law, whatever the direction of the light.
+    "ground": microfacets, each of which reflects and refracts as a smooth interface does."""
+    roughness: Roughness | None = None
+    """Of "ground": Walter's α_g of the GGX distribution, 0..1 (no unit); half of the surface has a slope above it. A
+    roughness r of glTF is r²."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.kind == "ground" and self.roughness is None:
+            yield Fault(("roughness",), None, 'missing: finish = { kind = "ground", roughness = 0.1 }, say')
+        elif self.kind != "ground" and self.roughness is not None:
+            yield Fault(("roughness",), self.roughness, f'omit it: kind = "{self.kind}" has none')
+
+    @property
+    def is_rough(self) -> bool:
+        """True if the interface scatters light."""
+        return self.kind == "diffuse" or (self.kind == "ground" and (self.roughness or 0.0) >= SMOOTHEST)
+
+    def in_words(self) -> str:
+        """Describe the finish."""
+        return self.kind if self.roughness is None else f"{self.kind}, roughness {self.roughness:g}"
+
+
+POLISHED = Finish()
+
+
+def _as_table(value: Any) -> Any:
+    """Let a name stand for a finish without parameters."""
+    return {"kind": value} if isinstance(value, str) else value
+
+
+AnyFinish = Annotated[
+    Finish,
+    BeforeValidator(_as_table),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"enum": list(KINDS[:2]), "type": "string"},
+                {
+                    "type": "object",
+                    "properties": {
+                        "kind": {"enum": list(KINDS), "type": "string"},
+                        "roughness": {"type": "number", "minimum": 0, "maximum": 1},
+                    },
+                    "required": ["kind"],
+                    "additionalProperties": False,
+                },
+            ]
+        }
+    ),
+]
+"""A finish as a scene file gives it: a name or a table."""
+
+
+def both_given(coating: str, finish: Finish, key: str) -> Iterator[Fault]:
+    """Yield the fault of a face that is both coated and rough.
+
+    Parameters
+    ----------
+    coating : str
+        Name of its coating.
+    finish : Finish
+    key : str
+        That gives the finish.
+    """
+    if coating != "none" and finish.is_rough:
+        yield Fault(
+            (key,), finish.kind, f'the face has coating = "{coating}" too, and a rough face has none: omit one of them'
+        )

@@ -1,0 +1,29 @@
+"""The glasses that a scene names, in words."""
+
+from lfmesh.optics.glass import glass_in_words
+from lfmesh.scene.materials.own_glass import OwnGlass
+from lfmesh.scene.scene import Scene
+
+Glass = str | OwnGlass
+
+
+def glass_lines(scene: Scene) -> list[str]:
+    """Describe every glass of a solved scene, a line each: where it is, its name with the catalogue, nd and Vd."""
+    places: dict[Glass, list[str]] = {}
+    for i, surface in enumerate(scene.camera.lens.surfaces):
+        if surface.glass is not None:
+            places.setdefault(surface.glass, []).append(f"surface {i}")
+    if scene.camera.mla is not None and scene.camera.mla.glass is not None:
+        places.setdefault(scene.camera.mla.glass, []).append("mla")
+    if scene.camera.sensor.cover is not None and scene.camera.sensor.cover.glass is not None:
+        places.setdefault(scene.camera.sensor.cover.glass, []).append("sensor's cover")
+    for i, target in enumerate(scene.targets):
+        if target.refractor is not None and target.refractor.glass is not None:
+            # A tank's bodies are called after it.
+            name = target.name if target.refractor.box_mm is not None else None
+            places.setdefault(target.refractor.glass, []).append(name or f"targets[{i}]")
+    for name, coating in scene.coatings.items():
+        for layer in coating.layers or ():
+            if layer.glass is not None and f"coating {name}" not in places.get(layer.glass, []):
+                places.setdefault(layer.glass, []).append(f"coating {name}")
+    return [f"{'glass':<23}{glass_in_words(glass)}: {', '.join(where)}" for glass, where in places.items()]

@@ -1,0 +1,1 @@
+"""Media that light passes through before the camera, and air."""

@@ -1,0 +1,140 @@
+"""Media that light passes through in front of the camera: flames, fog, smoke."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from lfmesh.scene.light.spectra import Coefficient, Kelvin, Radiance, Spectrum, coefficient_faults
+from lfmesh.scene.light.spectra import Shape as SpectralShape
+from lfmesh.scene.media.phase import IsotropicPhase, Phase
+from lfmesh.scene.model import Fault, Model, kind_of
+from lfmesh.scene.objects.refractor import BodyFile
+from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
+from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
+
+
+class MeshBounds(BodyFile):
+    """A closed mesh, which what it bounds fills up to its flat facets."""
+
+    kind: Literal["mesh"] = "mesh"
+    """Which shape this is; may be left out beside `file`."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the file's name and what is said of it."""
+        if self.file is None:
+            yield Fault(("file",), None, "missing: a closed mesh (STL, OBJ, PLY, OFF, GLB, STEP)")
+        else:
+            yield from self.file_faults()
+
+
+Bounds = Annotated[Box | Sphere | Cylinder | MeshBounds, Field(discriminator="kind")]
+
+
+def _of_file(value: Any) -> Any:
+    return {**value, "kind": kind_of(value)} if isinstance(value, dict) and "file" in value else value
+
+
+AnyBounds = Annotated[Bounds, BeforeValidator(_of_file, json_schema_input_type=Bounds)]
+
+
+class Grid(Model):
+    """A voxel grid in a file."""
+
+    file: FilePath
+    """A `.npz` file, relative to the scene file, with arrays [x, y, z] named absorption_per_mm, scattering_per_mm,
+    emission_w_mm3_sr or temperature_k, with spacing_mm and, if its middle is not the medium's own origin, origin_mm
+    (centre of voxel 0); a `.npy` file with a single array; or VTK image data, `.vti`, with arrays named so, in mm."""
+    quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
+    """What the array of a `.npy` file is, or the only one of a `.vti` file."""
+    spacing_mm: tuple[Positive, Positive, Positive] | None = None
+    """Distance between neighbouring voxels along x, y and z, in mm, where the file does not say."""
+    origin_mm: Vector | None = None
+    """Centre of voxel [0, 0, 0] in the medium's own frame, in mm, where the file does not say."""
+    interpolation: Literal["trilinear", "constant"] = "trilinear"
+    """Between the centres of voxels, trilinear; or constant in each voxel."""
+
+
+def _of_path(value: Any) -> Any:
+    return {"file": value} if isinstance(value, str) else value
+
+
+AnyGrid = Annotated[Grid, BeforeValidator(_of_path, json_schema_input_type=str | Grid)]
+
+
+class Medium(Model):
+    """Gas, smoke, fog or dye that absorbs, scatters or emits light. Where media overlap, they add.
+
+    It is in air or, with `inside`, in one body of glass or liquid; all other bodies displace it.
+    """
+
+    name: Text | None = None
+    """What the medium is called in reports."""
+    bounds: AnyBounds | None = None
+    """A box, sphere or cylinder, or a closed mesh by its `file`, about the medium's own origin. Omitted: where its grid
+    is or, without a grid, all of the body that it is inside, or else everywhere in front of the first lens vertex, so
+    that the camera looks into it from its edge."""
+    inside: Text | None = None
+    """The body of glass or liquid that it is in, by its name in reports: "tanks[0] liquid", or the name of a target
+    with a refractor. Omitted: it is in air."""
+    grid: AnyGrid | None = None
+    """Voxels with quantities that vary in space; a number beside it gives a quantity that the grid does not hold."""
+    absorption_per_mm: Coefficient = 0.0
+    """Absorption coefficient, in 1/mm; a number, or by wavelength."""
+    scattering_per_mm: Coefficient = 0.0
+    """Scattering coefficient, in 1/mm; a number, or by wavelength."""
+    emission_w_mm3_sr: Radiance = 0.0
+    """Emission of a cubic millimetre in each direction, in W/(mm³ sr): a number at each wavelength, or in bands over
+    the whole range that they reach; by wavelength in W/(mm³ sr nm), which needs bands."""
+    spectrum: SpectralShape | None = None
+    """How the emission, a number or that of a grid, is spread by wavelength, in any unit; evenly if omitted. Needs
+    bands."""
+    temperature_k: Kelvin | None = None
+    """Temperature, in K, in place of an emission: the medium emits what it absorbs of a black body's radiance (Planck,
+    Kirchhoff). Needs bands."""
+    phase: Phase = Field(default_factory=IsotropicPhase)
+    """How scattered light is spread over directions."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the medium's own origin lies, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations about x, then y, then z, in degrees."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        for key in ("absorption_per_mm", "scattering_per_mm"):
+            yield from coefficient_faults(getattr(self, key), (key,))
+        emission = self.emission_w_mm3_sr
+        if isinstance(emission, Spectrum):
+            if emission.name is not None:
+                yield Fault(("emission_w_mm3_sr",), emission.name, "an illuminant has a shape and no scale; give a "
+                            "number, and spectrum beside it")  # fmt: skip
+            if self.spectrum is not None:
+                yield Fault(("spectrum",), None, "emission_w_mm3_sr is a spectrum itself; omit it")
+        if self.temperature_k is not None:
+            if emission != 0.0:
+                yield Fault(("temperature_k",), self.temperature_k, "emission_w_mm3_sr is given too; give one of them")
+            if self.absorption_per_mm == 0.0 and self.grid is None:
+                yield Fault(("temperature_k",), self.temperature_k, "needs absorption_per_mm: what absorbs nothing "
+                            "emits nothing")  # fmt: skip
+        endless = self.bounds is None and self.grid is None and self.inside is None
+        if endless and emission != 0.0 and self.absorption_per_mm == 0.0:
+            yield Fault(("emission_w_mm3_sr",), None, "a medium without bounds that emits and absorbs nothing is "
+                        "infinitely bright; give bounds, or absorption_per_mm")  # fmt: skip
+        if self.grid is None and not self.acts:
+            yield Fault((), None, "does nothing to light: give grid, absorption_per_mm, scattering_per_mm or "
+                        "emission_w_mm3_sr")  # fmt: skip
+
+    @property
+    def may_emit(self) -> bool:
+        """True if it emits light; a grid, whose file says so, may."""
+        return self.grid is not None or self.temperature_k is not None or self.emission_w_mm3_sr != 0.0
+
+    @property
+    def may_scatter(self) -> bool:
+        """True if it scatters light; a grid, whose file says so, may."""
+        return self.grid is not None or self.scattering_per_mm != 0.0
+
+    @property
+    def acts(self) -> bool:
+        """True if it does anything to light without a grid."""
+        return bool(self.absorption_per_mm or self.scattering_per_mm or self.emission_w_mm3_sr)

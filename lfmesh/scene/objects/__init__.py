@@ -1,0 +1,1 @@
+"""Targets, bodies of glass and tanks before the camera."""

@@ -1,0 +1,131 @@
+"""Keys by which a scene takes its targets, its lights and the camera's place from a glTF file, as Blender writes it.
+
+The part that reads such files registers itself, as readers of lens files do: the scene knows nothing of it.
+"""
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import ValidationError
+
+from lfmesh.scene.model import Fault, Model, fault_lines
+from lfmesh.scene.quantities import FilePath, NodeKey
+
+if TYPE_CHECKING:
+    from lfmesh.scene.scene import Scene
+
+ENDINGS = (".glb", ".gltf")
+
+_PART = "lfmesh.imports"
+"""Which registers the reader when it is imported."""
+
+
+class GltfFile(Model):
+    """A glTF file that something is taken from."""
+
+    file: FilePath
+    """A GLB or glTF file, relative to the scene file; its origin and axes are those of the world, its unit is m."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield a file of another kind."""
+        if Path(self.file).suffix.lower() not in ENDINGS:
+            yield Fault(("file",), self.file, "valid are .glb and .gltf; other mesh files stand in [[targets]]")
+
+
+class GltfTargets(GltfFile):
+    """All objects of a glTF file, each a target with its name, materials and place."""
+
+
+class GltfLights(GltfFile):
+    """All lights of a glTF file (KHR_lights_punctual)."""
+
+    lighting: Literal["standard", "unitless", "raw"] = "standard"
+    """What its intensities are, by Blender's names for the lighting modes of its exporter. "standard": candela and lux,
+    as glTF has them, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
+
+
+class GltfPose(GltfFile):
+    """The place of a camera of a glTF file, whose origin is the entrance pupil."""
+
+    camera: NodeKey | None = None
+    """Its node's name, or number; may be left out where the file has one camera."""
+
+
+class GltfKeys(Model):
+    """Parts of a scene that are taken from glTF files."""
+
+    targets: GltfTargets | None = None
+    """In place of the list of targets."""
+    lights: GltfLights | None = None
+    """In place of the list of lights."""
+    pose: GltfPose | None = None
+    """In place of the pose of the camera."""
+
+
+Reader = Callable[["Scene", GltfKeys], "Scene"]
+"""Puts what glTF files hold into a scene; raises LfmeshError where it cannot."""
+
+
+_readers: list[Reader] = []
+
+
+def register(reader: Reader) -> None:
+    """Have glTF scenes read by a function."""
+    _readers[:] = [reader]
+
+
+def reader() -> Reader:
+    """Return what reads glTF scenes."""
+    import_module(_PART)
+    return _readers[0]
+
+
+def take_keys(data: dict[str, Any], folder: Path) -> tuple[GltfKeys | None, list[str]]:
+    """Take the tables that name a glTF file out of a scene's tables.
+
+    Parameters
+    ----------
+    data : dict
+        The scene file's tables, which lose them.
+    folder : Path
+        Where relative paths start.
+
+    Returns
+    -------
+    keys : GltfKeys or None
+        None where there are none, or where one is wrong.
+    faults : list of str
+        One line a fault.
+    """
+    camera = data.get("camera")
+    places: dict[str, tuple[str, Any]] = {
+        "targets": ("targets", data),
+        "lights": ("lights", data),
+        "pose": ("camera.pose", camera),
+    }
+    given = {
+        key: holder.pop(key)
+        for key, (_, holder) in places.items()
+        if isinstance(holder, dict) and isinstance(holder.get(key), dict) and "file" in holder[key]
+    }
+    if not given:
+        return None, []
+    try:
+        return GltfKeys.model_validate(given, context={"folder": folder}), []
+    except ValidationError as error:
+        lines = fault_lines(error, given)
+        return None, [f"camera.{line}" if line.startswith("pose") else line for line in lines]
+
+
+def or_table(model: type[Model]) -> Callable[[dict[str, Any]], None]:
+    """Return a change of a field's JSON Schema that allows the table of `model` in place of it."""
+
+    def widen(schema: dict[str, Any]) -> None:
+        told = {key: schema.pop(key) for key in ("title", "description", "default") if key in schema}
+        own, table = dict(schema), model.model_json_schema()
+        schema.clear()
+        schema.update(told | {"anyOf": [own, table]})
+
+    return widen

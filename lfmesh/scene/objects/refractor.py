@@ -1,0 +1,143 @@
+"""Glass whose shape is a mesh file: an element of the lens, or a body in front of the camera."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.optics.glass import Medium
+from lfmesh.scene.light.spectra import Coefficient, coefficient_faults
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.quantities import FilePath, Index, NodeKey, Positive, Text
+
+STEP_ENDINGS = (".step", ".stp")
+NODE_ENDINGS = (".glb", ".gltf", *STEP_ENDINGS, ".3mf")
+"""Formats of bodies with names, whose standard fixes the unit of length, or whose files name it."""
+UNITS_MISSING = (".stl", ".obj", ".ply", ".off")
+"""Formats that carry no unit."""
+
+WAYS_IN = dict.fromkeys(
+    (".iges", ".igs"),
+    "is not read: let the CAD program save it as STEP, or as STL or GLB, fine enough for its curves",
+)
+"""How to get other files of bodies in."""
+
+Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
+FacetLevel = Literal["flat", "smooth", "patch"]
+FaceLevel = Literal["flat", "smooth", "patch", "exact"]
+Priority = Annotated[int, Field(strict=True, ge=-1000, le=1000)]
+CreaseAngle = Annotated[float, Field(strict=True, gt=0, lt=180)]
+
+
+class BodyFile(Model):
+    """Body of a mesh file, and the tessellation of a STEP file's curved faces."""
+
+    file: FilePath | None = None
+    """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF, STEP, 3MF), relative to the scene file."""
+    node: NodeKey | None = None
+    """One object of a GLB, glTF, STEP or 3MF file alone: the name of the node or body, or its number where it has no
+    name of its own. It stands where the file places it; nodes below it are not taken along."""
+    units: Units | None = None
+    """Unit of length of the mesh file; required where the format carries none."""
+    tolerance_mm: Positive | None = None
+    """Of a STEP file: how far a facet may lie off its surface, in mm. Omitted: 3e-4 of the largest body's diagonal."""
+
+    def file_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the mesh file's name and what is said of it."""
+        file = str(self.file)
+        ending = Path(file).suffix.lower()
+        known = (*UNITS_MISSING, *NODE_ENDINGS)
+        if ending not in known:
+            if ending in WAYS_IN:
+                yield Fault(("file",), file, f"{WAYS_IN[ending]}; must end in one of {', '.join(known)}")
+                return
+            yield Fault(("file",), file, f"must end in one of {', '.join(known)}{nearest(ending, known)}")
+            return
+        if self.units is None and ending in UNITS_MISSING:
+            yield Fault(("units",), None, f'missing: {ending[1:].upper()} files carry no unit; give units = "mm", say')
+        if self.node is not None and ending not in NODE_ENDINGS:
+            yield Fault(("node",), self.node, f"omit it: only {', '.join(NODE_ENDINGS)} files have bodies with names")
+        if self.tolerance_mm is not None and ending not in STEP_ENDINGS:
+            yield Fault(("tolerance_mm",), self.tolerance_mm, "omit it: only the faces of STEP files are curved")
+
+
+class MeshShape(BodyFile):
+    """The mesh that gives glass its shape."""
+
+    surface: FaceLevel = "exact"
+    """What a facet stands for: itself, itself with smooth normals, or a curved patch. "exact": a face of a lens element
+    is the exact surface that it lies on, where that is recognised, and every other facet a patch."""
+    crease_deg: CreaseAngle | None = None
+    """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface, whose
+    normals are estimated. Omitted: what the file's own vertex normals say, where it has them, else a few times the
+    angle at which most of the mesh's curved facets meet."""
+
+    @property
+    def facets(self) -> FacetLevel:
+        """Meaning of facets where no exact surface is recognised."""
+        return "patch" if self.surface == "exact" else self.surface
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.file is None:
+            yield Fault(
+                ("file",), None, "missing: a mesh file (STL, OBJ, PLY, OFF, GLB, STEP), relative to the scene file"
+            )
+        else:
+            yield from self.file_faults()
+
+
+class Refractor(MeshShape):
+    """A closed body of glass, its shape a mesh or, in object space, a box."""
+
+    box_mm: tuple[Positive, Positive, Positive] | None = None
+    """In object space, in place of a mesh file: a box, centred, with edges of these lengths along x, y, z, in mm."""
+    index: Index | None = None
+    """Refractive index of the glass. Or give `glass`."""
+    glass: Glass | None = None
+    """Glass: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd = 64.17 }."""
+    absorption_per_mm: Coefficient = 0.0
+    """In object space: absorption coefficient of the glass, in 1/mm; a number, or by wavelength."""
+    coating: Text = UNCOATED
+    """Name of the coating of its whole surface, or "none": bare."""
+    finish: AnyFinish = POLISHED
+    """Finish of its whole surface: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
+    priority: Priority = 0
+    """In object space: where bodies overlap, the one of the highest priority is there, and of equal ones that which
+    lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""
+
+    @property
+    def medium(self) -> Medium:
+        """Material of the body: an index or the name of a glass."""
+        return self.index if self.index is not None else self.glass or 1.0
+
+    @property
+    def level(self) -> FacetLevel:
+        """Meaning of its facets; those of a box are flat."""
+        return "flat" if self.box_mm is not None else self.facets
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.box_mm is None:
+            yield from super().faults()
+        else:
+            for key in MeshShape.model_fields:
+                if getattr(self, key) != MeshShape.model_fields[key].default:
+                    yield Fault((key,), getattr(self, key), "box_mm is given too; omit it, or give a mesh file")
+        if self.index is None and self.glass is None:
+            yield Fault(("index",), None, "missing: give the index of the glass, or glass")
+        elif self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
+        yield from both_given(self.coating, self.finish, "finish")
+
+
+class MeshFace(MeshShape):
+    """One optical face of a body given as a mesh; the axis of the lens is the mesh's z axis."""
+
+    side: Literal["front", "back"]
+    """The face that the axis meets first, coming from the objects, or last."""

@@ -1,0 +1,86 @@
+"""Tanks: boxes of windows and liquid in front of the camera."""
+
+from collections.abc import Iterator
+from typing import Literal
+
+from lfmesh.optics.glass import Medium
+from lfmesh.scene.light.spectra import Coefficient, coefficient_faults
+from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Index, Positive, Text, Vector
+
+Side = Literal["top", "front"]
+
+
+class Wall(Model):
+    """Walls of a tank."""
+
+    index: Index | None = None
+    """Refractive index. Or give `glass`."""
+    glass: Glass | None = None
+    """Catalogue glass, like "SCHOTT/N-BK7"."""
+    absorption_per_mm: Coefficient = 0.0
+    """Absorption coefficient, in 1/mm; a number, or by wavelength."""
+
+    @property
+    def medium(self) -> Medium:
+        """An index or a glass."""
+        return self.index if self.index is not None else self.glass or 1.0
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.index is None and self.glass is None:
+            yield Fault(("index",), None, "missing: give the index, or glass")
+        elif self.index is not None and self.glass is not None:
+            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
+
+
+class Liquid(Wall):
+    """Liquid in a tank."""
+
+
+class Tank(Model):
+    """A box of flat windows, filled with a liquid; targets may stand in it."""
+
+    name: Text | None = None
+    """What the tank is called in reports."""
+    size_mm: tuple[Positive, Positive, Positive]
+    """Lengths of its outer edges along its own x, y, z, in mm."""
+    wall_mm: Positive
+    """Thickness of its walls, in mm."""
+    wall: Wall
+    """What the walls are made of."""
+    liquid: Liquid
+    """What it is filled with."""
+    open: Side | None = None
+    """The side that has no wall, where the liquid reaches to the end of the other walls: "top", its own +y, or
+    "front", its own +z, which looks at the camera where the tank is not turned. Omitted: it is closed."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where its centre lies, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations about x, then y, then z, in degrees."""
+
+    def called(self, number: int) -> str:
+        """Return what the tank is called in reports, by its number in the scene."""
+        return self.name or f"tanks[{number}]"
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        for axis, length in enumerate(self.size_mm):
+            walls = 1 if OPEN_AXIS.get(self.open) == axis else 2
+            if walls * self.wall_mm >= length * (1.0 - THINNEST):
+                yield Fault(
+                    ("wall_mm",),
+                    self.wall_mm,
+                    f"leaves no room for the liquid along {'xyz'[axis]}, where the tank is {length:g} mm long; give "
+                    f"less than {length / walls:g}",
+                )
+                return
+
+
+OPEN_AXIS: dict[Side | None, int] = {"top": 1, "front": 2}
+"""The axis at whose positive end a side lies."""
+
+THINNEST = 1e-6
+"""Thickness of liquid between walls, relative to the tank's own, below which there is none."""

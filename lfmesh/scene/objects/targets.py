@@ -1,0 +1,219 @@
+"""Targets of the camera: primitive shapes and mesh files, with their material."""
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lfmesh.scene.light.spectra import Kelvin, Radiance, Reflectance, Spectrum, reflectance_fault
+from lfmesh.scene.light.spectra import Shape as SpectralShape
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.objects.refractor import BodyFile, Refractor
+from lfmesh.scene.quantities import FilePath, GlossIndex, MetalName, Opacity, Positive, Text, Vector
+
+SMALLEST_ROUGHNESS, LARGEST_ROUGHNESS = 0.01, 1.0
+"""Of a gloss: α_g."""
+
+
+class Plane(Model):
+    """A rectangle in its own xy plane, facing +z: towards the camera where it is not rotated.
+
+    Seen from behind, its texture is mirrored.
+    """
+
+    kind: Literal["plane"] = "plane"
+    """Which shape this is."""
+    width_mm: Positive
+    """Extent along x, in mm."""
+    height_mm: Positive
+    """Extent along y, in mm."""
+
+
+class Disk(Model):
+    """A disk in its own xy plane, facing +z. The square round it carries the texture, mirrored if seen from behind."""
+
+    kind: Literal["disk"] = "disk"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+
+
+class Sphere(Model):
+    """A sphere. Its texture is an equirectangular map: centre towards +z, top towards +y."""
+
+    kind: Literal["sphere"] = "sphere"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+
+
+class Box(Model):
+    """A box, centred, with its edges along x, y and z. Every face carries the whole texture."""
+
+    kind: Literal["box"] = "box"
+    """Which shape this is."""
+    size_mm: tuple[Positive, Positive, Positive]
+    """Lengths of the edges along x, y, z, in mm."""
+
+
+class Cylinder(Model):
+    """A closed cylinder, centred, with its axis along z; `rotation_deg = [90, 0, 0]` stands it up.
+
+    Its ends carry the texture as disks do, its wall once round: middle towards +y, top towards -z, so that it faces the
+    camera upright when the cylinder stands.
+    """
+
+    kind: Literal["cylinder"] = "cylinder"
+    """Which shape this is."""
+    radius_mm: Positive
+    """Radius, in mm."""
+    height_mm: Positive
+    """Length along z, in mm."""
+
+
+Shape = Annotated[Plane | Disk | Sphere | Box | Cylinder, Field(discriminator="kind")]
+
+
+class Gloss(Model):
+    """A rough boundary that reflects as GGX facets do: of a dielectric layer over the base, or of metal."""
+
+    index: GlossIndex | None = None
+    """Refractive index of a dielectric layer, whose transmitted light reaches the base below. Or give `metal`."""
+    metal: MetalName | None = None
+    """A metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
+    the reflectance and the texture of the material do not count."""
+    roughness: Annotated[float, Field(strict=True, ge=SMALLEST_ROUGHNESS, le=LARGEST_ROUGHNESS)]
+    """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother ones are mirrors, which a target cannot be."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.index is None and self.metal is None:
+            yield Fault(("index",), None, "missing: give the index of the layer, or metal")
+        elif self.index is not None and self.metal is not None:
+            yield Fault(("metal",), self.metal, f"index = {self.index:g} is given too; give one of them")
+
+
+class Material(Model):
+    """Material of a target: Lambertian reflection, with or without gloss over it, and emission."""
+
+    opacity: Opacity = 1.0
+    """Share of the surface that is there, 0..1: the rest lets light pass straight on. "texture_alpha": as the alpha of
+    the texture, or else of the mesh file's own pictures and colours, says. A closed body that is not opaque scatters
+    and emits on its inside, too."""
+    sides: Literal["both", "front"] = "both"
+    """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
+    counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""
+
+    reflectance: Reflectance = 0.8
+    """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of what reaches the base. A number,
+    a table { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and value."""
+    gloss: Gloss | None = None
+    """A boundary over the base that also reflects; omitted, the surface is matt."""
+    radiance_w_m2_sr: Radiance = 0.0
+    """The surface's own emission, the same in every direction. A number, in W/(m² sr), at each wavelength of
+    `transport.wavelengths_nm`; with bands it is the radiance over the whole range of wavelengths from the first band's
+    beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or
+    { blackbody_k = ... }, in W/(m² sr nm)."""
+    spectrum: SpectralShape | None = None
+    """How a number in `radiance_w_m2_sr` is spread by wavelength, in any unit: an illuminant's name such as "D65", a
+    table, a CSV file or { blackbody_k = ... }. Needs bands."""
+    temperature_k: Kelvin | None = None
+    """Temperature, in K, in place of a radiance: the surface emits by Planck's law, with an emissivity of 1 less the
+    share that it scatters of light from that direction, gloss, metal and texture included. In a room of its own
+    temperature it looks like a black body. The black side of `sides = "front"` emits as a black body. Needs bands."""
+    texture: FilePath | None = None
+    """A picture, relative to the scene file; its linearised values multiply the reflectance (under `gloss` that of the
+    base alone) and the radiance. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
+    that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own
+    coordinates."""
+
+    @property
+    def emits(self) -> bool:
+        """True if the surface shines by itself."""
+        return self.temperature_k is not None or self.radiance_w_m2_sr != 0.0
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        yield from reflectance_fault(self.reflectance, ("reflectance",))
+        if isinstance(self.radiance_w_m2_sr, Spectrum):
+            if self.radiance_w_m2_sr.name is not None:
+                name = self.radiance_w_m2_sr.name
+                yield Fault(
+                    ("radiance_w_m2_sr",),
+                    name,
+                    f'an illuminant has a shape and no scale; give a number, and spectrum = "{name}" beside it',
+                )
+            if self.spectrum is not None:
+                yield Fault(
+                    ("spectrum",), None, "radiance_w_m2_sr is a spectrum itself; omit it, or give a number there"
+                )
+        elif self.spectrum is not None and not self.radiance_w_m2_sr:
+            yield Fault(("spectrum",), None, "omit it: the surface has no radiance_w_m2_sr")
+        if self.temperature_k is not None and self.radiance_w_m2_sr != 0.0:
+            yield Fault(("temperature_k",), self.temperature_k, "radiance_w_m2_sr is given too; give one of them")
+
+
+class Target(BodyFile):
+    """A body in front of the camera: a shape or a mesh file, in the world frame."""
+
+    name: Text | None = None
+    """What the target is called in reports."""
+    shape: Shape | None = None
+    """A primitive shape. Or give `file`."""
+    materials: Literal["file", "colours", "ignore"] | None = None
+    """What is taken over of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
+    roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
+    alone, which multiply the reflectance and the radiance of `material`; its own texture replaces them. "ignore":
+    nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
+    else "colours"."""
+    normals: Literal["file", "facets"] = "file"
+    """Normals by which a mesh file's surface is shaded: those at its vertices, interpolated, where the file has any
+    (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant; or those of its facets. What a ray meets,
+    on which side, and what is in shadow follows the facets."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    """Where the target's own origin lies, in mm."""
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Rotations about x, then y, then z, in degrees."""
+    material: Material = Field(default_factory=Material)
+    """Of the whole surface."""
+    refractor: Refractor | None = None
+    """A closed body of glass from a mesh file, in place of shape or file; it has no material."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if self.refractor is not None:
+            for key in ("shape", *BodyFile.model_fields):
+                if getattr(self, key) is not None:
+                    yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
+            yield from self._file_faults("glass has neither; omit it")
+            if self.material != Material():
+                yield Fault(("material",), None, "glass has none: it only reflects and refracts; omit it")
+            return
+        if self.shape is not None and self.file is not None:
+            yield Fault(("file",), self.file, "a shape is given too; give one of them")
+        elif self.file is None:
+            if self.shape is None:
+                yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
+            elif self.units is not None:
+                yield Fault(("units",), self.units, "only for a mesh file; the sizes of a shape are in mm")
+            if self.node is not None:
+                yield Fault(("node",), self.node, "only for a GLB, glTF, STEP or 3MF file; omit it")
+            if self.tolerance_mm is not None:
+                yield Fault(("tolerance_mm",), self.tolerance_mm, "only for a STEP file; omit it")
+            yield from self._file_faults("a shape has its material from the scene, and its own normals")
+        else:
+            if self.materials == "file" and self.material != Material():
+                yield Fault(("material",), None, 'materials = "file" takes those of the mesh file; omit one of them')
+            yield from self.file_faults()
+
+    def _file_faults(self, why: str) -> Iterator[Fault]:
+        """Yield that keys for mesh files are given for something else."""
+        if self.materials is not None:
+            yield Fault(("materials",), self.materials, f"only for a mesh file: {why}")
+        if self.normals != "file":
+            yield Fault(("normals",), self.normals, f"only for a mesh file: {why}")
+
+    @property
+    def takes_materials(self) -> bool:
+        """True if a glTF file's materials are taken over whole."""
+        return self.materials == "file" or (self.materials is None and self.material == Material())

@@ -1,0 +1,1 @@
+"""Kinds of camera side by side."""

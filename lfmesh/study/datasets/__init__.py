@@ -1,0 +1,1 @@
+"""Datasets: many scenes drawn from one template."""

@@ -1,0 +1,212 @@
+"""An item of a dataset, and what all items of a camera have in common: folders that are there whole or not at all.
+
+items/000017/    a run folder: raw image, scene, light field, true depth; item.json, what was drawn
+cameras/KEY/     the run folder of the white image, calibration.json, camera.exr
+"""
+
+import json
+import shutil
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import lfmesh
+from lfmesh.errors import FileError, PictureWarning, collected, in_order
+from lfmesh.files import run
+from lfmesh.files.calibration import write_calibration
+from lfmesh.files.camera_model import write_camera_model
+from lfmesh.files.depth import save_truth
+from lfmesh.files.field import save_field
+from lfmesh.files.folder import staged, staged_file
+from lfmesh.files.json_values import plain_json
+from lfmesh.lightfield.calibration.calibration import calibrate
+from lfmesh.lightfield.calibration.white import white_scene
+from lfmesh.lightfield.photographs.depth_truth import depth_truth
+from lfmesh.lightfield.rays.camera_model import camera_model
+from lfmesh.lightfield.views.decode import decode
+from lfmesh.regular_file import read_text
+from lfmesh.scene import Scene
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import render
+
+ITEMS, CAMERAS, FACTS, CAMERA_MODEL = "items", "cameras", "item.json", "camera.exr"
+
+
+@dataclass(frozen=True)
+class Item:
+    """An item of a dataset.
+
+    Attributes
+    ----------
+    point : int
+        Its number, from 0.
+    scene : Scene
+    drawn : dict
+        What was drawn, by its path.
+    camera : str
+        Key of its camera, the name of a folder; "" where the dataset has none.
+    digest : str
+        Of all that it follows from.
+    parts : tuple of str
+    views : int or None
+        Along each axis.
+    threads : int
+        In which it is traced; does not change the item.
+    """
+
+    point: int
+    scene: Scene
+    drawn: dict[str, Any]
+    camera: str
+    digest: str
+    parts: tuple[str, ...]
+    views: int | None = None
+    threads: int = 0
+    batch: int = 0
+
+    @property
+    def folder(self) -> str:
+        """Folder of the item in the dataset."""
+        return f"{ITEMS}/{self.point:06d}"
+
+    def compute(self, given: bytes | Path) -> bytes:
+        """Make the item in the folder of the dataset; return the facts that its `item.json` holds."""
+        assert isinstance(given, Path)
+        facts: dict[str, Any] = {}
+
+        def write(folder: Path) -> dict[str, Any]:
+            image = _traced(self.scene, self.threads)
+            run.save(image, folder)
+            if "views" in self.parts:
+                save_field(decode(image, white=self._white(given, image), views=self.views), folder)
+            if "depth" in self.parts:
+                save_truth(depth_truth(image.scene, views=self.views), folder)
+            facts.update(self._facts(run.pixels_digest(folder)))
+            return facts
+
+        _whole(given / self.folder, self.digest, write)
+        return json.dumps(plain_json(facts)).encode()
+
+    def _white(self, data: Path, image: Image) -> Image | None:
+        """Return the white image of the camera, which is the same wherever the camera stands."""
+        if "white" not in self.parts:
+            return None
+        white = run.open_run(data / CAMERAS / self.camera)
+        return replace(white, scene=white_scene(image.scene))
+
+    def _facts(self, pixels_sha256: str) -> dict[str, Any]:
+        return {
+            "item": self.point,
+            "folder": self.folder,
+            "camera": f"{CAMERAS}/{self.camera}" if self.camera else None,
+            "drawn": self.drawn,
+            "seed": self.scene.transport.seed,
+            "pixels_sha256": pixels_sha256,
+        }
+
+
+def make_camera(scene: Scene, folder: Path, digest: str, parts: tuple[str, ...], views: int | None) -> None:
+    """Make the folder of a camera: white image, calibration, camera model.
+
+    Parameters
+    ----------
+    scene : Scene
+        The camera at the origin.
+    folder : Path
+    digest : str
+        Of all that it follows from.
+    parts : tuple of str
+    views : int or None
+        Along each axis.
+
+    Raises
+    ------
+    LfmeshError
+        The camera lets no light through.
+    FileError
+        The folder cannot be written.
+    """
+
+    def write(staging: Path) -> dict[str, Any]:
+        if "white" in parts:
+            run.save(_traced(white_scene(scene), 0), staging)
+            write_calibration(staging / run.CALIBRATION, calibrate(scene))
+        if "camera" in parts:
+            write_camera_model(camera_model(scene, views=views), staging / CAMERA_MODEL)
+        return {"camera": folder.name}
+
+    _whole(folder, digest, write)
+
+
+def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
+    """Return what a finished folder says of itself; None where there is none.
+
+    Parameters
+    ----------
+    folder : Path
+    digest : str
+        Of all that it has to follow from.
+
+    Raises
+    ------
+    FileError
+        The folder is damaged, or follows from something else.
+    """
+    path = folder / FACTS
+    if not folder.exists():
+        return None
+    try:
+        facts: dict[str, Any] = json.loads(read_text(path))
+        known, sizes = facts.pop("digest"), dict(facts.pop("files"))
+        version = facts.pop("lfmesh_version")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise FileError(f"{path} is missing or damaged") from None
+    if (known, version) != (digest, lfmesh.__version__):
+        raise FileError(f"{folder} follows from another template or version of lfmesh")
+    for name, size in sizes.items():
+        file = folder / name
+        if not file.is_file() or file.stat().st_size != size:
+            raise FileError(f"{file} is missing or was cut short")
+    return facts
+
+
+def warnings_in(facts: Mapping[str, Any]) -> tuple[PictureWarning, ...]:
+    """Return the warnings of a folder's pictures, from what it says of itself."""
+    return tuple(map(PictureWarning.from_dict, facts.get("warnings", ())))
+
+
+def _traced(scene: Scene, threads: int) -> Image:
+    """Render in some threads; the image does not tell in how many."""
+    image = render(scene.changed({"transport.threads": threads}))
+    return replace(image, scene=image.scene.changed({"transport.threads": scene.transport.threads}))
+
+
+def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -> None:
+    """Make a folder beside its place, and move it there when it is complete, with what was warned about."""
+    try:
+        # As deep as its place, so that relative paths stay what they are.
+        with (
+            staged(folder.parent.parent) as outer,
+            warnings.catch_warnings(record=True) as noted,
+            collected() as found,
+        ):
+            warnings.simplefilter("always", UserWarning)
+            staging = outer / folder.name
+            staging.mkdir()
+            facts = write(staging)
+            if found:
+                facts["warnings"] = [each.as_dict() for each in in_order(found)]
+            if notes := list(dict.fromkeys(str(w.message) for w in noted if issubclass(w.category, UserWarning))):
+                facts["notes"] = notes
+            files = sorted(path for path in staging.rglob("*") if path.is_file())
+            sizes = {path.relative_to(staging).as_posix(): path.stat().st_size for path in files}
+            kept = {**facts, "digest": digest, "lfmesh_version": lfmesh.__version__, "files": sizes}
+            with staged_file(staging, FACTS) as file:
+                file.write(json.dumps(plain_json(kept), indent=1, ensure_ascii=False).encode() + b"\n")
+            if folder.exists():
+                shutil.rmtree(folder)
+            staging.replace(folder)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None

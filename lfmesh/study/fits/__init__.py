@@ -1,0 +1,1 @@
+"""Fits of a camera to its white image and to pictures of boards."""

@@ -1,0 +1,384 @@
+"""Fit of a camera to its white image: the assembly errors with their errors, and what the picture cannot tell apart.
+
+Least squares on the places of the micro-images. Directions in which they tell less than what is plausible anyway
+are found by the singular values of the derivative; along these the scene's own values are kept, and what is known is
+reported as a combination.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from lfmesh.errors import LfmeshError, PictureWarning, summed_up, warn_caller
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.calibration.calibration import calibrate
+from lfmesh.lightfield.detector import Exposed
+from lfmesh.lightfield.rays.ray_model import RayModel
+from lfmesh.scene import Scene
+from lfmesh.study.fits.fit_errors import Split, neighbours_meat
+from lfmesh.study.fits.fit_model import FitModel, Parameter, parameters_of, smooth
+from lfmesh.study.fits.micro_image_phase import micro_image_places
+from lfmesh.study.fits.white_picture import Orientation, light_of
+from lfmesh.transport.render.image import Image
+
+Array = NDArray[np.float64]
+
+SAMPLES = 128
+"""A pixel, of the simulated white images: their noise is then about that of a well exposed picture."""
+
+ROUNDS = 10
+"""Simulated white images at most."""
+
+SETTLED = 0.25
+"""Of a standard error, rms over the directions: a fit that another simulated image moves less is done."""
+
+FIRST_SIGMA_PX = 0.02
+"""About what micro-images lie beside chief rays as long as no image was simulated."""
+
+OUTLIER = 6.0
+"""Standard deviations of a normal law, off the median, beyond which a micro-image is left out: dust, a dead lenslet."""
+
+WORST = 0.05
+"""Of the pitch of the micro-images: residuals of more, rms, are no fit."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter as fitted.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    value : float
+        In the unit of the scene's field.
+    standard_error : float
+        One standard deviation; NaN where the value is that of the scene, which was kept.
+    together : tuple of str
+        Paths of the parameters with which it is known only in combination: the standard error then holds if those
+        that were kept are right. Empty: it is known by itself.
+    """
+
+    parameter: Parameter
+    value: float
+    standard_error: float
+    together: tuple[str, ...]
+
+    @property
+    def kept(self) -> bool:
+        """True if the scene's value was kept."""
+        return math.isnan(self.standard_error)
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of parameters that is known where they themselves are not.
+
+    Attributes
+    ----------
+    coefficients : dict
+        By path; the sum is that of coefficient times difference from the scene's value.
+    value, standard_error : float
+        In the unit of the first path, whose coefficient is 1.
+    """
+
+    coefficients: dict[str, float]
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A camera fitted to its white image.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the fitted values; distances that `focus_mm` had solved stand as numbers.
+    estimates : tuple of Estimate
+    covariance : (p, p) float64
+        Of the values, in their units; NaN for those that were kept. It holds the noise, and what kept values anywhere
+        in their range would do to the light within micro-images.
+    combinations : tuple of Combination
+    pitch_px, pitch_error_px : float
+        Mean distance of neighbouring micro-images as fitted, and its standard error.
+    residuals_px : (rows, columns, 2) float64
+        Micro-images less those of the fitted camera's simulated image, by lenslet as on the sensor; NaN: not used.
+    sigma_px : float
+        Standard deviation of a coordinate of a micro-image's place, from the residuals: the noise of both images, and
+        whatever single lenslets do.
+    left_out : int
+        Micro-images that lie far beside the fit.
+    warnings : tuple of PictureWarning
+        One for each class of those of the simulated white images.
+    """
+
+    scene: Scene
+    estimates: tuple[Estimate, ...]
+    covariance: Array
+    combinations: tuple[Combination, ...]
+    pitch_px: float
+    pitch_error_px: float
+    residuals_px: Array
+    sigma_px: float
+    left_out: int
+    warnings: tuple[PictureWarning, ...]
+
+    def __repr__(self) -> str:
+        return f"<Fit: {len(self.estimates)} parameters, {self.used} micro-images, {self.rms_px:.3g} pixels rms>"
+
+    def __getitem__(self, path: str) -> Estimate:
+        for each in self.estimates:
+            if path in (each.parameter.path, each.parameter.name):
+                return each
+        raise KeyError(
+            f"{path!r} was not fitted; there are {', '.join(each.parameter.path for each in self.estimates)}"
+        )
+
+    @property
+    def used(self) -> int:
+        """Number of micro-images that were used."""
+        return int(np.isfinite(self.residuals_px[..., 0]).sum())
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the coordinates of the residuals."""
+        return float(np.sqrt(np.nanmean(self.residuals_px**2)))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Reservations about the values, a sentence each."""
+        if not self.left_out:
+            return ()
+        return (f"{self.left_out} micro-images lie far beside the fit and were left out",)
+
+
+def fit(
+    white: Image | Exposed | NDArray[Any], scene: Scene, *, also: Mapping[str, float] | None = None,
+    orientation: Orientation = "upright", samples: int = SAMPLES, progress: Callable[[str], None] | None = None,
+) -> Fit:  # fmt: skip
+    """Estimate the assembly errors of a camera from its white image.
+
+    Fitted are rotation, tilts, shifts and distance of the array against the sensor, and the error of its pitch. Shifts
+    are known up to whole lenslets. Like an error in the scene, each is counted from the camera with solved distances.
+
+    Parameters
+    ----------
+    white : Image, Exposed or (H, W) or (H, W, channels) array
+        White image, linear in light; a constant black level does no harm. Arrays are pictures.
+    scene : Scene
+        The camera as designed.
+    also : mapping, optional
+        Further fields to fit, with their largest plausible change: {"camera.sensor.distance_mm": 0.05}.
+    orientation : {"upright", "upside_down", "sensor"}
+        Of an array: as a viewer shows it, turned by half a turn, or row 0 at the sensor's −y and column 0 at its −x.
+    samples : int
+        A pixel, of the simulated white images with which the picture is compared.
+    progress : callable, optional
+        Called with what is being done.
+
+    Warns
+    -----
+    PictureWarning
+        Some of the simulated white images are or may be wrong: one warning a class, see `Fit.warnings`.
+
+    Raises
+    ------
+    LfmeshError
+        A picture of another size, black, saturated, with too few micro-images, or that no such camera takes.
+    """
+    if samples < 2:
+        raise LfmeshError(f"samples = {samples}: must be 2 or more, one for each of two replicates")
+    start = solved_camera(scene.pinned()).scene
+    model = FitModel(start, parameters_of(start, also), samples + samples % 2)
+    light = light_of(white, start, orientation)
+    try:
+        return _Search(model, light, progress or (lambda _: None)).run()
+    finally:
+        warn_caller(_warnings(model))
+
+
+def _warnings(model: FitModel) -> tuple[PictureWarning, ...]:
+    return summed_up(model.warned, len(model.warned), "simulated white images")
+
+
+class _Search:
+    """The rounds of a fit: each simulates the white image of the camera that the one before found."""
+
+    def __init__(self, model: FitModel, light: Array, say: Callable[[str], None]) -> None:
+        self.model, self.light, self.say = model, light, say
+        self.pitch = RayModel.of(model.scene).micro_image_pitch_px
+        self.measured = micro_image_places(light, model.scene)
+        self.steps = np.zeros(len(model.parameters))
+        self.simulated: list[tuple[Array, Array]] = []
+        # How places beside the chief rays change with the parameters, as simulated and without its noise.
+        self.seen = self.slopes = np.zeros((*self.measured.shape, len(self.steps)))
+        self.sigma = FIRST_SIGMA_PX
+        self.traced: tuple[Array, Array] | None = None
+        self.outliers = np.zeros(self.measured.shape[:2], bool)
+
+    def run(self) -> Fit:
+        """Fit until the camera no longer moves.
+
+        Raises
+        ------
+        LfmeshError
+            As `fit`.
+        """
+        self.say("tracing derivatives")
+        self._fit(self.model.derivative(self.steps))
+        self._simulate(1)
+        derivative = self.model.derivative(self.steps)
+        split = self._fit(derivative)
+        self.say("simulating what chief rays do not show")
+        self.seen = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
+        self.slopes = smooth(self.seen)
+        # That one was taken before much was known.
+        self.simulated.clear()
+        for number in range(2, ROUNDS + 1):
+            self._simulate(number)
+            derivative = self.model.derivative(self.steps)
+            before = self.steps
+            split = self._fit(derivative, split)
+            moved = (self.steps - before)[split.free]
+            if number > 2 and moved @ np.linalg.solve(split.covariance, moved) < SETTLED**2 * len(moved):
+                return self._result(derivative, split)
+        raise LfmeshError(
+            f"the fit did not settle in {ROUNDS} simulated images; give more samples, or check the scene against the "
+            "camera"
+        )
+
+    def _simulate(self, number: int) -> None:
+        self.say(f"simulating white image {number}")
+        beside = self.model.beside(self.model.simulated(self.steps, number), self.steps)
+        self.simulated.append((self.steps.copy(), beside))
+
+    def _fit(self, derivative: Array, like: Split | None = None) -> Split:
+        """Move to the least squares with the present offsets, and take their scatter as the noise."""
+        slopes = derivative + self.slopes
+        for _ in range(2):
+            used = self._used(derivative)
+            split = Split.of(_rows(derivative, used), self.sigma, like)
+            rows = _rows(slopes, used)[:, split.free]
+            solved = least_squares(
+                lambda free, used=used, split=split: self.residuals(self._with(free, split))[used].ravel(),
+                self.steps[split.free],
+                jac=lambda _, rows=rows: -rows,
+                method="trf", x_scale="jac",
+            )  # fmt: skip
+            self.steps = self._with(solved.x, split)
+            self.sigma = math.sqrt(2.0 * solved.cost / max(len(rows) - len(split.free), 1))
+            self._check(math.sqrt(2.0 * solved.cost / len(rows)))
+            size = np.linalg.norm(self.residuals(self.steps), axis=-1)
+            # The median of a Rayleigh law is 1.177 σ.
+            far = size > OUTLIER * np.nanmedian(size) / math.sqrt(2.0 * math.log(2.0))
+            if (far == self.outliers).all():
+                break
+            self.outliers = far
+        split = Split.of(_rows(derivative, used), self.sigma, split)
+        return split.known_to(self._covariance(slopes, used, split))
+
+    def _covariance(self, slopes: Array, used: NDArray[np.bool_], split: Split) -> Array:
+        """Return the covariance of what is fitted: of noise, and of what is kept, which may lie anywhere in its range.
+
+        Chief rays land in the same places whatever is kept, but micro-images have another size then: pixels sample
+        them differently, and the light in them is spread otherwise.
+        """
+        slopes = np.where(used[..., None, None], slopes, 0.0)
+        free = slopes[..., split.free]
+        inverse = np.linalg.inv(np.einsum("rcip,rciq->pq", free, free))
+        noise = inverse @ neighbours_meat(self.residuals(self.steps), free, used) @ inverse
+        unseen = self.seen[..., split.kept] + self.seen[..., split.free] @ split.traded
+        known = np.isfinite(unseen).all(axis=(-1, -2))
+        # The variance of a uniform law of half width 1, in ranges, is 1/3.
+        moved = inverse @ np.einsum("nip,nik->pk", free[known], unseen[known]) / math.sqrt(3.0)
+        return np.asarray(noise + moved @ moved.T)
+
+    def _with(self, free: Array, split: Split) -> Array:
+        steps = np.zeros_like(self.steps)
+        steps[split.free] = free
+        return steps
+
+    def residuals(self, steps: Array) -> Array:
+        """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
+        if self.traced is None or not np.array_equal(self.traced[0], steps):
+            self.traced = (steps.copy(), self.model.centres(steps))
+        return np.asarray(self.measured - self._beside(steps) - self.traced[1])
+
+    def _beside(self, steps: Array) -> Array:
+        """Return how far micro-images lie beside chief rays: the mean of what all simulated images say."""
+        if not self.simulated:
+            return np.zeros_like(self.measured)
+        each = [beside + self.slopes @ (steps - at) for at, beside in self.simulated]
+        return np.asarray(np.mean(each, axis=0))
+
+    def _used(self, derivative: Array) -> NDArray[np.bool_]:
+        known = np.isfinite(self.residuals(self.steps)).all(axis=-1) & np.isfinite(derivative).all(axis=(-1, -2))
+        used = np.asarray(known & ~self.outliers)
+        if 2 * used.sum() <= derivative.shape[-1]:
+            raise LfmeshError(
+                f"the picture shows {used.sum()} whole micro-images: too few to fit {derivative.shape[-1]} parameters"
+            )
+        return used
+
+    def _check(self, rms: float) -> None:
+        if rms > WORST * self.pitch:
+            raise LfmeshError(
+                f"no camera like the scene's takes this picture: its micro-images lie {rms:.2g} pixels rms beside the "
+                "best fit; check layout, count, pitch and pixels of the scene, and --orientation"
+            )
+
+    def _result(self, derivative: Array, split: Split) -> Fit:
+        parameters, reach = self.model.parameters, self.model.reach
+        used = self._used(derivative)
+        covariance = np.full((len(reach), len(reach)), np.nan)
+        covariance[np.ix_(split.free, split.free)] = split.covariance
+        covariance *= np.outer(reach, reach)
+        errors = np.sqrt(np.diag(covariance))
+        together = tuple(parameters[i].path for i in split.group)
+        estimates = tuple(
+            Estimate(
+                each, each.start + float(step) * each.reach, float(error), together if i in split.group else ()
+            )
+            for i, (each, step, error) in enumerate(zip(parameters, self.steps, errors, strict=True))
+        )  # fmt: skip
+        fitted = self.model.at(self.steps)
+        slopes = self._pitch_slopes(derivative, used)[split.free]
+        return Fit(
+            scene=fitted,
+            estimates=estimates,
+            covariance=covariance,
+            combinations=self._combinations(split, errors),
+            pitch_px=calibrate(fitted).pitch_px,
+            pitch_error_px=float(np.sqrt(slopes @ split.covariance @ slopes)),
+            residuals_px=np.where(used[..., None], self.residuals(self.steps), np.nan),
+            sigma_px=self.sigma,
+            left_out=int(self.outliers.sum()),
+            warnings=_warnings(self.model),
+        )
+
+    def _pitch_slopes(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
+        """Return the derivative of the pitch, the scale from lattice to centres, by the parameters."""
+        lattice = calibrate(self.model.scene).lattice
+        ideal = lattice.centres()[used] / lattice.pitch
+        ideal = ideal - ideal.mean(axis=0)
+        return np.asarray(np.einsum("ni,nip->p", ideal, derivative[used]) / (ideal**2).sum())
+
+    def _combinations(self, split: Split, errors: Array) -> tuple[Combination, ...]:
+        """Return each fitted parameter of the group with the parts of those that were kept."""
+        parameters, found = self.model.parameters, []
+        for i in (i for i in split.group if i in split.free):
+            parts = {parameters[i].path: 1.0}
+            for column, kept in enumerate(split.kept):
+                part = -split.traded[split.free.index(i), column] * parameters[i].reach / parameters[kept].reach
+                parts[parameters[kept].path] = float(part)
+            found.append(Combination(parts, float(self.steps[i] * parameters[i].reach), float(errors[i])))
+        return tuple(found)
+
+
+def _rows(derivative: Array, used: NDArray[np.bool_]) -> Array:
+    return np.asarray(derivative[used].reshape(-1, derivative.shape[-1]))

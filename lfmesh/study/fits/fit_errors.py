@@ -1,0 +1,110 @@
+"""Errors of a fit: parameters that the micro-images cannot tell apart, and the effect of noise on the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from lfmesh.errors import LfmeshError
+
+Array = NDArray[np.float64]
+
+NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
+"""Distances of micro-images, rows and columns, over which their errors are correlated."""
+
+
+def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) -> Array:
+    """Return the covariance of the derivative's product with the errors of places, (p, p).
+
+    What is found of one micro-image shares pixels with its neighbours, which a pixel moves the same way: errors of
+    neighbours are correlated, and not negatively. The products of residuals are averaged over the array, by the
+    distance in columns and rows, and what the fit has taken out of them is added: that of independent errors.
+
+    Parameters
+    ----------
+    residuals : (rows, columns, 2) float64, pixels
+    slopes : (rows, columns, 2, p) float64
+        Derivative of the places; 0 where they are not used.
+    used : (rows, columns) bool
+    """
+    left = np.where(used[..., None], residuals, 0.0)
+    inverse = np.linalg.inv(np.einsum("rcip,rciq->pq", slopes, slopes))
+    variance = (left**2).sum() / max(2.0 * used.sum() - len(inverse), 1.0)
+    meat = np.zeros_like(inverse)
+    for rows, columns in NEIGHBOURS:
+        here, there = _overlap(used.shape, rows, columns)
+        pairs = max((used[here] & used[there]).sum(), 1)
+        for axis in (0, 1):
+            products = np.einsum("rcp,rcq->pq", slopes[here][..., axis, :], slopes[there][..., axis, :])
+            taken_out = variance * (inverse * products).sum()
+            together = (left[here][..., axis] * left[there][..., axis]).sum() + taken_out
+            meat += max(together, 0.0) / pairs * products
+    return np.asarray(0.5 * (meat + meat.T))
+
+
+def _overlap(shape: Sequence[int], rows: int, columns: int) -> tuple[Any, Any]:
+    """Return the indices of all lenslets that have one at a distance, and of that one."""
+    height, width = shape
+    here = np.s_[max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)]
+    there = np.s_[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)]
+    return here, there
+
+
+@dataclass(frozen=True)
+class Split:
+    """Parameters that can be fitted, and those that are kept as the picture cannot tell them apart.
+
+    Attributes
+    ----------
+    free, kept : list of int
+    group : tuple of int
+        Those that are not known by themselves: what was kept, and what would change with it.
+    traded : (free, kept) float64
+        By how much a fitted one changes with a kept one if the picture stays the same; both in ranges.
+    covariance : (free, free) float64
+        In ranges.
+    """
+
+    free: list[int]
+    kept: list[int]
+    group: tuple[int, ...]
+    traded: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, rows: Array, sigma: float, like: "Split | None" = None) -> "Split":
+        """Split parameters by the singular values of a derivative.
+
+        A direction whose standard error is above the plausible range itself is not determined.
+
+        Parameters
+        ----------
+        rows : (n, p) float64
+            Derivative of the residuals, pixels a range.
+        sigma : float
+            Standard deviation of a residual, pixels; they are taken as independent.
+        like : Split, optional
+            Keep what it keeps.
+        """
+        _, singular, directions = np.linalg.svd(rows, full_matrices=False)
+        unknown = directions[singular <= sigma]
+        # The parameters that hold most of the unknown directions stand for them.
+        _, _, order = qr(unknown, mode="economic", pivoting=True) if len(unknown) else (None, None, [])
+        kept = like.kept if like is not None else sorted(int(i) for i in order[: len(unknown)])
+        free = [i for i in range(rows.shape[1]) if i not in kept]
+        if not free:
+            raise LfmeshError("the picture's micro-images scatter so much that they determine nothing")
+        covariance: Array = sigma**2 * np.linalg.inv(rows[:, free].T @ rows[:, free]).astype(np.float64)
+        if like is not None:
+            return cls(free, kept, like.group, like.traded, covariance)
+        traded: Array = unknown[:, free].T @ np.linalg.inv(unknown[:, kept].T) if kept else np.zeros((len(free), 0))
+        shaken = np.abs(traded).sum(axis=1) > np.sqrt(np.diag(covariance))
+        group = tuple(sorted((*kept, *(i for i, far in zip(free, shaken, strict=True) if far))))
+        return cls(free, kept, group, traded, covariance)
+
+    def known_to(self, covariance: Array) -> "Split":
+        """Return the same split with another (free, free) covariance, in ranges."""
+        return replace(self, covariance=covariance)

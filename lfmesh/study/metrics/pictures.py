@@ -1,0 +1,125 @@
+"""The pictures that metrics are made of: the scene, a white plane, an edge, one film for each replicate."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import warn_caller
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.calibration.white import white_scene
+from lfmesh.scene import Scene
+from lfmesh.study.cameras.compare import edge_plane, measuring
+from lfmesh.study.metrics.crosstalk import lenslet_light
+from lfmesh.transport.checks.found import books
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.render import warn_beforehand
+from lfmesh.transport.render.tally import Work
+from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.world import build
+
+Array = NDArray[np.float64]
+Films = Mapping[str, Array]
+"""By the name of a picture the light of each replicate, (replicates, H, W, channels) float64, W."""
+
+FARTHEST_MM = 1e6
+"""No edge stands farther off."""
+
+
+LENSLETS = "lenslets"
+"""No picture: light of a white surround in each micro-image, through its own lenslet and through others."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of a study, solved, and where its edge stands."""
+
+    scene: Scene
+    edge_distance_mm: float = FARTHEST_MM
+
+
+def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
+    """Trace some replicates of some pictures; each of `PICTURES` is bitwise that of `lf.render` of the same scene.
+
+    Warnings are those of `lf.render`, without what takes a whole image: the blind check, and errors of single pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+    names : sequence of str
+        Of `PICTURES`, or "lenslets" for `lenslet_light`.
+    replicates : sequence of int
+
+    Raises
+    ------
+    LfmeshError
+        The scene cannot be built.
+    """
+    return {name: _film_of(camera, name, replicates) for name in names}
+
+
+def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:
+    if name == LENSLETS:
+        return lenslet_light(camera.scene, replicates)
+    return _films(PICTURES[name](camera), replicates)
+
+
+def _films(scene: Scene, replicates: Sequence[int]) -> Array:
+    tracer = Tracer(build(scene), check=False)
+    warn_beforehand(tracer)
+    films, layout = [], tracer.layout
+    book, work = np.zeros(layout.book), Work(np.zeros(layout.counters, np.int64))
+    for replicate in replicates:
+        tally = layout.tally()
+        tally.restart(replicate)
+        tally.merge([tracer.piece(replicate, tracer.plan.whole())])
+        films.append(reduce(np.add, [film.power for film in tally.films]).reshape(tracer.shape))
+        book += tally.book
+        work.add(tally.work)
+    warn_caller(books(scene, tracer.ledger(book, work, len(films))))
+    return np.stack(films)
+
+
+def image_of(scene: Scene, films: Array) -> Image:
+    """Return the image of some replicates, as if its camera were that of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    films : (n, H, W, channels) float64, W
+    """
+    count = len(films)
+    stderr = films.std(axis=0, ddof=1) / math.sqrt(count) if count > 1 else np.full(films.shape[1:], np.nan)
+    return Image(films.mean(axis=0), stderr, scene, Ledger(), 0.0, count, float(scene.transport.samples), "")
+
+
+def _itself(camera: Camera) -> Scene:
+    return camera.scene
+
+
+def _white(camera: Camera) -> Scene:
+    return white_scene(camera.scene)
+
+
+def _image_path(camera: Camera) -> Scene:
+    return camera.scene.changed({"transport.split": "transmit"})
+
+
+def edge_scene(camera: Camera) -> Scene:
+    """Return a scene of a bright half-plane whose edge, a little slanted, runs through the axis."""
+    solved = solved_camera(camera.scene)
+    plane = edge_plane(solved.report, camera.edge_distance_mm)
+    return measuring(solved.scene).changed({"targets": [plane]})
+
+
+PICTURES: dict[str, Callable[[Camera], Scene]] = {
+    "scene": _itself,
+    "white": _white,
+    "image path": _image_path,
+    "edge": edge_scene,
+}
+"""Scene of each picture."""

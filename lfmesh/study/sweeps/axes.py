@@ -1,0 +1,112 @@
+"""Axes of a study: a field of the scene, and the values that it takes."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.scene.model import Fault, Model
+from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
+
+Array = NDArray[np.float64]
+
+WAYS = ("values", "range", "log_range", "uniform", "normal")
+"""How an axis may give its values."""
+
+
+class Axis(Model):
+    """A field of the scene that varies."""
+
+    path: Text
+    """The field, such as "camera.mla.pose.tilt_deg[0]"."""
+    values: tuple[Any, ...] | None = None
+    """The values themselves: numbers, names or lists, as the field takes them."""
+    range: tuple[Number, Number] | None = None
+    """First and last of `count` evenly spaced values."""
+    log_range: tuple[Positive, Positive] | None = None
+    """First and last of `count` values with a constant ratio."""
+    uniform: tuple[Number, Number] | None = None
+    """Ends of an interval from which `count` values are drawn."""
+    normal: tuple[Number, Number] | None = None
+    """Mean and standard deviation of a normal distribution from which `count` values are drawn."""
+    count: Count | None = None
+    """How many values; the designs "latin_hypercube" and "sobol" have one `count` for all axes."""
+    seed: Whole = 0
+    """Of what is drawn."""
+    relative: Flag = False
+    """Whether the values are added to what the field is in the reference camera."""
+    label: Text | None = None
+    """What the axis is called in figures."""
+
+    @property
+    def way(self) -> str | None:
+        """The one of `WAYS` that gives the values."""
+        return next((way for way in WAYS if getattr(self, way) is not None), None)
+
+    @property
+    def is_spread(self) -> bool:
+        """True if the axis gives a distribution that any number of values can be taken from."""
+        return self.way not in (None, "values")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the values."""
+        given = [way for way in WAYS if getattr(self, way) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} are given" if given else "it has no values"
+            yield Fault((), None, f"{what}: give one of {', '.join(WAYS)}")
+            return
+        for way in ("range", "log_range", "uniform"):
+            ends = getattr(self, way)
+            if ends is not None and not ends[0] < ends[1]:
+                yield Fault((way,), list(ends), "is empty: the first value must be below the second")
+        if self.normal is not None and not self.normal[1] > 0.0:
+            yield Fault(("normal",), list(self.normal), "the second value, the standard deviation, must be above 0")
+        if self.values is not None:
+            if not self.values:
+                yield Fault(("values",), [], "must not be empty")
+            if self.count is not None:
+                yield Fault(("count",), self.count, "omit it: values are given one by one")
+            if self.relative and not all(is_number(value) for value in self.values):
+                yield Fault(("values",), list(self.values), "must be numbers with relative = true")
+
+    def listed(self) -> list[Any]:
+        """Return the values of an axis by itself, in their order."""
+        if self.values is not None:
+            return list(self.values)
+        count = self.count or 1
+        if self.uniform is not None or self.normal is not None:
+            return [float(value) for value in self.quantiles(np.random.default_rng(self.seed).random(count))]
+        return [
+            float(value) for value in self.quantiles(np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5]))
+        ]
+
+    def quantiles(self, share: Array) -> Array:
+        """Return the values below which a share of the axis's distribution lies; a range is taken as uniform.
+
+        Parameters
+        ----------
+        share : (n,) float64
+            From 0 to 1.
+        """
+        if self.normal is not None:
+            from scipy.stats import norm
+
+            mean, deviation = self.normal
+            # Sequences that begin at 0 would give minus infinity.
+            tiny = 2.0**-53
+            return mean + deviation * np.asarray(norm.ppf(np.clip(share, tiny, 1.0 - tiny)))
+        if self.log_range is not None:
+            first, last = (math.log(end) for end in self.log_range)
+            values = np.exp(first + share * (last - first))
+            # The ends are what was written, without rounding.
+            return np.where(share == 0.0, self.log_range[0], np.where(share == 1.0, self.log_range[1], values))
+        ends = self.uniform or self.range
+        assert ends is not None
+        return np.where(share == 1.0, ends[1], ends[0] + share * (ends[1] - ends[0]))
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a number that can be added to."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,172 @@
+"""Figures of a study's report: metrics against an axis with error bars, fields of displacements, pictures."""
+
+import base64
+import io
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.accuracy.figures import GREY, finish, inline_svg
+from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.table import Row, Table
+
+Array = NDArray[np.float64]
+
+BLUE, ORANGE = "#1f4e8c", "#b4541a"
+PANEL_IN = (3.3, 2.5)
+PANELS = 3
+"""Side by side in a figure."""
+
+ARROWS = 16
+"""Displacements are drawn of so many lenslets at most along each side."""
+
+
+def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
+    """Return a figure of some columns against an axis, a panel each; one standard error to either side.
+
+    Points at which only this axis differs from the reference are joined; all others are grey dots, unless axes vary one
+    at a time: then they would only stand above the reference.
+
+    Parameters
+    ----------
+    table : Table
+    axis : int
+    columns : sequence of Column
+    """
+    joined = [row for row in table.along(axis) if row.estimates]
+    alone = table.plan.study.design == "one_at_a_time"
+    others = [] if alone else [row for row in table.rows if row.estimates and row not in joined]
+    values = [table.value_of(row, axis) for row in (*joined, *others)]
+    numeric = all(map(is_number, values))
+    names = list(dict.fromkeys(map(str, values)))
+
+    def place(row: Row) -> float:
+        value = table.value_of(row, axis)
+        return float(value) if numeric else float(names.index(str(value)))
+
+    def draw(panel: Any, column: Column) -> None:
+        if others:
+            panel.plot([place(row) for row in others], _values(others, column)[0], ".", color="#999999", ms=3, zorder=1)
+        rows = sorted(joined, key=place)
+        y, error = _values(rows, column)
+        x = np.array([place(row) for row in rows])
+        style = "o-" if numeric else "o"
+        panel.errorbar(x, y, yerr=np.nan_to_num(error), fmt=style, color=BLUE, ms=4, lw=1.2, capsize=3, zorder=2)
+        start = table.rows[0]
+        if start.estimates and math.isfinite(start.estimates[column.name].value):
+            panel.plot([place(start)], [start.estimates[column.name].value], "s", color=ORANGE, ms=6, zorder=3)
+        if not numeric:
+            panel.set_xticks(range(len(names)), names)
+            panel.margins(x=0.2)
+        panel.set_xlabel(table.plan.axes[axis].label or table.plan.axes[axis].path)
+
+    title = table.plan.axes[axis].path
+    return _panels([(column.title, partial(draw, column=column)) for column in columns], title)
+
+
+def efficiency_figure(table: Table) -> str:
+    """Return a figure of the efficiency of every point, the best on top."""
+    known = sorted(table.efficiency(), key=lambda each: each[1])
+
+    def draw(panel: Any) -> None:
+        places = range(len(known))
+        panel.barh(places, [value for _, value, _ in known], color=BLUE, height=0.6)
+        panel.errorbar(
+            [value for _, value, _ in known], places, xerr=[error for _, _, error in known], fmt="none", ecolor=ORANGE,
+            capsize=3,
+        )  # fmt: skip
+        panel.set_yticks(places, [table.plan.label(row.point) for row, _, _ in known])
+        panel.set_xlabel("1/(noise² · time) / 1/s")
+
+    size = (8.2, 1.0 + 0.28 * len(known))
+    return _figure(lambda figure: _one(figure, draw, "efficiency: more is better"), "efficiency", size)
+
+
+def field_figure(row: Row, name: str, title: str) -> str:
+    """Return a figure of the displacements of the centres over the array, as arrows, upright as on the sensor.
+
+    Parameters
+    ----------
+    row : Row
+    name : str
+        Of the map.
+    title : str
+    """
+    field = row.maps[name]
+    step = max(1, -(-max(field.shape[:2]) // ARROWS))
+    some = field[step // 2 :: step, step // 2 :: step]
+    y, x = np.indices(some.shape[:2]) * step + step // 2
+    size = np.hypot(some[..., 0], some[..., 1])
+
+    def draw(panel: Any) -> None:
+        arrows = panel.quiver(x, y, some[..., 0], some[..., 1], size, cmap="viridis", angles="xy", pivot="mid")
+        panel.set_aspect("equal")
+        panel.set(xlabel="lenslet column", ylabel="lenslet row")
+        panel.margins(0.06)
+        panel.figure.colorbar(arrows, ax=panel, shrink=0.8, label="pixels")
+
+    return _figure(lambda figure: _one(figure, draw, title), title, (4.1, 3.3))
+
+
+def picture(preview: NDArray[np.uint8]) -> str:
+    """Return a preview as the address of an image that holds its own bytes."""
+    import PIL.Image
+
+    stream = io.BytesIO()
+    PIL.Image.fromarray(preview).save(stream, format="PNG")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def _values(rows: Sequence[Row], column: Column) -> tuple[Array, Array]:
+    """Return values and standard errors; what is infinite, such as the PSNR of equal images, is not drawn."""
+    y = np.array([row.estimates[column.name].value for row in rows])
+    error = np.array([row.estimates[column.name].stderr for row in rows])
+    return np.where(np.isfinite(y), y, np.nan), error
+
+
+def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> str:
+    rows = -(-len(draws) // PANELS)
+    columns = min(len(draws), PANELS)
+
+    def draw(figure: Any) -> None:
+        for number, (words, one) in enumerate(draws):
+            panel = figure.add_subplot(rows, columns, number + 1)
+            one(panel)
+            panel.tick_params(labelsize=8)
+            panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel) else None
+            finish(panel, words)
+
+    return _figure(draw, title, (PANEL_IN[0] * columns, PANEL_IN[1] * rows))
+
+
+def _is_plain(panel: Any) -> bool:
+    from matplotlib.ticker import ScalarFormatter
+
+    return isinstance(panel.yaxis.get_major_formatter(), ScalarFormatter)
+
+
+def _one(figure: Any, draw: Callable[[Any], None], title: str) -> None:
+    panel = figure.add_subplot()
+    draw(panel)
+    finish(panel, title)
+    panel.title.set_color(GREY)
+
+
+def _figure(draw: Callable[[Any], None], title: str, size: tuple[float, float]) -> str:
+    """Return a figure as an SVG element that loads nothing."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure)
+        stream = io.StringIO()
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return inline_svg(stream.getvalue())

@@ -1,0 +1,379 @@
+"""The plan of a study: its points and their scenes, all checked before anything is traced."""
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.scene import Scene, load, solved
+from lfmesh.scene.literals import literal
+from lfmesh.scene.toml import table
+from lfmesh.study.metrics.metrics import METRICS
+from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera
+from lfmesh.study.sweeps.axes import Axis, is_number
+from lfmesh.study.sweeps.paths import value_at
+from lfmesh.study.sweeps.study_file import StudyFile, refused
+from lfmesh.study.tolerances.error_modes import TEMPLATES
+
+MOST_POINTS = 1_000_000
+"""Of a study, or items of a dataset: each is checked before anything is traced, some thousands a second."""
+
+LEAST_REPLICATES = 3
+"""Replicates of a batch: with one left out, two are left whose noise is independent."""
+
+FOCUS = "camera.focus_mm"
+DISTANCES = ("camera.mla.distance_mm", "camera.sensor.distance_mm")
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a study.
+
+    Attributes
+    ----------
+    number : int
+        0 is the reference.
+    values : tuple
+        One for each axis; None where it is what it is in the reference camera.
+    """
+
+    number: int
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A study whose points are known and valid. Made by `plan_of`.
+
+    Attributes
+    ----------
+    study : StudyFile
+    base : Scene
+        The reference camera, with nothing left to solve unless the study refocuses, and with the digests of all files
+        that any point reads: no unit takes another.
+    axes : tuple of Axis
+        Those of a template included.
+    points : list of Point
+    scenes : tuple of Scene
+        Of a study of scene files, with the digests of their files; else empty.
+    """
+
+    study: StudyFile
+    base: Scene
+    axes: tuple[Axis, ...]
+    points: list[Point]
+    scenes: tuple[Scene, ...] = ()
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics."""
+        return self.study.metrics
+
+    @cached_property
+    def reference_values(self) -> tuple[Any, ...]:
+        """Values of the axes in the reference camera."""
+        return tuple(value_at(self.base, axis.path) for axis in self.axes)
+
+    def scene_of(self, point: Point) -> Scene:
+        """Return the scene of a point.
+
+        Raises
+        ------
+        SceneError
+            It is not valid.
+        """
+        if self.scenes:
+            return self.scenes[point.number]
+        changes: dict[str, Any] = {
+            axis.path: value for axis, value in zip(self.axes, point.values, strict=True) if value is not None
+        }
+        if not self.study.paired:
+            changes["transport.seed"] = seed_of(self.base.transport.seed, point.number)
+        return self.base.changed(changes) if changes else self.base
+
+    def label(self, point: Point) -> str:
+        """Return a point in words."""
+        if point.number == 0:
+            return "the reference"
+        if self.scenes:
+            return (self.study.scenes or ())[point.number]
+        given = zip(self.axes, point.values, strict=True)
+        words = [f"{axis.path} = {literal(value)}" for axis, value in given if value is not None]
+        return ", ".join(words) or "the reference again"
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all that the results follow from: scene, files that it reads, points, metrics."""
+        facts = {
+            "scenes": [scene.digest for scene in self.scenes or (self.base,)],
+            "inputs": [scene.digests for scene in self.scenes or (self.base,)],
+            "paths": [axis.path for axis in self.axes],
+            "points": [point.values for point in self.points],
+            "metrics": self.metrics,
+            "paired": self.study.paired,
+            "refocus": self.study.refocus,
+            "edge": self.study.edge_distance_mm,
+            "batches": self.study.batches,
+        }
+        return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+    def camera_of(self, point: Point) -> Camera:
+        """Return the camera of a point; the edge stands where it does for the reference."""
+        return Camera(self.scene_of(point), self._edge_mm)
+
+    @cached_property
+    def _edge_mm(self) -> float:
+        given = self.study.edge_distance_mm
+        return given or min(solved_camera(self.scene_of(self.points[0])).report.object_distance_mm, FARTHEST_MM)
+
+    def replicates_of(self, batch: int) -> range:
+        """Return the numbers of a batch's replicates."""
+        each = self.base.transport.replicates // self.study.batches
+        return range(batch * each, (batch + 1) * each)
+
+    @property
+    def units(self) -> list[tuple[int, int]]:
+        """Point and batch of every unit, the reference first."""
+        return [(point.number, batch) for point in self.points for batch in range(self.study.batches)]
+
+
+def seed_of(seed: int, point: int) -> int:
+    """Return the seed of a point that has random numbers of its own."""
+    words = hashlib.sha256(f"{seed} {point}".encode()).digest()
+    return int.from_bytes(words[:8], "big") >> 1 if point else seed
+
+
+def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study") -> Plan:
+    """Plan a study: find its points, and check each before anything is traced.
+
+    Parameters
+    ----------
+    study : StudyFile
+    base : Scene or sequence of Scene
+        The scene of the reference camera, or the scenes that are compared.
+    name : str
+        What messages call the study.
+
+    Raises
+    ------
+    LfmeshError
+        With one line for each fault: paths that lead nowhere, points whose scene is not valid.
+    """
+    scenes = () if isinstance(base, Scene) else tuple(base)
+    first = base if isinstance(base, Scene) else scenes[0]
+    axes = study.axes
+    if study.template is not None:
+        ready = TEMPLATES[study.template](solved_camera(first).scene)
+        first = first.changed(ready.changes)
+        axes = (*ready.axes, *axes)
+    faults = [*path_faults(study.changes, first, "changes")]
+    if not faults and study.changes:
+        first = first.changed(study.changes)
+    ready_scene = solved_camera(first).scene
+    if study.refocus:
+        # Solved again at every point: lenslets keep their radii, the rest is what the scene says.
+        omitted = [path for path in DISTANCES if _is_omitted(first, path)]
+        ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
+    for i, axis in enumerate(axes):
+        faults += [
+            f"axes[{i}].{line}" for line in path_faults({axis.path: None}, ready_scene, "path", refocus=study.refocus)
+        ]
+        if not faults and axis.relative and not is_number(value_at(ready_scene, axis.path)):
+            found = value_at(ready_scene, axis.path)
+            faults.append(f"axes[{i}].relative: {axis.path} is {found!r} in the reference camera, no number to add to")
+    faults += _metric_faults(study, ready_scene)
+    faults += _count_faults(study, axes)
+    if faults:
+        raise refused(name, faults)
+    points = [Point(i, ()) for i in range(len(scenes))] if scenes else list(_points(study, axes, ready_scene))
+    plan = Plan(study, _pinned(ready_scene, axes), axes, points, tuple(scene.pinned() for scene in scenes))
+    faults = list(_point_faults(plan))
+    if faults:
+        raise refused(name, faults)
+    return plan
+
+
+def load_scenes(study: StudyFile, folder: Path) -> Scene | tuple[Scene, ...]:
+    """Load the scene of a study, or its scenes, each with nothing left to solve.
+
+    Raises
+    ------
+    LfmeshError
+        One of them cannot be loaded.
+    """
+    if study.scene is not None:
+        return load(folder / study.scene)
+    return tuple(solved_camera(load(folder / name).changed(study.changes)).scene for name in study.scenes or ())
+
+
+def _is_omitted(scene: Scene, path: str) -> bool:
+    try:
+        return value_at(scene, path) is None
+    except KeyError:
+        return False
+
+
+def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:
+    """Yield which paths lead nowhere.
+
+    Parameters
+    ----------
+    paths : dict
+        By path, with any values.
+    scene : Scene
+    prefix : str
+        What messages call a path.
+    refocus : bool
+        Whether distances are solved at every point.
+    """
+    for path in paths:
+        try:
+            value_at(scene, path)
+        except KeyError as error:
+            yield f'{prefix} = "{path}": {error.args[0]}'
+        else:
+            if path == FOCUS and prefix == "path" and not refocus:
+                yield f'{prefix} = "{path}": changes nothing, as distances are solved once; add refocus = true'
+
+
+def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
+    transport = scene.transport
+    if transport.target_error is not None:
+        yield "transport.target_error: leave it out; the replicates of a study must all have the same samples"
+    batches = study.batches
+    if transport.replicates % batches or transport.replicates // batches < LEAST_REPLICATES:
+        yield (
+            f"batches = {batches}: must divide transport.replicates = {transport.replicates} into equal parts of "
+            f"{LEAST_REPLICATES} at least"
+        )
+    if "efficiency" in study.metrics and "noise" not in study.metrics:
+        yield "metrics: efficiency is 1/(noise² · time); add noise"
+    for name in study.metrics:
+        if METRICS[name].needs_mla and scene.camera.mla is None:
+            yield f"metrics: {name} needs a camera with a microlens array"
+
+
+def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
+    """Yield what is wrong with the number of points, before they are made."""
+    each = [len(axis.values) if axis.values is not None else axis.count or 1 for axis in axes]
+    if study.count is not None:
+        field, points = "count", study.count
+    elif study.design == "grid":
+        field, points = "axes", math.prod(each)
+    else:
+        field, points = "axes", sum(each)
+    if points > MOST_POINTS and not study.scenes:
+        yield f'{field}: design = "{study.design}" makes {points:,} points; a study has {MOST_POINTS:,} at most'
+
+
+def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[Point]:
+    """Yield the points of a design, the reference first."""
+    blank = (None,) * len(axes)
+    yield Point(0, blank)
+    added = [value_at(base, axis.path) if axis.relative else None for axis in axes]
+
+    def placed(values: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(
+            value if value is None or start is None else start + value
+            for value, start in zip(values, added, strict=True)
+        )
+
+    if study.design == "one_at_a_time":
+        rows: Iterator[tuple[Any, ...]] = (
+            (*blank[:i], value, *blank[i + 1 :]) for i, axis in enumerate(axes) for value in axis.listed()
+        )
+    elif study.design == "grid":
+        rows = itertools.product(*(axis.listed() for axis in axes))
+    else:
+        rows = _filling(study, axes)
+    for number, row in enumerate(rows, start=1):
+        yield Point(number, placed(row))
+
+
+def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ...]]:
+    """Yield points of a Latin hypercube (McKay et al. 1979) or of Sobol's sequence, scrambled (Owen 1995)."""
+    import warnings
+
+    from scipy.stats import qmc
+
+    count = study.count or 1
+    kind = qmc.LatinHypercube if study.design == "latin_hypercube" else qmc.Sobol
+    draw = kind(d=len(axes), rng=np.random.default_rng(study.seed))
+    with warnings.catch_warnings():
+        # That a number of Sobol' points is no power of two makes them a little less even, and nothing wrong.
+        warnings.simplefilter("ignore", UserWarning)
+        shares = draw.random(count)
+    columns = [axis.quantiles(shares[:, i]).tolist() for i, axis in enumerate(axes)]
+    yield from zip(*columns, strict=True)
+
+
+def _point_faults(plan: Plan) -> Iterator[str]:
+    """Yield the points whose scene is not valid, or has another sensor or array than the reference."""
+    size = _sizes(plan.scene_of(plan.points[0]))
+    for point in plan.points:
+        try:
+            scene = plan.scene_of(point)
+            (solved_camera(scene).scene if _has_meshes(scene) else solved(scene))
+        except LfmeshError as error:
+            yield f"point {point.number} ({plan.label(point)}): {in_a_line(error)}"
+            continue
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            yield f"point {point.number} ({plan.label(point)}): cannot be set: {error}"
+            continue
+        own = _sizes(scene)
+        for what, (here, there) in own.items() if own != size else ():
+            if size[what] != (here, there):
+                yield (
+                    f"point {point.number} ({plan.label(point)}): {what} = {[here, there]} differs from the "
+                    f"reference's {list(size[what])}: images are compared pixel by pixel"
+                )
+
+
+def _has_meshes(scene: Scene) -> bool:
+    return any(surface.refractor is not None for surface in scene.camera.lens.surfaces)
+
+
+def _sizes(scene: Scene) -> dict[str, tuple[int, int]]:
+    camera = scene.camera
+    sizes = {"camera.sensor.pixels": camera.sensor.pixels, "channels": (scene.channels, 1)}
+    return sizes | ({"camera.mla.count": camera.mla.count} if camera.mla is not None else {})
+
+
+def in_a_line(error: LfmeshError) -> str:
+    """Return an error of several lines as one."""
+    return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
+
+
+def _pinned(base: Scene, axes: tuple[Axis, ...]) -> Scene:
+    """Return the reference camera's scene with the digests of its files, and of those that axes name."""
+    digests = base.pinned().digests
+    for axis in axes:
+        for value in dict.fromkeys(value for value in axis.values or () if isinstance(value, str)):
+            with suppress(LfmeshError):  # a value that is not valid is found with its point
+                digests |= base.changed({axis.path: value}).pinned().digests
+    return base.with_digests(digests)
+
+
+def summary_of(plan: Plan) -> dict[str, Any]:
+    """Return a plan as plain values, as the study folder keeps it."""
+    return {
+        "name": plan.study.name,
+        "digest": plan.digest,
+        "points": len(plan.points),
+        "batches": plan.study.batches,
+        "metrics": list(plan.metrics),
+        "design": plan.study.design if not plan.scenes else "scenes",
+        "paired": plan.study.paired,
+        "paths": [axis.path for axis in plan.axes],
+        "study": table(plan.study),
+    }

@@ -1,0 +1,472 @@
+"""A study from its file to its table: `lf.Study`."""
+
+import inspect
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lfmesh.errors import FileError, LfmeshError, warn_caller
+from lfmesh.files.whole import write_whole
+from lfmesh.regular_file import read_bytes
+from lfmesh.scene import Scene
+from lfmesh.scene.model import Model
+from lfmesh.signatures import Function
+from lfmesh.study.metrics.metrics import columns_of, pictures_of
+from lfmesh.study.sweeps.cluster import in_dask
+from lfmesh.study.sweeps.plan import Plan, load_scenes, plan_of
+from lfmesh.study.sweeps.pool import Result, here, in_pool
+from lfmesh.study.sweeps.study_file import StudyFile, read_study
+from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
+from lfmesh.study.sweeps.table import Table, table_of
+from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, run_unit, unpacked
+
+TABLE, PAGE, TIMES, PARQUET = "table.csv", "report.html", "times.csv", "table.parquet"
+
+Shard = tuple[int, int]
+"""Number of a share of the units, from 1, and how many shares there are."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a study.
+
+    Attributes
+    ----------
+    done, total : int
+        Units.
+    new : int
+        Of those done, the ones of this run.
+    failed : int
+        Points that cannot be traced.
+    seconds : float
+        Of this run.
+    best, worst : str
+        Points by the first metric, in words; "" where there are none.
+    """
+
+    done: int
+    total: int
+    new: int
+    failed: int
+    seconds: float
+    best: str = ""
+    worst: str = ""
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Time left at the rate of this run."""
+        return self.seconds / self.new * (self.total - self.done) if self.new else None
+
+
+Report = Callable[[Progress], None]
+
+
+def lists_settings(kind: type[Model], own: set[str]) -> Callable[[Function], Function]:
+    """Give a constructor a signature that lists the keys of a file, for help and completion.
+
+    Parameters
+    ----------
+    kind : type of Model
+        What the file holds.
+    own : set of str
+        Keys that are not settings.
+    """
+
+    def decorate(init: Function) -> Function:
+        signature = inspect.signature(init)
+        *named, _ = signature.parameters.values()
+        more = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=field.get_default(call_default_factory=True)
+            )
+            for name, field in kind.model_fields.items()
+            if name not in own
+        ]
+        init.__signature__ = signature.replace(parameters=[*named, *more])  # type: ignore[attr-defined]
+        return init
+
+    return decorate
+
+
+class Study:
+    """Many cameras, compared with a reference.
+
+    Parameters
+    ----------
+    scene : Scene or sequence of Scene
+        The reference camera; or the scenes to compare, the first of which is the reference.
+    axes : sequence of dict
+        What varies, with the keys of `[[axes]]` in a study file.
+    **settings
+        The other keys of a study file: metrics, design, paired, ...
+
+    Raises
+    ------
+    LfmeshError
+        With one line for each fault.
+
+    Examples
+    --------
+    >>> study = lf.Study(scene, axes=[{"path": "camera.mla.pose.tilt_deg[2]", "values": [0.0, 0.05, 0.1]}])
+    >>> table = study.run("out/")
+    """
+
+    @lists_settings(StudyFile, {"scene", "scenes", "axes"})
+    def __init__(self, scene: Scene | Sequence[Scene], axes: Sequence[Mapping[str, Any]] = (), **settings: Any) -> None:
+        if isinstance(scene, Scene):
+            study = StudyFile(scene="scene", axes=tuple(axes), **settings)
+        else:
+            names = tuple(one.name or f"scene {i}" for i, one in enumerate(scene))
+            study = StudyFile(scenes=names, **settings)
+        self.plan = plan_of(study, scene)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Study":
+        """Read a study file, its scene, and check every point.
+
+        Raises
+        ------
+        LfmeshError
+            With one line for each fault.
+        """
+        path = Path(path)
+        file = read_study(path)
+        return cls._of(plan_of(file, load_scenes(file, path.parent), str(path)))
+
+    @classmethod
+    def _of(cls, plan: Plan) -> "Study":
+        study = cls.__new__(cls)
+        study.plan = plan
+        return study
+
+    def __repr__(self) -> str:
+        return f"<Study: {len(self.plan.points)} points, {len(self.plan.units)} units, {', '.join(self.plan.metrics)}>"
+
+    def run(
+        self,
+        folder: str | Path,
+        *,
+        workers: int | None = None,
+        dask: str | None = None,
+        shard: Shard | None = None,
+        progress: Report | None = None,
+    ) -> Table:
+        """Compute what is not yet done, and write the table; the table's bits do not depend on how it was computed.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Of the study: new, or one in which this study was begun.
+        workers : int, optional
+            Processes; 0: in this one. As many as cores allow if omitted.
+        dask : str, optional
+            Address of a dask scheduler, or "local".
+        shard : (int, int), optional
+            Only this share of the units, such as (1, 3); `merged` puts the shares together.
+        progress : callable, optional
+
+        Warns
+        -----
+        PictureWarning
+            Pictures of some points are or may be wrong: one warning a class, see `Table.warnings`.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After Ctrl-C; what was finished is kept.
+        LfmeshError
+            The folder holds another study or cannot be written.
+        """
+        check_workers(workers)
+        return Run(self.plan, Path(folder), progress).complete(workers, dask, shard)
+
+    def table(self, folder: str | Path) -> Table:
+        """Return the table of what is done in a folder."""
+        return Run(self.plan, Path(folder)).table()
+
+    def merge(self, folders: Sequence[str | Path], into: str | Path) -> Table:
+        """Put the units of several folders of this study together, and write the table.
+
+        Raises
+        ------
+        LfmeshError
+            A folder holds another study.
+        """
+        run = Run(self.plan, Path(into))
+        for folder in map(Path, folders):
+            run.take(folder)
+        return _warned(run.written())
+
+
+def _warned(table: Table) -> Table:
+    """Warn of what may be wrong with the pictures behind a table, a line for each class."""
+    warn_caller(table.warnings)
+    return table
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of processes that is below 0."""
+    if workers is not None and workers < 0:
+        raise LfmeshError(f"workers = {workers}: must be 0, this process alone, or more")
+
+
+def default_workers(units: int) -> int:
+    """Return how many processes share the cores of this machine: no more than there are units."""
+    return max(1, min(cores(), units))
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Run:
+    """A study under way in a folder."""
+
+    def __init__(self, plan: Plan, folder: Path, progress: Report | None = None) -> None:
+        self.plan, self.progress = plan, progress
+        self.folder = StudyFolder(folder, plan)
+        self.outcomes: dict[tuple[int, int], Outcome] = {}
+        self.faults: dict[int, str] = {}
+        self.began = time.perf_counter()
+        self.new = 0
+
+    def complete(self, workers: int | None, dask: str | None, shard: Shard | None) -> Table:
+        """Compute what is missing, and write the table.
+
+        Parameters
+        ----------
+        workers : int, optional
+            Processes of the pool.
+        dask : str, optional
+            Address of a scheduler, or "local", in place of the pool.
+        shard : (int, int), optional
+            Number of this part, from 1, and of all parts.
+        """
+        units = self.plan.units if shard is None else self.plan.units[shard[0] - 1 :: shard[1]]
+        missing = self._missing(units)
+        self.folder.log("started", units=len(units), missing=len(missing), shard=shard)
+        self._say(len(units))
+        if workers is None:
+            workers = default_workers(len(missing))
+        threads = max(1, cores() // max(workers, 1)) if dask is None else 1
+        try:
+            for result in self._results(missing, threads, workers, dask):
+                self._take(result)
+                self._say(len(units))
+        except KeyboardInterrupt:
+            self.folder.log("interrupted", done=self.new)
+            self.written()
+            raise
+        self.folder.log("finished", done=self.new, failed=len(self.faults))
+        return _warned(self.written())
+
+    def _missing(self, units: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Return the units that have no outcome yet; those that cannot be read are among them, and are named."""
+        missing = []
+        for point, batch in units:
+            try:
+                outcome = self.folder.outcome(point, batch)
+            except FileError as error:
+                self.folder.log("unreadable", point=point, batch=batch, reason=str(error))
+                outcome = None
+            if outcome is None:
+                missing.append((point, batch))
+            else:
+                self.outcomes[point, batch] = outcome
+        return missing
+
+    def _results(
+        self, missing: list[tuple[int, int]], threads: int, workers: int, dask: str | None
+    ) -> Iterator[Result]:
+        if not missing:
+            return
+        for batch in sorted({batch for _, batch in missing}):
+            if not self.folder.has_reference(batch):
+                # By itself and with all cores; it also compiles what the others then find compiled.
+                content = reference_films(self._unit(0, batch, 0))
+                self.folder.keep_reference(batch, content)
+        jobs = (
+            (self._unit(point, batch, threads), self.folder.reference_path(batch).resolve()) for point, batch in missing
+        )
+        if dask is not None:
+            yield from in_dask(self._logged(jobs), dask, workers)
+        elif workers:
+            yield from in_pool(self._logged(jobs), workers)
+        else:
+            yield from here(self._logged(jobs))
+
+    def _logged(self, jobs: Iterable[tuple[Unit, Path]]) -> Iterator[tuple[Unit, Path]]:
+        for unit, path in jobs:
+            self.folder.log("begun", point=unit.point, batch=unit.batch)
+            yield unit, path
+
+    def _unit(self, point: int, batch: int, threads: int) -> Unit:
+        plan = self.plan
+        return Unit(
+            study=plan.digest,
+            point=point,
+            batch=batch,
+            camera=plan.camera_of(plan.points[point]),
+            reference=plan.camera_of(plan.points[0]),
+            metrics=plan.metrics,
+            replicates=plan.replicates_of(batch),
+            threads=threads,
+        )
+
+    def _take(self, result: Result) -> None:
+        """Keep a unit's outcome, or note why there is none."""
+        point, batch = result.unit.point, result.unit.batch
+        self.new += 1
+        reason = result.reason
+        if result.content is not None:
+            outcome = unpacked(result.content, self.plan.digest, point, batch, self.plan.metrics)
+            self.outcomes[point, batch] = outcome
+            reason = outcome.fault or ""
+            try:
+                self.folder.keep(point, batch, result.content)
+            except OSError as error:
+                # Not lost for this run's table; a later run computes it again.
+                self.folder.log("not written", point=point, batch=batch, reason=error.strerror or str(error))
+            else:
+                self.folder.log("done", point=point, batch=batch, seconds=outcome.seconds, deaths=result.deaths)
+        if reason:
+            self.faults[point] = reason
+            label = self.plan.label(self.plan.points[point])
+            self.folder.log("failed", point=point, batch=batch, label=label, reason=reason)
+
+    def _say(self, total: int) -> None:
+        if self.progress is None:
+            return
+        best, worst = self._ends()
+        seconds = time.perf_counter() - self.began
+        failed = len({point for (point, _), outcome in self.outcomes.items() if outcome.fault} | set(self.faults))
+        self.progress(Progress(len(self.outcomes), total, self.new, failed, seconds, best, worst))
+
+    def _ends(self) -> tuple[str, str]:
+        """Return the best and the worst point so far by the first column that has a worse side, in words."""
+        column = next((column for column in columns_of(self.plan.metrics) if column.worse), None)
+        if column is None:
+            return "", ""
+        values = [
+            (float(outcome.columns[column.name].mean()), point)
+            for (point, _), outcome in self.outcomes.items()
+            if point and column.name in outcome.columns
+        ]
+        if not values:
+            return "", ""
+        # The mean square of which a PSNR is made is the larger the worse.
+        low_is_worse = column.worse == "low" and column.of != "psnr"
+        values.sort(reverse=low_is_worse)
+        labels = [self.plan.label(self.plan.points[point]) for _, point in (values[0], values[-1])]
+        return labels[0], labels[1]
+
+    def table(self) -> Table:
+        """Return the table of what is done."""
+        self._missing(self.plan.units)
+        return table_of(self.plan, self.outcomes, self.faults)
+
+    def written(self) -> Table:
+        """Write table and report of what is done, by this process and others.
+
+        Raises
+        ------
+        FileError
+            They cannot be written.
+        """
+        from lfmesh.study.sweeps.report import page
+
+        table = self.table()
+        write_whole(self.folder.path / TABLE, table.to_csv())
+        write_whole(self.folder.path / PAGE, page(table))
+        if efficiency := table.efficiency():
+            lines = [f"{row.point.number},{row.seconds!r},{value!r},{error!r}\n" for row, value, error in efficiency]
+            text = "point,seconds,efficiency_per_s,efficiency_per_s_stderr\n" + "".join(lines)
+            write_whole(self.folder.path / TIMES, text)
+        return table
+
+    def take(self, other: Path) -> None:
+        """Copy the units of another folder of the same study.
+
+        Raises
+        ------
+        LfmeshError
+            It holds another study or none.
+        """
+        known = read_facts(other)
+        if known is None:
+            raise LfmeshError(f"{other} holds no study")
+        refuse_other(known, self.plan.digest, other)
+        if other.resolve() == self.folder.path.resolve():
+            return
+        source = StudyFolder(other, self.plan)
+        for point, batch in self.plan.units:
+            try:
+                if source.outcome(point, batch) is None or self.folder.unit_path(point, batch).exists():
+                    continue
+            except FileError as error:
+                self.folder.log("unreadable", point=point, batch=batch, reason=str(error))
+                continue
+            self.folder.keep(point, batch, read_bytes(source.unit_path(point, batch)))
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Time and memory of a study, estimated from a short trace of the reference.
+
+    Attributes
+    ----------
+    points, units : int
+    workers : int
+    unit_seconds, seconds : float
+        Of one unit in one process, and of all.
+    bytes : float
+        Memory, of all processes.
+    """
+
+    points: int
+    units: int
+    workers: int
+    unit_seconds: float
+    seconds: float
+    bytes: float
+
+
+PROBE_SHARES = (1, 3)
+"""Replicates of the reference that are traced for a probe: the difference is the time of each more."""
+
+PROCESS_BYTES = 4e8
+"""Of a process that has traced something, without its films."""
+
+
+def probe(plan: Plan, workers: int | None = None) -> Probe:
+    """Estimate time and memory of a study from a short trace of its reference."""
+    workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
+    unit = _reference_unit(plan, max(1, cores() // workers))
+    reference_films(replace(unit, replicates=range(1)))
+    times, content = [], b""
+    for count in PROBE_SHARES:
+        began = time.perf_counter()
+        content = reference_films(replace(unit, replicates=range(count)))
+        times.append(time.perf_counter() - began)
+    # The metrics of so few replicates; the jackknife takes one estimate for each, and one more.
+    few = replace(unit, replicates=range(PROBE_SHARES[1]))
+    run_unit(few, content)
+    began = time.perf_counter()
+    run_unit(few, content)
+    compared = (time.perf_counter() - began) * (len(unit.replicates) + 1) / (PROBE_SHARES[1] + 1)
+    each = max(0.0, (times[1] - times[0]) / (PROBE_SHARES[1] - PROBE_SHARES[0]))
+    one = max(times[0] - each, 0.0) + each * len(unit.replicates) + compared
+    columns, rows = plan.base.camera.sensor.pixels
+    film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
+    # The camera's own films, the reference's, and what comparing them takes.
+    memory = workers * (PROCESS_BYTES + 4.0 * film)
+    return Probe(len(plan.points), len(plan.units), workers, one, one * len(plan.units) / workers, memory)
+
+
+def _reference_unit(plan: Plan, threads: int) -> Unit:
+    reference = plan.camera_of(plan.points[0])
+    return Unit(plan.digest, 0, 0, reference, reference, plan.metrics, plan.replicates_of(0), threads)

@@ -1,0 +1,161 @@
+"""The study file: a scene, what varies, what is measured."""
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import Field, ValidationError
+
+from lfmesh.errors import LfmeshError
+from lfmesh.scene.file_kinds import mistaken_for
+from lfmesh.scene.files import read_text
+from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
+from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
+from lfmesh.study.metrics.metrics import METRICS, columns_of
+from lfmesh.study.sweeps.axes import Axis
+from lfmesh.study.tolerances.error_modes import TEMPLATES
+
+Tables = TypeVar("Tables", bound=Model)
+Design = Literal["grid", "one_at_a_time", "latin_hypercube", "sobol"]
+
+
+class StudyFile(Model):
+    """Content of a study file."""
+
+    schema_version: Literal[1] = 1
+    """Version of this format."""
+    name: Text = ""
+    """What the study is called."""
+    scene: Text | None = None
+    """Scene file of the reference camera, relative to this file."""
+    scenes: tuple[Text, ...] | None = None
+    """In place of `scene` and `axes`: scene files to compare, the first of which is the reference."""
+    template: Text | None = None
+    """Ready-made axes, which come before those of the file: "assembly", "manufacturing", "packets-and-splits" or
+    "sensor"."""
+    changes: dict[str, Any] = Field(default_factory=dict)
+    """Values that hold at every point, by their path, such as "transport.samples" = 64."""
+    metrics: tuple[Text, ...] = ("psnr", "centres")
+    """What is measured."""
+    paired: Flag = True
+    """Use the same random numbers at every point, so that differences are sharp."""
+    design: Design = "one_at_a_time"
+    """Which points are taken: every combination of values ("grid"), every value by itself ("one_at_a_time"), or `count`
+    points that fill the space ("latin_hypercube", "sobol")."""
+    count: Count | None = None
+    """Number of points of a "latin_hypercube" or "sobol" design."""
+    seed: Whole = 0
+    """Of these designs."""
+    batches: Count = 1
+    """Parts into which the replicates of a point are divided; each is a unit of work."""
+    refocus: Flag = False
+    """Solve the distances that the scene omits anew at every point, as for a camera that is focused after it was
+    changed. Else they are solved once, for the reference camera, which is then disturbed."""
+    edge_distance_mm: Positive | None = None
+    """Where the edge of the metrics "mtf50" and "refocus" stands; in the plane in focus if omitted."""
+    limits: dict[str, Number] = Field(default_factory=dict)
+    """What a good camera keeps, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
+    the worse the larger they are, at most. The report has the yield."""
+    axes: tuple[Axis, ...] = ()
+    """What varies."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the fields."""
+        if (self.scene is None) == (self.scenes is None):
+            yield Fault(("scene",), self.scene, "give one of scene and scenes")
+        if self.scenes is not None:
+            yield from self._of_scenes()
+        elif not self.axes and self.template is None:
+            yield Fault(("axes",), None, "missing: what varies; or give a template")
+        if self.template is not None and self.template not in TEMPLATES:
+            yield Fault(("template",), self.template, f"must be one of {', '.join(TEMPLATES)}")
+        for i, name in enumerate(self.metrics):
+            if name not in METRICS:
+                yield Fault(
+                    ("metrics", i), name, f"unknown metric{nearest(name, METRICS)}; there are {', '.join(METRICS)}"
+                )
+        if not self.metrics:
+            yield Fault(("metrics",), [], "must not be empty")
+        judged = [column.name for column in columns_of(tuple(filter(METRICS.get, self.metrics))) if column.worse]
+        for name, limit in self.limits.items():
+            if name not in judged:
+                valid = f"no column that can be limited{nearest(name, judged)}; there are {', '.join(judged)}"
+                yield Fault(("limits", name), limit, valid)
+        paths = [axis.path for axis in self.axes]
+        for i, path in enumerate(paths):
+            if path in paths[:i]:
+                yield Fault(("axes", i, "path"), path, "is an axis already")
+        yield from self._of_the_design()
+
+    def _of_scenes(self) -> Iterator[Fault]:
+        if len(self.scenes or ()) < 2:
+            yield Fault(("scenes",), list(self.scenes or ()), "must name two scenes at least")
+        for key in ("axes", "template"):
+            if getattr(self, key):
+                yield Fault((key,), None, "omit it: the scenes themselves are the points")
+
+    def _of_the_design(self) -> Iterator[Fault]:
+        filling = self.design in ("latin_hypercube", "sobol")
+        if filling and self.count is None and self.scenes is None:
+            yield Fault(("count",), None, f'missing: the number of points of design = "{self.design}"')
+        if not filling and self.count is not None:
+            yield Fault(("count",), self.count, f'omit it: design = "{self.design}" takes the values of the axes')
+        for i, axis in enumerate(self.axes):
+            if axis.way is None:
+                continue
+            if filling and not axis.is_spread:
+                yield Fault(
+                    ("axes", i, "values"),
+                    list(axis.values or ()),
+                    f'design = "{self.design}" needs a range, log_range, uniform or normal',
+                )
+            if filling and axis.count is not None:
+                yield Fault(("axes", i, "count"), axis.count, "omit it: the study's count holds for all axes")
+            if not filling and axis.is_spread and axis.count is None:
+                yield Fault(("axes", i, "count"), None, f"missing: how many values {axis.way} gives")
+
+
+def read_study(path: Path) -> StudyFile:
+    """Read a study file.
+
+    Raises
+    ------
+    LfmeshError
+        It cannot be read, is no TOML, or no valid study: one line for each fault.
+    """
+    return read_tables(path, StudyFile)
+
+
+def read_tables(path: Path, kind: type[Tables]) -> Tables:
+    """Read a TOML file that holds one model.
+
+    Parameters
+    ----------
+    path : Path
+    kind : type of Model
+
+    Raises
+    ------
+    LfmeshError
+        It cannot be read, is no TOML, or no valid model: one line for each fault.
+    """
+    try:
+        data = tomllib.loads(read_text(path))
+    except OSError as error:
+        raise LfmeshError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise LfmeshError(f"{path}: not valid TOML: {error}") from None
+    if words := mistaken_for("study" if kind is StudyFile else "dataset", data):
+        raise LfmeshError(f"{path}: {words}")
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise refused(str(path), fault_lines(error, data)) from None
+
+
+def refused(name: str, faults: list[str]) -> LfmeshError:
+    """Return the error that lists what is wrong with a study."""
+    if len(faults) == 1:
+        return LfmeshError(f"{name}: {faults[0]}")
+    return LfmeshError("\n".join([f"{name}: {len(faults)} faults", *(f"  {line}" for line in listed(faults))]))

@@ -1,0 +1,221 @@
+"""A study on disk: its plan, a file for each finished unit, a log.
+
+out/study.json         what is studied; nothing else is added to the folder
+out/units/*.npz        one file a unit, written whole or not at all
+out/reference/*.npz    films of the reference, one file a batch
+out/log.jsonl          what happened, one line an event
+"""
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import lfmesh
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.files.folder import recover, staged_file
+from lfmesh.files.json_values import plain_json
+from lfmesh.regular_file import read_bytes, read_text
+from lfmesh.study.sweeps.plan import Plan, summary_of
+from lfmesh.study.sweeps.unit import Outcome, is_reference, unpacked
+
+FACTS, UNITS, REFERENCE, LOG = "study.json", "units", "reference", "log.jsonl"
+
+FORMAT = 1
+"""Of the folder; a reader refuses any other."""
+
+
+class StudyFolder:
+    """The folder of a study.
+
+    Parameters
+    ----------
+    path : Path
+    plan : Plan
+        Of the study that the folder is for.
+
+    Raises
+    ------
+    FileError
+        The folder cannot be written.
+    LfmeshError
+        It holds another study, or one of another version of lfmesh.
+    """
+
+    def __init__(self, path: Path, plan: Plan) -> None:
+        self.path, self.plan = path, plan
+        try:
+            for folder in (path, path / UNITS, path / REFERENCE):
+                folder.mkdir(parents=True, exist_ok=True)
+                recover(folder)
+            known = read_facts(path)
+            if known is None:
+                self._write(path, FACTS, self._facts().encode())
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+        if known is not None:
+            refuse_other(known, plan.digest, path)
+
+    def _facts(self) -> str:
+        facts = {"format": FORMAT, "lfmesh_version": lfmesh.__version__, **summary_of(self.plan)}
+        return json.dumps(plain_json(facts), indent=1, ensure_ascii=False) + "\n"
+
+    def reference_path(self, batch: int) -> Path:
+        """Return the file of a batch's reference films."""
+        return self.path / REFERENCE / f"batch{batch:03d}.npz"
+
+    def has_reference(self, batch: int) -> bool:
+        """Tell whether the films of a batch are there and whole."""
+        try:
+            return is_reference(read_bytes(self.reference_path(batch)), self.plan.digest, batch)
+        except OSError:
+            return False
+
+    def keep_reference(self, batch: int, content: bytes) -> None:
+        """Write the films of a batch.
+
+        Raises
+        ------
+        FileError
+            They cannot be written; nothing of them is left.
+        """
+        try:
+            self._write(self.path / REFERENCE, self.reference_path(batch).name, content)
+        except OSError as error:
+            raise FileError(f"{self.reference_path(batch)} cannot be written: {error.strerror or error}") from None
+
+    def unit_path(self, point: int, batch: int) -> Path:
+        """Return the file of a unit."""
+        return self.path / UNITS / unit_name(point, batch)
+
+    def keep(self, point: int, batch: int, content: bytes) -> None:
+        """Write the outcome of a unit: temporary file, sync, rename.
+
+        Parameters
+        ----------
+        point, batch : int
+        content : bytes
+
+        Raises
+        ------
+        OSError
+            It cannot be written; nothing of it is left.
+        """
+        self._write(self.path / UNITS, unit_name(point, batch), content)
+
+    def outcome(self, point: int, batch: int) -> Outcome | None:
+        """Return the outcome of a unit; None if there is none yet.
+
+        Raises
+        ------
+        FileError
+            The file is there and cannot be read.
+        """
+        path = self.unit_path(point, batch)
+        try:
+            content = read_bytes(path)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+        try:
+            return unpacked(content, self.plan.digest, point, batch, self.plan.metrics)
+        except FileError as error:
+            raise FileError(f"{path} {error}") from None
+
+    def log(self, event: str, **values: Any) -> None:
+        """Add a line to the log; a log that cannot be written stops nothing."""
+        append_event(self.path, event, **values)
+
+    @staticmethod
+    def _write(folder: Path, name: str, content: bytes) -> None:
+        with staged_file(folder, name) as file:
+            file.write(content)
+
+
+def append_event(folder: Path, event: str, **values: Any) -> None:
+    """Add a line to the log in a folder; a log that cannot be written stops nothing.
+
+    Parameters
+    ----------
+    folder : Path
+    event : str
+    **values
+        What it is about.
+    """
+    line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
+    with suppress(OSError), (folder / LOG).open("a+b") as file:
+        # A process that was killed may have left half a line.
+        file.seek(0, os.SEEK_END)
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+            line = line if file.read(1) == b"\n" else "\n" + line
+        file.write(line.encode() + b"\n")
+
+
+def unit_name(point: int, batch: int) -> str:
+    """Return the name of a unit's file."""
+    return f"point{point:06d}-batch{batch:03d}.npz"
+
+
+def read_facts(path: Path) -> dict[str, Any] | None:
+    """Return what a study folder is for; None where it is new.
+
+    Raises
+    ------
+    FileError
+        Its description is damaged.
+    """
+    try:
+        known: dict[str, Any] = json.loads(read_text(path / FACTS))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        raise FileError(f"{path / FACTS} is damaged; delete it to go on with the units that are there") from None
+    return known
+
+
+def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
+    """Refuse a folder that holds another study.
+
+    Parameters
+    ----------
+    known : dict
+        What the folder says of its study.
+    digest : str
+        Of the study that is wanted.
+    path : Path
+        The folder.
+
+    Raises
+    ------
+    LfmeshError
+        Naming the folder.
+    """
+    version = known.get("format"), known.get("lfmesh_version")
+    if version != (FORMAT, lfmesh.__version__):
+        raise LfmeshError(
+            f"{path} was begun by lfmesh {version[1]} (format {version[0]}); this lfmesh {lfmesh.__version__} may not "
+            "go on to the same bits: give another folder"
+        )
+    if known.get("digest") != digest:
+        raise LfmeshError(
+            f"{path} holds another study, or the scene, a file that it reads or the study file has changed since: give "
+            "another folder, or put back what it was"
+        )
+
+
+def logged(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the events of a log, without lines that were cut short."""
+    try:
+        lines = read_text(path / LOG, errors="replace").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        with suppress(ValueError):
+            event = json.loads(line)
+            if isinstance(event, dict):
+                yield event

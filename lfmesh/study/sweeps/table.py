@@ -1,0 +1,283 @@
+"""The table of a study: a row for each point, and what follows from the rows."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
+from lfmesh.study.metrics.metrics import Column, columns_of
+from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.plan import Plan, Point
+from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, share_of, slope
+from lfmesh.study.sweeps.unit import Outcome
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = "95 %"
+"""Of all intervals."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A point and its metrics.
+
+    Attributes
+    ----------
+    point : Point
+    estimates : dict of Estimate
+        By the name of a column; empty for a point that failed or is not done.
+    fault : str
+        Why there are none, or "".
+    seconds : float
+        Of tracing, all batches.
+    maps : dict of (rows, columns, 2) float64
+        Mean over the batches.
+    preview : (h, w) uint8, or None
+    warnings : tuple of PictureWarning
+        Of all batches.
+    """
+
+    point: Point
+    estimates: Mapping[str, Estimate]
+    fault: str = ""
+    seconds: float = 0.0
+    maps: Mapping[str, Array] = field(default_factory=dict)
+    preview: NDArray[np.uint8] | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+    @property
+    def warned_of(self) -> str:
+        """Classes of the warnings, in words; "" where there are none."""
+        return "; ".join(dict.fromkeys(type(each).__name__ for each in self.warnings))
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """The derivative of a metric by an axis.
+
+    Attributes
+    ----------
+    path : str
+    column : Column
+    slope : Slope
+        Of quantities that are sizes, by the size of the error.
+    """
+
+    path: str
+    column: Column
+    slope: Slope
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """All points of a study with their metrics."""
+
+    plan: Plan
+    rows: tuple[Row, ...]
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the metrics."""
+        return columns_of(self.plan.metrics)
+
+    @property
+    def failed(self) -> list[Row]:
+        """Points without metrics."""
+        return [row for row in self.rows if row.fault]
+
+    @property
+    def warnings(self) -> tuple[PictureWarning, ...]:
+        """One warning for each class of those of the points: how many have it, and what the first says."""
+        known = [row for row in self.rows if row.estimates]
+        found = {f"point {row.point.number}": row.warnings for row in known}
+        return summed_up(found, len(known), "points")
+
+    def value_of(self, row: Row, axis: int) -> Any:
+        """Return what an axis is at a row's point."""
+        value = row.point.values[axis]
+        return self.plan.reference_values[axis] if value is None else value
+
+    def values(self, column: str) -> Array:
+        """Return a column, (points,); NaN where there is none."""
+        return np.array([row.estimates[column].value if column in row.estimates else math.nan for row in self.rows])
+
+    def stderr(self, column: str) -> Array:
+        """Return the standard errors of a column, (points,)."""
+        return np.array([row.estimates[column].stderr if column in row.estimates else math.nan for row in self.rows])
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the rows as plain values by the names of their columns."""
+        records = []
+        for row in self.rows:
+            record: dict[str, Any] = {"point": row.point.number}
+            for i, axis in enumerate(self.plan.axes):
+                record[axis.path] = self.value_of(row, i)
+            if self.plan.scenes:
+                record["scene"] = self.plan.label(row.point)
+            for column in self.columns:
+                estimate = row.estimates.get(column.name)
+                record[column.name] = None if estimate is None else estimate.value
+                record[f"{column.name}_stderr"] = None if estimate is None else estimate.stderr
+            record["fault"] = row.fault
+            record["warnings"] = row.warned_of
+            records.append(record)
+        return records
+
+    def to_csv(self) -> str:
+        """Return the table as CSV; numbers are written so that they are read back to the same bits."""
+        stream = io.StringIO()
+        records = self.records()
+        writer = csv.DictWriter(stream, records[0].keys(), lineterminator="\n")
+        writer.writeheader()
+        for record in records:
+            writer.writerow({name: _cell(value) for name, value in record.items()})
+        return stream.getvalue()
+
+    def to_parquet(self) -> bytes:
+        """Return the table as Parquet.
+
+        Raises
+        ------
+        LfmeshError
+            pyarrow is not installed.
+        """
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError:
+            raise LfmeshError('Parquet needs pyarrow: pip install "lfmesh[data]"') from None
+        columns: dict[str, list[Any]] = {name: [] for name in self.records()[0]}
+        for record in self.records():
+            for name, value in record.items():
+                columns[name].append(value)
+        for name, values in columns.items():
+            # A column holds values of one type; names beside numbers are written as text.
+            if len({type(value) for value in values if value is not None}) > 1:
+                numeric = all(value is None or is_number(value) for value in values)
+                columns[name] = [None if v is None else float(v) if numeric else str(v) for v in values]
+        stream = io.BytesIO()
+        parquet.write_table(pyarrow.table(columns), stream)
+        return stream.getvalue()
+
+    def sensitivities(self) -> list[Sensitivity]:
+        """Return the derivatives of the metrics by every axis of numbers that varies by itself at some points."""
+        found = []
+        for i, axis in enumerate(self.plan.axes):
+            rows = self.along(i)
+            start = self.plan.reference_values[i]
+            if not is_number(start) or not all(is_number(self.value_of(row, i)) for row in rows):
+                continue
+            off = np.array([float(self.value_of(row, i)) - float(start) for row in rows])
+            for column in self.columns:
+                if column.of == "psnr":
+                    continue
+                known = [row.estimates.get(column.name, Estimate(math.nan, math.nan)) for row in rows]
+                x = np.abs(off) if column.magnitude else off
+                fit = slope(x, np.array([e.value for e in known]), np.array([e.stderr for e in known]))
+                if fit is not None:
+                    found.append(Sensitivity(axis.path, column, fit))
+        return found
+
+    def along(self, axis: int) -> list[Row]:
+        """Return the rows at which no other axis differs from the reference, the reference among them."""
+        others = [i for i in range(len(self.plan.axes)) if i != axis]
+        start = self.plan.reference_values
+        return [row for row in self.rows if all(self.value_of(row, i) == start[i] for i in others)]
+
+    def is_good(self, row: Row) -> bool:
+        """Tell whether a point keeps all limits of the study; one that cannot be traced does not."""
+        for column in self.columns:
+            limit = self.plan.study.limits.get(column.name)
+            if limit is None:
+                continue
+            value = row.estimates[column.name].value if row.estimates else math.nan
+            if not (value >= limit if column.worse == "low" else value <= limit):
+                return False
+        return True
+
+    def yield_share(self) -> Share | None:
+        """Return the share of good cameras, of those that were drawn at random; None where there are no limits.
+
+        The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
+        more evenly, it is wider than need be.
+        """
+        drawn = [row for row in self.rows if row.point.number and row.fault != "not done"]
+        if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
+            return None
+        return share_of(sum(map(self.is_good, drawn)), len(drawn))
+
+    def breaking(self) -> list[tuple[str, Any]]:
+        """Return the axes that break a limit by themselves, with the value nearest to the reference's that does."""
+        found: list[tuple[str, Any]] = []
+        for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
+            bad = [self.value_of(row, i) for row in self.along(i) if row.point.number and not self.is_good(row)]
+            start = self.plan.reference_values[i]
+            if bad:
+                near = (
+                    min(bad, key=lambda v: abs(v - start)) if is_number(start) and all(map(is_number, bad)) else bad[0]
+                )
+                found.append((axis.path, near))
+        return found
+
+    def efficiency(self) -> list[tuple[Row, float, float]]:
+        """Return each row with its efficiency 1/(noise² · time), 1/s, and the standard error of that."""
+        found = []
+        for row in self.rows:
+            noise = row.estimates.get("noise")
+            if noise is None or not noise.value > 0.0 or not row.seconds > 0.0:
+                continue
+            value = 1.0 / (noise.value**2 * row.seconds)
+            found.append((row, value, 2.0 * value * noise.stderr / noise.value))
+        return found
+
+
+def table_of(plan: Plan, outcomes: Mapping[tuple[int, int], Outcome], faults: Mapping[int, str]) -> Table:
+    """Fold outcomes into a table, point by point and batch by batch, in whatever order they were computed.
+
+    Parameters
+    ----------
+    plan : Plan
+    outcomes : dict of Outcome
+        By point and batch.
+    faults : dict of str
+        Why units of a point are missing, by its number.
+    """
+    return Table(plan, tuple(_row(plan, point, outcomes, faults) for point in plan.points))
+
+
+def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], faults: Mapping[int, str]) -> Row:
+    mine = [outcomes.get((point.number, batch)) for batch in range(plan.study.batches)]
+    known = [outcome for outcome in mine if outcome is not None]
+    fault = next((outcome.fault for outcome in known if outcome.fault), "")
+    if not fault and len(known) < len(mine):
+        fault = faults.get(point.number, "not done")
+    found = in_order(warning for outcome in known for warning in outcome.warnings)
+    if fault:
+        return Row(point, {}, fault, warnings=found)
+    estimates = {
+        column.name: column.estimate(_joined([outcome.columns[column.name] for outcome in known]))
+        for column in columns_of(plan.metrics)
+    }
+    maps = {
+        name: np.mean([outcome.maps[name] for outcome in known], axis=0)
+        for name in known[0].maps
+        if all(name in outcome.maps for outcome in known)
+    }
+    return Row(point, estimates, "", sum(outcome.seconds for outcome in known), maps, known[0].preview, found)
+
+
+def _joined(pseudo: Sequence[Array]) -> Array:
+    """Return the pseudo-values of all batches; what is exact is the same in each."""
+    return pseudo[0] if all(len(values) == 1 for values in pseudo) else np.concatenate(list(pseudo))
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)

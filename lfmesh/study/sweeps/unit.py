@@ -1,0 +1,320 @@
+"""Units of a study: one batch of replicates of one point, a pure function of what it is given.
+
+A unit can be pickled and computed by any process; its outcome is bytes, which are written as they are.
+"""
+
+import io
+import json
+import time
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_order
+from lfmesh.lightfield.views.upright import Upright
+from lfmesh.provenance import program, refuse_other
+from lfmesh.regular_file import read_bytes
+from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, pictures_of
+from lfmesh.study.metrics.pictures import Camera, Films, films
+
+Array = NDArray[np.float64]
+
+FORMAT = 2
+"""Of the bytes of an outcome; a reader refuses any other."""
+
+PREVIEW_PX = 200
+"""Longest side of a preview."""
+
+FULL = 99.5
+"""Percentile of the reference's image that is shown white."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Some replicates of a point.
+
+    Attributes
+    ----------
+    study : str
+        Digest of the plan.
+    point, batch : int
+        Point 0 is the reference.
+    camera, reference : Camera
+    metrics : tuple of str
+    replicates : range
+    threads : int
+        In which it is traced; does not change the outcome.
+    program : dict of str
+        That planned it, see `lfmesh.provenance.program`.
+    """
+
+    study: str
+    point: int
+    batch: int
+    camera: Camera
+    reference: Camera
+    metrics: tuple[str, ...]
+    replicates: range
+    threads: int = 0
+    program: dict[str, str] = field(default_factory=program)
+
+    def compute(self, given: "Reference") -> bytes:
+        """Return the unit's outcome as bytes, given the reference's films.
+
+        Raises
+        ------
+        LfmeshError
+            Another program computes it than the one that planned it.
+        """
+        refuse_other(self.program)
+        return run_unit(self, given)
+
+
+@dataclass
+class Outcome:
+    """Outcome of a unit.
+
+    Attributes
+    ----------
+    point, batch : int
+    columns : dict of (n,) float64
+        Pseudo-values of each column of the metrics.
+    seconds : float
+        Wall-clock time of tracing.
+    fault : str or None
+        Why the point cannot be traced.
+    maps : dict of (rows, columns, 2) float64
+        Displacement of each centre, pixels.
+    preview : (h, w) uint8, or None
+        Upright picture of the raw image.
+    warnings : tuple of PictureWarning
+        Of the pictures that its values are made of, those of the reference left out.
+    """
+
+    point: int
+    batch: int
+    columns: dict[str, Array] = field(default_factory=dict)
+    seconds: float = 0.0
+    fault: str | None = None
+    maps: dict[str, Array] = field(default_factory=dict)
+    preview: NDArray[np.uint8] | None = None
+    warnings: tuple[PictureWarning, ...] = ()
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures."""
+
+    films: Films
+    seconds: float
+    warnings: tuple[PictureWarning, ...] = ()
+
+
+Reference = bytes | Path
+"""Films of the reference's replicates of the same batch: bytes of `reference_films`, or a file that holds them."""
+
+
+def reference_films(unit: Unit) -> bytes:
+    """Trace the reference's replicates of a unit's batch, and return their films as bytes."""
+    began = time.perf_counter()
+    with collected() as found:
+        traced = films(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
+    facts = {"study": unit.study, "batch": unit.batch, "format": FORMAT, "warnings": _as_dicts(found)}
+    arrays: dict[str, Any] = {f"film.{name}": power for name, power in traced.items()}
+    arrays["facts"] = np.array(json.dumps(facts))
+    arrays["seconds"] = np.array(time.perf_counter() - began)
+    return _bytes_of(arrays)
+
+
+def run_unit(unit: Unit, reference: Reference) -> bytes:
+    """Trace a unit, compare it with the reference, and return its outcome as bytes.
+
+    Parameters
+    ----------
+    unit : Unit
+    reference : Reference
+
+    Raises
+    ------
+    FileError
+        The reference's films, or a file of the scene, cannot be read, or it has changed since the study was planned.
+    """
+    known = opened_reference(reference)
+    with collected() as found:
+        try:
+            outcome = _outcome(unit, known)
+        except FileError:
+            # The machine's fault, not the point's: the unit is tried again when the study goes on.
+            raise
+        except LfmeshError as error:
+            outcome = Outcome(unit.point, unit.batch, fault=" ".join(str(error).split()))
+    outcome.warnings = in_order([*(known.warnings if unit.point == 0 else ()), *found])
+    return packed(outcome, unit.study)
+
+
+def _outcome(unit: Unit, reference: Traced) -> Outcome:
+    began = time.perf_counter()
+    known = reference.films
+    if unit.point == 0:
+        own: Films = known
+        seconds = reference.seconds
+    else:
+        own = films(_in_threads(unit.camera, unit.threads), pictures_of(unit.metrics), unit.replicates)
+        seconds = time.perf_counter() - began
+    pair = Comparison(unit.camera, unit.reference, own, known, len(unit.replicates))
+    columns: dict[str, Array] = {}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for name in unit.metrics:
+            values = METRICS[name].compute(pair)
+            for number, column in enumerate(METRICS[name].columns):
+                columns[column.name] = np.ascontiguousarray(values[:, number])
+    preview = _preview(unit, own, known) if "scene" in own else None
+    return Outcome(unit.point, unit.batch, columns, seconds, None, dict(pair.maps), preview)
+
+
+def _in_threads(camera: Camera, threads: int) -> Camera:
+    scene = camera.scene
+    if threads in (0, scene.transport.threads):
+        return camera
+    return Camera(scene.changed({"transport.threads": threads}), camera.edge_distance_mm)
+
+
+def _preview(unit: Unit, own: Films, known: Films) -> NDArray[np.uint8]:
+    """Return the upright raw image, made smaller, as bright as the reference's is shown."""
+    reference = known["scene"].mean(axis=(0, 3))
+    white = float(np.percentile(reference, FULL)) or 1.0
+    picture = Upright.of(unit.reference.scene).picture(own["scene"].mean(axis=(0, 3))[:, :, None])[:, :, 0]
+    step = -(-max(picture.shape) // PREVIEW_PX)
+    height, width = (size // step * step for size in picture.shape)
+    small = picture[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
+    return np.asarray(np.round(255.0 * np.clip(small / white, 0.0, 1.0) ** (1.0 / 2.2)), dtype=np.uint8)
+
+
+def packed(outcome: Outcome, study: str) -> bytes:
+    """Return an outcome as bytes."""
+    facts = {
+        "format": FORMAT,
+        "study": study,
+        "point": outcome.point,
+        "batch": outcome.batch,
+        "seconds": outcome.seconds,
+        "fault": outcome.fault,
+        "warnings": _as_dicts(outcome.warnings),
+    }
+    arrays: dict[str, Any] = {"facts": np.array(json.dumps(facts))}
+    arrays |= {f"column.{name}": values for name, values in outcome.columns.items()}
+    arrays |= {f"map.{name}": values for name, values in outcome.maps.items()}
+    if outcome.preview is not None:
+        arrays["preview"] = outcome.preview
+    return _bytes_of(arrays)
+
+
+def unpacked(content: bytes, study: str, point: int, batch: int, metrics: tuple[str, ...]) -> Outcome:
+    """Return an outcome from its bytes.
+
+    Parameters
+    ----------
+    content : bytes
+    study : str
+        Digest of the study.
+    point, batch : int
+        Of the unit.
+    metrics : tuple of str
+
+    Raises
+    ------
+    FileError
+        They are damaged, or of another unit.
+    """
+    arrays = _arrays_of(content)
+    try:
+        facts = json.loads(str(arrays["facts"]))
+        if (facts["format"], facts["study"], facts["point"], facts["batch"]) != (FORMAT, study, point, batch):
+            raise FileError("belongs to another study or unit")
+        fault, seconds = facts["fault"], float(facts["seconds"])
+        columns = {} if fault else {column.name: arrays[f"column.{column.name}"] for column in columns_of(metrics)}
+        found = _warnings_in(facts)
+    except (ValueError, KeyError, TypeError):
+        raise FileError("is damaged") from None
+    maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
+    return Outcome(point, batch, columns, seconds, fault, maps, arrays.get("preview"), found)
+
+
+def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:
+    return [each.as_dict() for each in in_order(found)]
+
+
+def _warnings_in(facts: Mapping[str, Any]) -> tuple[PictureWarning, ...]:
+    return tuple(map(PictureWarning.from_dict, facts["warnings"]))
+
+
+def opened_reference(reference: Reference) -> Traced:
+    """Return the films of a reference.
+
+    Raises
+    ------
+    FileError
+        They are damaged.
+    """
+    if isinstance(reference, Path):
+        return _opened_file(reference)
+    arrays = _arrays_of(reference)
+    return _films_in(arrays)
+
+
+@lru_cache(maxsize=2)
+def _opened_file(path: Path) -> Traced:
+    try:
+        return _films_in(_arrays_of(read_bytes(path)))
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _films_in(arrays: Mapping[str, NDArray[Any]]) -> Traced:
+    found = {name.removeprefix("film."): power for name, power in arrays.items() if name.startswith("film.")}
+    return Traced(found, float(arrays["seconds"]), _warnings_in(json.loads(str(arrays["facts"]))))
+
+
+def is_reference(content: bytes, study: str, batch: int) -> bool:
+    """Tell whether bytes are whole films of a study's reference.
+
+    Parameters
+    ----------
+    content : bytes
+    study : str
+        Digest of the study.
+    batch : int
+    """
+    try:
+        facts = json.loads(str(_arrays_of(content)["facts"]))
+        return (facts["study"], facts["batch"], facts["format"]) == (study, batch, FORMAT)
+    except (FileError, KeyError, ValueError, TypeError):
+        return False
+
+
+def _bytes_of(arrays: Mapping[str, Any]) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def _arrays_of(content: bytes) -> dict[str, NDArray[Any]]:
+    """Read all arrays; their checksums are compared.
+
+    Raises
+    ------
+    FileError
+        They are damaged.
+    """
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise FileError("is damaged") from None

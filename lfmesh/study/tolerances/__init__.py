@@ -1,0 +1,1 @@
+"""Ready-made studies of installation and manufacturing errors."""

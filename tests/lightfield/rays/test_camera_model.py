@@ -1,0 +1,170 @@
+"""The camera model: rays of pixels lead back to them, weights are the white image's, pinholes see what views see."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from scipy.stats import norm
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.geometry import frame
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.lightfield.rays.pixel_bundles import cell_points
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+
+COVER = {"thickness_mm": 0.04, "gap_mm": 0.02, "glass": "SCHOTT/N-SF5", "coating": "none"}
+SMALL = {"camera.mla.count": (8, 6), "camera.sensor.pixels": (84, 64)}
+POSED = {
+    "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},
+    "camera.sensor.pose": {"shift_mm": [-0.02, 0.01, 0.02], "tilt_deg": [-0.3, 0.2, 0.5]},
+    "camera.pose": {"shift_mm": [40.0, 30.0, -20.0], "tilt_deg": [10.0, 20.0, 30.0]},
+}
+
+
+def distance_px(scene: Scene, origin: np.ndarray, direction: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """How far from the middle of its pixel each ray of a map lands that runs back along the light."""
+    world = lf.build(scene)
+    paths = lf.trace(world, origin[which] + direction[which], -direction[which], split="transmit")
+    assert (paths.status == lf.Status.SENSOR).all()
+    assert len(paths.source) == which.sum()
+    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[:, :2]
+    sensor = scene.camera.sensor
+    row, column = np.nonzero(which)
+    at = landed[np.argsort(paths.source)] / sensor.pixel_mm + 0.5 * (np.asarray(sensor.pixels) - 1.0)
+    return np.linalg.norm(at - np.column_stack([column, row]), axis=1)
+
+
+@pytest.mark.parametrize(("layout", "curved_side"), [("square", "sensor"), ("hexagonal", "lens")])
+def test_light_along_the_ray_of_a_pixel_lands_on_it(
+    camera: Callable[..., Scene], layout: str, curved_side: str
+) -> None:
+    scene = camera(layout, curved_side).changed({**SMALL, **POSED})
+    model = lf.camera_model(scene)
+    assert model.central.mean() > 0.4
+    assert distance_px(scene, model.origin, model.direction, model.central).max() < 1e-7
+    mean = ~model.central & (model.weight > 0.0)
+    assert mean.any()
+    assert np.isfinite(model.direction[mean]).all()
+
+
+@pytest.mark.parametrize(("layout", "curved_side"), [("square", "lens"), ("hexagonal", "sensor")])
+def test_light_along_the_ray_of_a_pixel_lands_on_it_behind_a_cover(
+    camera: Callable[..., Scene], layout: str, curved_side: str
+) -> None:
+    scene = camera(layout, curved_side).changed({**SMALL, **POSED, "camera.sensor.cover": COVER})
+    model = lf.camera_model(scene)
+    assert model.central.mean() > 0.4
+    assert distance_px(scene, model.origin, model.direction, model.central).max() < 1e-7
+
+
+def test_files_hold_the_map_and_the_views(camera: Callable[..., Scene], tmp_path: Path) -> None:
+    """Read by the libraries of the formats alone. In 32 bits rays still meet their pixels within 1/1000."""
+    h5py = pytest.importorskip("h5py")
+    scene = camera().changed({**SMALL, **POSED})
+    (tmp_path / "scene.toml").write_text(scene.dump_toml())
+    assert main(["camera-model", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "camera.exr")]) == 0
+    model = lf.camera_model(scene)
+    lf.write_camera_model(model, tmp_path / "camera.h5")
+    with OpenEXR.File(str(tmp_path / "camera.exr"), separate_channels=True) as file:
+        pixels = {name: channel.pixels.astype(np.float64) for name, channel in file.parts[0].channels.items()}
+        facts: dict[str, Any] = json.loads(file.parts[0].header["lfmesh"])
+    origin, direction = (np.stack([pixels[f"{name}.{axis}"] for axis in "xyz"], -1) for name in ("origin", "direction"))
+    central = pixels["central"] == 1.0
+    assert distance_px(scene, origin, direction, central).max() < 1e-3
+    np.testing.assert_allclose(pixels["weight"], model.weight, rtol=1e-6)
+    np.testing.assert_allclose(pixels["footprint.xa"], model.footprint[..., 0, 2], rtol=1e-6)
+    assert np.array_equal(np.array(facts["views"]["intrinsics"], float), model.views.intrinsics, equal_nan=True)
+    with h5py.File(tmp_path / "camera.h5") as file:
+        for name in ("origin", "direction", "footprint", "weight", "lenslet", "central"):
+            assert np.array_equal(file[name][()], getattr(model, name), equal_nan=True), name
+        assert np.array_equal(file["views/translation_mm"][()], model.views.translation_mm, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [(["-o", "camera.png"], "ends in one of"), (["-o", "camera.exr", "--distances-mm", "500", "-3"], "distances")],
+)
+def test_what_cannot_be_written_is_refused(
+    camera: Callable[..., Scene], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], why: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(camera().changed(SMALL).dump_toml())
+    assert main(["camera-model", "scene.toml", *arguments]) == 2
+    assert why in capsys.readouterr().err
+
+
+def test_a_conventional_camera_has_no_camera_model(camera: Callable[..., Scene]) -> None:
+    with pytest.raises(lf.LfmeshError, match="a conventional camera"):
+        lf.camera_model(camera().changed({"camera.mla": None}))
+
+
+@pytest.mark.parametrize("hexagonal", [False, True])
+def test_points_of_a_cell_integrate_polynomials(hexagonal: bool) -> None:
+    """Area, and second moments: p²/12 of a square, 5p²/72 of a regular hexagon of width p (side a: 5a²/24)."""
+    lattice = Lattice(hexagonal, 0.2, 3, 3)
+    points, area = cell_points(lattice)
+    assert area.sum() == pytest.approx(lattice.cell_area, rel=1e-14)
+    moments = points.T @ (points * area[:, None]) / area.sum()
+    expected = (5.0 / 72.0 if hexagonal else 1.0 / 12.0) * 0.2**2
+    np.testing.assert_allclose(moments, expected * np.eye(2), rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("change", [{}, {"camera.sensor.cover": COVER, "camera.sensor.reflectance": 0.2}])
+@pytest.mark.parametrize(("layout", "curved_side"), [("square", "lens"), ("hexagonal", "sensor")])
+def test_weights_are_the_white_image(
+    camera: Callable[..., Scene], layout: str, curved_side: str, change: dict[str, Any]
+) -> None:
+    """Where no neighbour's light falls: in the middle of the micro-images, one z-test at the level of 1e-3 (3.3 σ).
+
+    Quadrature errs by less than the 0.1 % that are allowed beside.
+    """
+    scene = camera(layout, curved_side).changed(
+        {**SMALL, "camera.sensor.pixels": (84, 56), "transport.samples": 64, **change}
+    )
+    model = lf.camera_model(scene)
+    centres = lf.calibrate(scene).centres_px
+    row, column = np.indices(model.weight.shape)
+    own = centres[model.lenslet[..., 1], model.lenslet[..., 0]]
+    middle = (np.hypot(own[..., 0] - column, own[..., 1] - row) < 3.0) & (model.lenslet[..., 0] >= 0)
+    assert middle.sum() > 500
+    white = lf.white_image(scene)
+    power, error = white.mean[..., 0][middle], white.stderr[..., 0][middle]
+    difference = model.weight[middle].sum() - power.sum()
+    assert abs(difference) < norm.isf(0.5e-3) * np.sqrt((error**2).sum()) + 1e-3 * power.sum()
+
+
+@pytest.mark.parametrize("distance_mm", [330.0, 900.0])
+def test_a_disk_lies_in_each_view_where_its_pinhole_projects_it(
+    camera: Callable[..., Scene], distance_mm: float
+) -> None:
+    """The centroid of its light in the decoded light field, in the 16 views in the middle, within 1/20 of a sample."""
+    scene = camera().changed({"camera.pose": POSED["camera.pose"]})
+    pose = scene.camera.pose
+    scale = distance_mm / 500.0
+    middle = frame.points(
+        frame.frame(pose.tilt_deg, pose.shift_mm), np.array([[1.1 * scale, -0.7 * scale, -distance_mm]])
+    )
+    disk = {
+        "shape": {"kind": "disk", "radius_mm": 3.5 * scale},
+        "position_mm": tuple(middle[0].tolist()),
+        "rotation_deg": pose.tilt_deg,
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
+    }
+    image = lf.render(scene.changed({"targets": (disk,), "transport.samples": 32}))
+    field = lf.decode(image)
+    views = lf.camera_model(image).views
+    t, s = np.indices(field.data.shape[2:4])
+    assert field.data.shape[:2] == views.rms_error.shape == (10, 10)
+    for v, u in np.ndindex(10, 10):
+        if not (3 <= v <= 6 and 3 <= u <= 6):
+            continue
+        light = field.data[v, u, :, :, 0].astype(np.float64)
+        seen = np.array([(s * light).sum(), (t * light).sum()]) / light.sum()
+        assert np.linalg.norm(seen - views.project(middle, v, u)[0]) < 0.05, (v, u, seen, views.project(middle, v, u))

@@ -1,0 +1,87 @@
+"""Chief rays: from the middle of the stop, through the apex, to the pixel where a trace of the whole camera ends."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.geometry import frame
+from lfmesh.lightfield.rays.chief_rays import chief_rays
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+
+BUILT_BADLY = {
+    "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},
+    "camera.sensor.pose": {"shift_mm": [-0.02, 0.01, 0.02], "tilt_deg": [-0.3, 0.2, 0.5]},
+    "camera.mla.form": {"pitch_error": 0.002, "decenter_mm": 0.002, "radius_error": 0.01, "seed": 3},
+    "camera.pose": {"shift_mm": [40.0, 30.0, -20.0], "tilt_deg": [10.0, 20.0, 30.0]},
+}
+
+
+@pytest.mark.parametrize("curved_side", ["lens", "sensor"])
+@pytest.mark.parametrize("layout", ["square", "hexagonal"])
+def test_the_whole_camera_traced_ends_where_the_chief_ray_lands(
+    camera: Callable[..., Scene], layout: str, curved_side: str
+) -> None:
+    """Every installation and form error at once; `lf.trace` meets the array cell by cell and shares no formula."""
+    scene = camera(layout, curved_side).changed(BUILT_BADLY)
+    rays = chief_rays(scene)
+    assert rays.traced.all()
+    world = lf.build(scene)
+    to_world = frame.frame(scene.camera.pose.tilt_deg, scene.camera.pose.shift_mm)
+    # In the air before the array, which is as close as a ray may start.
+    start = frame.points(to_world, (rays.entry - 2.0 * rays.direction).reshape(-1, 3))
+    direction = frame.directions(to_world, rays.direction.reshape(-1, 3))
+    paths = lf.trace(world, start, direction, split="transmit")
+    assert (paths.status == lf.Status.SENSOR).all()
+    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[:, :2]
+    np.testing.assert_allclose(landed, rays.landing.reshape(-1, 2)[paths.source], rtol=0, atol=1e-12)
+
+
+def test_chief_rays_pass_the_middle_of_the_stop(camera: Callable[..., Scene]) -> None:
+    """Traced backwards, they get through a stop that is 1e-9 mm wide."""
+    scene = camera().changed(BUILT_BADLY).changed({"camera.pose": {}})
+    rays = chief_rays(scene)
+    stop = scene.camera.lens.stop_index
+    pinhole = lf.build(scene.changed({f"camera.lens.surfaces[{stop}].semi_diameter_mm": 5e-10}))
+    start, direction = (rays.entry - rays.direction).reshape(-1, 3), -rays.direction.reshape(-1, 3)
+    paths = lf.trace(pinhole, start, direction, split="transmit")
+    assert (paths.status == lf.Status.ESCAPED).all()
+    beside = np.add(start, [1e-8, 0.0, 0.0])
+    assert not (lf.trace(pinhole, beside, direction, split="transmit").status == lf.Status.ESCAPED).any()
+
+
+def test_where_the_stop_is_a_surface_of_glass_the_rays_start_at_its_vertex(camera: Callable[..., Scene]) -> None:
+    lens = {
+        "surfaces": [
+            {"radius_mm": 40.0, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True},
+            {"radius_mm": -60.0, "semi_diameter_mm": 8.0},
+        ]
+    }
+    scene = lf.solved(camera().changed({"camera.lens": lens, "camera.mla.distance_mm": None}))
+    rays = chief_rays(scene)
+    assert rays.traced.all()
+    backwards = lf.trace(
+        lf.build(scene),
+        (rays.entry - rays.direction).reshape(-1, 3),
+        -rays.direction.reshape(-1, 3),
+        split="transmit",
+        record=True,
+    )
+    vertices = [next(v for v in backwards.vertices(i) if v.surface == "lens surface 0") for i in range(len(backwards))]
+    np.testing.assert_allclose([v.position for v in vertices], 0.0, atol=1e-9)
+
+
+def test_a_lenslet_beyond_the_lens_reach_has_no_chief_ray(camera: Callable[..., Scene]) -> None:
+    """The mount of the rear element hides the corners of a large array from the middle of the stop."""
+    scene = camera(columns=500, rows=2)
+    traced = chief_rays(scene).traced
+    assert traced[:, 240:260].all()
+    assert not traced[:, [0, -1]].any()
+
+
+def test_a_conventional_camera_has_no_chief_rays_of_lenslets(camera: Callable[..., Scene]) -> None:
+    scene = camera().changed({"camera.mla": None})
+    with pytest.raises(lf.LfmeshError, match=r"camera\.mla is missing"):
+        chief_rays(scene)

@@ -1,0 +1,67 @@
+"""Real meridional rays against closed forms, and the warning that follows from them."""
+
+import math
+
+import pytest
+
+from lfmesh.scene import Lens, Paraxial, Scene, Surface, first_order
+from lfmesh.scene.first_order.meridional import edge_of_stop_mm, heights_mm
+
+
+def ball(index: float = 1.5, radius: float = 10.0) -> Lens:
+    """A sphere of glass, whose rays Snell's law gives in two lines."""
+    return Lens(
+        surfaces=(
+            Surface(radius_mm=radius, thickness_mm=2 * radius, index=index, semi_diameter_mm=9.99, stop=True),
+            Surface(radius_mm=-radius, semi_diameter_mm=9.99),
+        )
+    )
+
+
+@pytest.mark.parametrize("height", [0.1, 3.0, 7.0, 9.5])
+def test_a_ray_through_a_ball_turns_by_what_snell_says(height: float) -> None:
+    first, second = heights_mm(ball(), 587.6, math.inf, height)
+    outside = math.asin(height / 10.0)
+    inside = math.asin(height / 15.0)
+    assert first == pytest.approx(height, rel=1e-12)
+    # The chord ends where the central angle from the first point is 180 degrees less twice the inner angle.
+    assert second == pytest.approx(-10.0 * math.sin(math.pi - outside - (math.pi - 2 * inside)) * -1.0, rel=1e-9)
+
+
+def test_a_parabolic_plate_sends_parallel_light_by_snell() -> None:
+    """From glass into air: the height on a plane behind, from the slope of the sag."""
+    lens = Lens(
+        surfaces=(
+            Surface(thickness_mm=5.0, index=1.5, semi_diameter_mm=8.0, stop=True),
+            Surface(radius_mm=-20.0, conic=-1.0, thickness_mm=10.0, semi_diameter_mm=8.0),
+            Surface(semi_diameter_mm=8.0),
+        )
+    )
+    y = 4.0
+    *_, met, last = heights_mm(lens, 587.6, math.inf, y)
+    tilt = math.atan(y / 20.0)
+    turn = math.asin(1.5 * math.sin(tilt)) - tilt
+    assert met == pytest.approx(y, rel=1e-12)
+    assert last == pytest.approx(y - (10.0 + y * y / 40.0) * math.tan(turn), rel=1e-9)
+
+
+def test_the_ray_at_the_edge_of_the_stop_meets_it(scene: Scene) -> None:
+    lens = scene.camera.lens
+    heights = edge_of_stop_mm(lens, 587.6, 400.0, 6.0)
+    assert heights[0] == pytest.approx(6.0, rel=1e-9)
+    assert heights == pytest.approx(heights_mm(lens, 587.6, 400.0, 6.0), rel=1e-9)
+
+
+def test_a_ray_that_no_surface_meets_ends_there() -> None:
+    assert heights_mm(ball(), 587.6, math.inf, 10.5) == []
+
+
+@pytest.mark.parametrize(("excess", "warned"), [(0.998, True), (1.002, False)])
+def test_the_warning_of_apertures_is_that_of_real_rays(scene: Scene, excess: float, warned: bool) -> None:
+    """Spherical aberration and sags make the real beam wider on the back than the paraxial one, by more than that."""
+    big = scene.changed({"camera.lens.surfaces[0].semi_diameter_mm": 9.5})
+    real = edge_of_stop_mm(big.camera.lens, 587.6, 400.0, 9.5)[2]
+    tight = big.changed({"camera.lens.surfaces[2].semi_diameter_mm": real * excess})
+    assert any("clear aperture" in warning for warning in first_order(tight).warnings) is warned
+    paraxial = Paraxial.of(big.camera.lens, 587.6)
+    assert paraxial.heights_mm(paraxial.marginal_ray(400.0, 9.5))[2] < 0.998 * real

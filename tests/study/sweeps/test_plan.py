@@ -1,0 +1,129 @@
+"""A study says all that is wrong with it before anything is traced."""
+
+from pathlib import Path
+
+import pytest
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.study.sweeps.plan import seed_of
+from tests.study.studies import SHIFT, shifted, small_scene
+
+STUDY = """
+scene = "scene.toml"
+metrics = ["light"]
+{}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "scene.toml").write_text(small_scene().dump_toml())
+    (folder / "study.toml").write_text(STUDY.format(text))
+    return folder / "study.toml"
+
+
+def test_all_faults_are_named_at_once(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        """
+[[axes]]
+path = "camera.mla.pose.tlt_deg[0]"
+values = [0.1]
+[[axes]]
+path = "camera.mla.pose.tilt_deg[3]"
+values = [0.1]
+[[axes]]
+path = "camera.lens.elements[0].pose.shift_mm[0]"
+values = [0.1]
+[[axes]]
+path = "camera.focus_mm"
+values = [70.0]
+""",
+    )
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.Study.load(path)
+    text = str(told.value)
+    assert "4 faults" in text
+    assert "did you mean 'tilt_deg'" in text
+    assert "3 entries, numbered from 0: there is no [3]" in text
+    assert "0 entries" in text
+    assert "add refocus = true" in text
+
+
+def test_points_that_give_an_invalid_camera_are_named() -> None:
+    axes = [
+        {"path": "camera.mla.pitch_mm", "values": [0.5, -0.5, 9.0]},
+        {"path": "camera.lens.surfaces[0].thickness_mm", "values": [3.0, 0.1]},
+    ]
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.Study(small_scene(), axes=axes, metrics=["light"])
+    lines = str(told.value).splitlines()
+    assert "3 faults" in lines[0]
+    assert "point 2 (camera.mla.pitch_mm = -0.5)" in lines[1]
+    assert "must be above 0" in lines[1]
+    assert "point 3 (camera.mla.pitch_mm = 9.0)" in lines[2]
+    assert "does not reach the corner" in lines[2]
+    assert "point 5 (camera.lens.surfaces[0].thickness_mm = 0.1)" in lines[3]
+    assert "cross inside their clear aperture" in lines[3]
+
+
+def test_a_camera_that_cannot_be_focused_is_found_where_it_is_focused_anew() -> None:
+    axes = [{"path": "camera.focus_mm", "values": [70.0, 5.0]}]
+    with pytest.raises(lf.LfmeshError, match=r"point 2 \(camera.focus_mm = 5.0\): .*no real image"):
+        lf.Study(small_scene(), axes=axes, refocus=True, metrics=["light"])
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("", "axes: missing"),
+        ('template = "assmbly"', "must be one of assembly"),
+        ('metric = ["psnr"]\n[[axes]]\npath = "a"\nvalues = [1]', "did you mean 'metrics'"),
+        ('design = "sobol"\n[[axes]]\npath = "transport.seed"\nvalues = [1]', "count: missing"),
+        ('design = "grdi"\n[[axes]]\npath = "transport.seed"\nvalues = [1]', "did you mean 'grid'"),
+        ('[[axes]]\npath = "transport.seed"\nrange = [0, 1]', "how many values"),
+        ('batches = 3\n[[axes]]\npath = "transport.seed"\nvalues = [1]', "must divide transport.replicates = 4"),
+        ('[changes]\n"transport.sampels" = 3\n[[axes]]\npath = "transport.seed"\nvalues = [1]', "mean 'samples'"),
+        ('[[axes]]\npath = "camera.sensor.pixels"\nvalues = [[10, 10]]', "compared pixel by pixel"),
+    ],
+)
+def test_what_a_study_cannot_mean_is_refused_in_a_line(
+    tmp_path: Path, text: str, why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", str(write(tmp_path, text)), "-o", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr().err
+    assert why in printed
+    assert "Traceback" not in printed
+    assert not (tmp_path / "out").exists()
+
+
+def test_paired_points_share_their_random_numbers_and_others_do_not() -> None:
+    paired = shifted(3).plan
+    assert {paired.scene_of(point).transport.seed for point in paired.points} == {3}
+    alone = shifted(3, paired=False).plan
+    seeds = [alone.scene_of(point).transport.seed for point in alone.points]
+    assert len(set(seeds)) == 4
+    assert seeds[0] == 3
+    assert seeds == [seed_of(3, number) for number in range(4)]
+
+
+def test_the_digest_follows_what_is_computed(tmp_path: Path) -> None:
+    digests = {
+        shifted(3).plan.digest,
+        shifted(4).plan.digest,
+        shifted(3, paired=False).plan.digest,
+        shifted(3, metrics=("psnr",)).plan.digest,
+        lf.Study(small_scene(seed=4), axes=shifted(3).plan.axes, metrics=["psnr", "light"]).plan.digest,
+    }
+    assert len(digests) == 5
+    assert shifted(3).plan.digest == shifted(3).plan.digest
+
+
+def test_a_dry_run_lists_points_and_computes_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path, f'[[axes]]\npath = "{SHIFT}"\nvalues = [0.01, 0.02]')
+    assert main(["study", str(path), "--dry-run"]) == 0
+    printed = capsys.readouterr().out
+    assert "camera.mla.pose.shift_mm[0] = 0.02" in printed
+    assert "3 points, 3 units" in printed
+    assert "GB of memory" in printed
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "study.toml"]

@@ -1,0 +1,48 @@
+"""Estimates from replicates are right on average, and so are their errors."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from lfmesh.study.sweeps.statistics import combined, independent_product, inner_products, pseudo_values, slope
+
+
+def test_the_jackknife_of_a_mean_is_the_mean_with_its_standard_error() -> None:
+    draws = np.random.default_rng(1).normal(size=12)
+    estimate = combined(pseudo_values(lambda use: np.array([draws[use].mean()]), 12)[:, 0])
+    assert estimate.value == pytest.approx(draws.mean(), rel=1e-12)
+    assert estimate.stderr == pytest.approx(draws.std(ddof=1) / np.sqrt(12), rel=1e-12)
+
+
+def test_noise_does_not_add_to_products_of_independent_images() -> None:
+    """The mean square of a picture, from noisy copies: without bias, where the plain one is far off."""
+    draw = np.random.default_rng(2)
+    truth = np.full(400, 0.1)
+    found = []
+    for _ in range(200):
+        copies = truth + draw.normal(size=(4, 400))
+        found.append(independent_product(inner_products(list(copies))))
+    error = np.std(found, ddof=1) / np.sqrt(len(found))
+    # One z-test at 3.3 sigma, 0.1 %.
+    assert abs(np.mean(found) - 0.01) < 3.3 * error
+    plain = ((truth + draw.normal(size=(4, 400)).mean(axis=0)) ** 2).mean()
+    assert plain > 0.1
+
+
+def test_a_slope_has_the_interval_that_it_says() -> None:
+    """Of 400 lines with noise, 95 % of the intervals hold the true slope (binomial test, 0.1 % to either side)."""
+    draw = np.random.default_rng(3)
+    x = np.linspace(-1.0, 1.0, 6)
+    held = 0
+    for _ in range(400):
+        fit = slope(x, 2.0 + 3.0 * x + draw.normal(size=6), np.zeros(6))
+        assert fit is not None
+        held += fit.low <= 3.0 <= fit.high
+    assert binom.ppf(0.001, 400, 0.95) <= held <= binom.ppf(0.999, 400, 0.95)
+
+
+def test_a_slope_needs_three_points_that_differ() -> None:
+    ones = np.ones(3)
+    assert slope(ones[:2], ones[:2], ones[:2]) is None
+    assert slope(ones, np.arange(3.0), ones) is None
+    assert slope(np.arange(3.0), np.array([1.0, np.nan, 2.0]), ones) is None

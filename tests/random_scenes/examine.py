@@ -14,8 +14,8 @@ IN_SUITE = 12
 LONGEST_S = 600.0
 """A judgement that has not ended by then is slow, or does not end; compiling may take minutes."""
 
-FEWER = 8
-"""Part of the samples with which a judgement that took too long is made once more."""
+FEWER = 32
+"""A judgement that took too long is made once more with the samples over this number."""
 
 FAILURES = ("silent", "endless")
 

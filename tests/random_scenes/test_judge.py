@@ -130,4 +130,4 @@ def test_a_judgement_that_takes_too_long_is_made_again_with_fewer_samples(monkey
     monkeypatch.setattr(examine, "within", in_time)
     assert [examine.judged(12.0, max, 0, samples) for samples in (12, 96)] == [12, 96 // examine.FEWER]
     with pytest.raises(TookTooLongError):
-        examine.judged(12.0, max, 0, 192)
+        examine.judged(12.0, max, 0, 13 * examine.FEWER)

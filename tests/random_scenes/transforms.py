@@ -143,6 +143,10 @@ STOPPED_DOWN = 16.0
 """f-number: the opening that the camera leaves in the enclosure is then less than a thousandth of what bodies see."""
 
 
+FRONT = 0.05
+"""Distance from the lens to the front wall of an isothermal room, over that to its back wall."""
+
+
 def isothermal(scene: Tables) -> tuple[Tables, Tables]:
     """Return a scene's bodies and media in a closed room, all of one temperature, and that room with a black plane.
 
@@ -169,7 +173,13 @@ def isothermal(scene: Tables) -> tuple[Tables, Tables]:
         medium.pop("emission_w_mm3_sr", None)
         medium["temperature_k"] = KELVIN
     wall = scene["targets"][0]["shape"]["width_mm"]
-    room = list(_room(3.0 * wall, 1.1 * scene["camera"]["focus_mm"], 0.1 * wall))
+    half, depth = 3.0 * wall, 1.1 * scene["camera"]["focus_mm"]
+    room = list(_room(half, depth, 0.1 * wall))
+    for medium in scene.get("media", []):
+        # Between the room and the lens a medium would scatter light of the cold outside.
+        if not {"bounds", "grid", "inside"} & medium.keys():
+            medium["bounds"] = {"kind": "box", "size_mm": [2.0 * half, 2.0 * half, (1.0 - FRONT) * depth]}
+            medium["position_mm"] = [0.0, 0.0, -0.5 * (1.0 + FRONT) * depth]
     scene["targets"] += room
     plane = black["targets"][0]
     for kind in ("tanks", "media"):
@@ -181,7 +191,7 @@ def isothermal(scene: Tables) -> tuple[Tables, Tables]:
 
 def _room(half_mm: float, depth_mm: float, hole_mm: float) -> Iterator[Tables]:
     """Yield the black walls of a room before the camera, open in a square round the axis."""
-    front = -0.05 * depth_mm
+    front = -FRONT * depth_mm
     middle, length = 0.5 * (front - depth_mm), depth_mm + front
     side = 0.5 * (half_mm + hole_mm)
     yield _wall([0.0, 0.0, -depth_mm], [0.0, 0.0, 0.0], 2.0 * half_mm, 2.0 * half_mm)

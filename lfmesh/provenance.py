@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from lfmesh.errors import LfmeshError
+from lfmesh.regular_file import read_bytes
 
 LIBRARIES = ("numba", "llvmlite", "numpy", "embreex")
 
@@ -70,5 +71,5 @@ def _sources() -> str:
     package = Path(__file__).parent
     found = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
-        found.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+        found.update(path.relative_to(package).as_posix().encode() + b"\0" + read_bytes(path) + b"\0")
     return found.hexdigest()[:_DIGITS]

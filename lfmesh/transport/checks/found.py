@@ -190,7 +190,7 @@ def _open(ledger: Ledger) -> Iterator[PictureWarning]:
 
 def _cut(scene: Scene, ledger: Ledger, most: float) -> Iterator[PictureWarning]:
     # Of the importance that pixels send out, little reaches what they see: the cut part is compared with that.
-    whole = ledger.emitted if ledger.unit == "W" else ledger.reached_target + ledger.depth
+    whole = ledger.reached_target + ledger.depth if ledger.reached_target > 0.0 else ledger.emitted
     if not ledger.depth > most * whole:
         return
     yield CutPathsWarning(

@@ -307,9 +307,9 @@ def world_with_everything():
 def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_another(monkeypatch):
     def numbered(scene, face, waves):
         own = 2 if face.where == "camera.lens.surfaces[2]" else 1
-        return table.Finish(face.where, 0, tuple(tuple(100.0 * k + w for w in waves) for k in range(own)))
+        return table.InterfaceKind(face.where, 0, tuple(tuple(100.0 * k + w for w in waves) for k in range(own)))
 
-    monkeypatch.setattr(table, "_finish_of", numbered)
+    monkeypatch.setattr(table, "_kind_and_parameters", numbered)
     found = interface_tables(world_with_everything(), (450.0, 650.0))
     # The stop refracts nothing.
     assert found.lens.rows["first"].tolist() == [0, 1]

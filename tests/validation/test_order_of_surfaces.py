@@ -19,6 +19,7 @@ from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.scene import load_lens
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
+from lfmesh.transport.paths.automaton import ON_IMAGE_PATH, STRAY
 from lfmesh.transport.render import order_check
 from lfmesh.transport.render.order_check import LARGEST_MM, OrderCheck, compare
 from lfmesh.transport.render.parts import parts_of
@@ -156,7 +157,7 @@ def waiting_packets(
     work.sampled = []
     work.run()
     packets = np.concatenate(work.sampled)
-    packets["path"] = packets["events"] > 0
+    packets["path"] = np.where(packets["events"] > 0, STRAY, ON_IMAGE_PATH)
     some = np.random.default_rng(seed).permutation(len(packets))[:count]
     return packets[some], options
 

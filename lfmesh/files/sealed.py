@@ -69,6 +69,8 @@ def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
     """
     try:
         with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
+            if not file[_FACTS].ndim:
+                raise FileError(f"{path} was written by an older lfmesh, which may have had other bits")
             digest, text = (str(entry) for entry in file[_FACTS])
             stated = json.loads(text)
             found, known = stated["format"], stated["program"]
@@ -83,7 +85,7 @@ def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
         if any(_digest(arrays[name]) != known for name, known in stated["arrays"].items()):
             raise ValueError("its arrays were changed")
         facts, where = dict(stated["facts"]), stated["processor"]
-    except FileNotFoundError:
+    except (FileNotFoundError, FileError):
         raise
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError):
         raise FileError(f"{path} is damaged") from None

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -342,6 +343,7 @@ def test_another_version_is_told_in_one_line(image_of: Build, tmp_path: Path, fi
     else:
         facts = json.dumps({"format": 7, "lfmesh_version": "9.9"})
         np.savez(tmp_path / CHECKPOINT, facts=np.array(facts))
-    with pytest.raises(FileError, match=r"7.*this lfmesh " + lfmesh.__version__.replace("+", r"\+")) as caught:
+    told = r"7.*this lfmesh " + re.escape(lfmesh.__version__) if file == MANIFEST else "by an older lfmesh"
+    with pytest.raises(FileError, match=told) as caught:
         run.open_run(tmp_path) if file == MANIFEST else checkpoint.read(tmp_path, run.scene_from)
     assert "\n" not in str(caught.value)

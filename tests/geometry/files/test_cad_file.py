@@ -17,7 +17,7 @@ from lfmesh.errors import MeshError, SceneError
 from lfmesh.geometry.files import cad_file
 from lfmesh.geometry.files.mesh_file import load_mesh
 
-SOLIDS = Path(__file__).resolve().parents[1] / "solids"
+SOLIDS = Path(__file__).resolve().parents[3] / "tests" / "solids"
 needs_cascadio = pytest.mark.skipif(find_spec("cascadio") is None, reason="cascadio, of the extra cad, is not there")
 
 RELATIONSHIPS = (

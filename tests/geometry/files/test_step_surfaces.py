@@ -17,7 +17,7 @@ from lfmesh.geometry.files.step_surfaces import surfaces_of
 from lfmesh.geometry.files.swept import curve_in_box, net_in_box
 from tests.peak_memory import PRINT_PEAK, SAYS_PEAK
 
-SOLIDS = Path(__file__).resolve().parents[1] / "solids"
+SOLIDS = Path(__file__).resolve().parents[3] / "tests" / "solids"
 RUN_FILE = """
 import runpy, sys
 

@@ -18,7 +18,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 MM2 = 1e-6
 POSE = {"position_mm": (0.4, -0.3, -60.0), "rotation_deg": (20.0, -35.0, 50.0)}
 

@@ -272,3 +272,12 @@ def test_a_world_is_built_again_as_it_was_built():
         < len(lf.build(scene).mesh("lens[0]").faces)
     )
     assert again.aim_proof is None
+
+
+def test_a_large_picture_on_many_facets_that_emit_is_read_once():
+    """Its brightness was averaged over the wavelengths anew for each of thousands of facets, which took minutes."""
+    chart = {"radiance_w_m2_sr": 1.0, "texture": str(asset_path("charts/chart.png"))}
+    ball = lf.Target(shape=lf.Sphere(radius_mm=15.0), position_mm=(0.0, 0.0, -480.0), material=lf.Material(**chart))
+    emitters = world_of(targets=(ball,)).tables.objects.emitters
+    assert len(emitters.facet) > 1000
+    assert emitters.until[-1] == pytest.approx(1.0)

@@ -108,11 +108,14 @@ def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDAr
     texture = objects.texture[objects.facets["body"][bright]]
     means = np.ones(int((4**level).sum()))
     starts = np.cumsum(4**level) - 4**level
+    weights = objects.texel_weights.mean(axis=0) if len(objects.texel_weights) else None
+    pictures: dict[int, Array] = {}
     for number in np.flatnonzero(texture[:, 1]):
-        start, height, width = texture[number]
-        values = objects.texels[start : start + height * width]
-        weights = objects.texel_weights.mean(axis=0) if len(objects.texel_weights) else None
-        values = (values.mean(axis=1) if weights is None else values @ weights).reshape(height, width)
+        start, height, width = (int(value) for value in texture[number])
+        if start not in pictures:
+            texels = objects.texels[start : start + height * width]
+            pictures[start] = (texels.mean(axis=1) if weights is None else texels @ weights).reshape(height, width)
+        values = pictures[start]
         u, v = (corner_weights(int(level[number]) + PROBES).mean(axis=1) @ objects.uv[bright[number]]).T
         # The nearest texel: a mean over many needs no interpolation.
         column = np.clip((u * width).astype(np.int64), 0, width - 1)

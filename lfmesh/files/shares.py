@@ -6,6 +6,7 @@ share/pieces/*.npz      one file for each piece, written whole or not at all
 Shares may have a folder each, or one in common. The image is bitwise that of a render that was not divided.
 """
 
+import hashlib
 import json
 import math
 import time
@@ -32,6 +33,9 @@ from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
 
 FACTS, PIECES = "render.json", "pieces"
+
+SEAL = "sha256"
+"""Of the other facts."""
 
 FORMAT = 3
 """Of the folder; a reader refuses any other."""
@@ -188,7 +192,8 @@ def _begin(folder: Path, cut: Cut) -> None:
             others = [path.name for path in folder.iterdir() if path.name != PIECES]
             if others:
                 raise FileError(f"{folder} holds {others[0]}, no share of a render: give a new folder")
-            facts = {"cut": cut.facts, **scene_metadata(cut.scene, folder)}
+            facts: dict[str, Any] = {"cut": cut.facts, **scene_metadata(cut.scene, folder)}
+            facts[SEAL] = _seal(facts)
             with staged_file(folder, FACTS) as file:
                 file.write((json.dumps(facts, ensure_ascii=False, indent=1) + "\n").encode())
             return
@@ -201,11 +206,16 @@ def _begin(folder: Path, cut: Cut) -> None:
         )
 
 
+def _seal(facts: dict[str, Any]) -> str:
+    """Return the digest of what a folder says of itself."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
 def _facts(folder: Path) -> dict[str, Any]:
     try:
         facts: dict[str, Any] = json.loads(read_text(folder / FACTS))
         form, maker = facts["cut"]["format"], facts["cut"]["program"]
-        known = isinstance(facts["cut"]["shares"], int) and isinstance(facts["scene_toml"], str)
+        known = form != FORMAT or facts.pop(SEAL) == _seal(facts)
     except FileNotFoundError:
         raise FileError(f"{folder} holds no share of a render: there is no {FACTS} in it") from None
     except (OSError, ValueError, KeyError, TypeError):

@@ -121,9 +121,11 @@ def test_nothing_but_the_whole_is_merged(scene_of: Callable[[str], lf.Scene], tm
     # What cannot be read is traced again.
     trace_share(scene, two, 2, 2)
     same_bits(merged([one, two]), lf.render(scene))
-    (one / FACTS).write_text("{}")
-    with pytest.raises(FileError, match="damaged"):
-        merged([one, two])
+    for damaged in ("{}", (one / FACTS).read_text().replace("60.0", "61.0", 1)):
+        (one / FACTS).write_text(damaged)
+        for folders in ([one, two], [two, one]):
+            with pytest.raises(FileError, match=r"one.render\.json is damaged"):
+                merged(folders)
 
 
 def test_shares_of_another_program_are_refused_and_of_another_processor_warned_of(

@@ -181,3 +181,15 @@ OneOrMore = Annotated[
     number_per_type_schema,
 ]
 """A number other than 0, or a list of up to three: one a lenslet type."""
+
+SHORTEST, LONGEST = 1e-100, 1e100
+"""Lengths of a vector that is a direction: beyond them its square is no number."""
+
+
+def no_direction(vector: tuple[float, ...]) -> str:
+    """Return in words why a vector gives no direction; "" if it does."""
+    if not any(vector):
+        return "must not be the zero vector"
+    if not SHORTEST <= math.hypot(*vector) <= LONGEST:
+        return f"must have a length from {SHORTEST:g} to {LONGEST:g}"
+    return ""

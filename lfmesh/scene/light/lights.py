@@ -8,7 +8,7 @@ from pydantic import Field
 
 from lfmesh.scene.light.spectra import Shape
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import FilePath, NonNegative, Number, Positive, Vector
+from lfmesh.scene.quantities import FilePath, NonNegative, Number, Positive, Vector, no_direction
 
 HalfAngle = Annotated[float, Field(strict=True, gt=0, le=180)]
 
@@ -82,12 +82,12 @@ class PointLight(_Shines):
 
 class _Directed(_Shines):
     direction: Vector
-    """Where the light goes; of any length but 0."""
+    """Where the light goes; of any length from 1e-100 to 1e100."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield a direction without direction."""
-        if not any(self.direction):
-            yield Fault(("direction",), list(self.direction), "must not be the zero vector")
+        if why := no_direction(self.direction):
+            yield Fault(("direction",), list(self.direction), why)
 
 
 class DirectionalLight(_Directed):

@@ -15,7 +15,7 @@ from lfmesh.scene.light.spectra import Shape as SpectralShape
 from lfmesh.scene.media.phase import IsotropicPhase, MiePhase, Phase
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
-from lfmesh.scene.quantities import Count, FilePath, NonNegative, Number, Positive, Text, Vector, Whole
+from lfmesh.scene.quantities import Count, FilePath, NonNegative, Number, Positive, Text, Vector, Whole, no_direction
 
 if TYPE_CHECKING:
     from lfmesh.scene.scene import Scene
@@ -40,9 +40,9 @@ class Sheet(Model):
     point_mm: Vector
     """A point of the sheet's middle plane, in the middle of its width, in mm."""
     normal: Vector
-    """Square to the sheet; of any length but 0."""
+    """Square to the sheet; of any length from 1e-100 to 1e100."""
     direction: Vector
-    """Where the light goes, in the sheet; of any length but 0."""
+    """Where the light goes, in the sheet; of any length from 1e-100 to 1e100."""
     thickness_mm: Positive
     """Full thickness of the sheet, in mm, where the irradiance is 1/e² of that in its middle."""
     width_mm: Positive
@@ -54,9 +54,9 @@ class Sheet(Model):
     def faults(self) -> Iterator[Fault]:
         """Yield directions that are none, or not square to each other."""
         for key in ("normal", "direction"):
-            if not any(getattr(self, key)):
-                yield Fault((key,), list(getattr(self, key)), "must not be the zero vector")
-        if any(self.normal) and any(self.direction):
+            if why := no_direction(getattr(self, key)):
+                yield Fault((key,), list(getattr(self, key)), why)
+        if not (no_direction(self.normal) or no_direction(self.direction)):
             n, d = unit(self.normal), unit(self.direction)
             if abs(float(n @ d)) > ACROSS:
                 yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
@@ -85,12 +85,12 @@ class _AboutAxis(Model):
     center_mm: Vector
     """A point of the axis, in mm."""
     axis: Vector
-    """Direction of the axis; of any length but 0."""
+    """Direction of the axis; of any length from 1e-100 to 1e100."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield an axis without direction."""
-        if not any(self.axis):
-            yield Fault(("axis",), list(self.axis), "must not be the zero vector")
+        if why := no_direction(self.axis):
+            yield Fault(("axis",), list(self.axis), why)
 
 
 class RotationDisplacement(_AboutAxis):

@@ -70,6 +70,7 @@ def found(image: "Image") -> list[PictureWarning]:
         *proofs(image.scene, image.aim, image.order),
         *_blind(image.scene, image.blind),
         *books(image.scene, image.ledger),
+        *_no_numbers(image),
         *_heavy_paths(image),
         *_unmet_paths(image),
         *_few_samples(image),
@@ -185,6 +186,13 @@ def _open(ledger: Ledger) -> Iterator[PictureWarning]:
         yield OpenLedgerWarning(
             f"the energy does not close: {ledger.imbalance:.1e} of what was emitted is missing, and the picture is "
             "wrong by about as much; this is a fault of lfmesh: please report the scene"
+        )
+
+
+def _no_numbers(image: "Image") -> Iterator[PictureWarning]:
+    if count := int(np.count_nonzero(~np.isfinite(image.mean))):
+        yield OpenLedgerWarning(
+            f"{count} values of the picture are no numbers; this is a fault of lfmesh: please report the scene"
         )
 
 

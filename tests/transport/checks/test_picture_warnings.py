@@ -6,6 +6,7 @@ Kinds that tell of a scene are provoked by a scene, and kinds that tell of a fau
 import json
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from lfmesh.files import words
 from lfmesh.transport import world as worlds
 from lfmesh.transport.aiming import aim_proof
 from lfmesh.transport.aiming.aim_proof import Missed
+from lfmesh.transport.checks.found import found
 from lfmesh.transport.render import render as renders
 from lfmesh.transport.render.blind_check import BlindSamples
 from lfmesh.transport.render.tracer import Tracer
@@ -379,3 +381,12 @@ def test_cut_paths_are_measured_by_the_light_that_the_picture_lacks() -> None:
     assert lacks > 3e-3
     assert 0.5 < stated / lacks < 2.0
     assert cut.ledger.depth < 1e-4 * cut.ledger.emitted
+
+
+def test_a_picture_with_values_that_are_no_numbers_is_warned_of() -> None:
+    image = lf.render(scene())
+    spoiled = image.mean.copy()
+    spoiled[0, 0] = np.nan
+    told = found(replace(image, mean=spoiled))
+    assert any("1 values of the picture are no numbers" in str(each) for each in told)
+    assert not any("no numbers" in str(each) for each in found(image))

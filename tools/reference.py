@@ -5,7 +5,7 @@
     tools/reference --save before.json        no comparison: the digests of this tree, to compare with later
     tools/reference before.json --only fog
 
-Of 40 scenes a few pixels are rendered with a few samples each, on one thread: arrays of all kinds, covers, ghosts,
+Of some 40 scenes a few pixels are rendered with a few samples each, on one thread: arrays of all kinds, covers, ghosts,
 media, glass, particles, lamps, rough surfaces, polarised light, bands, both methods and both engines. The means, the
 errors, the upper bounds and the ledgers, with the energy lost, are compared by digests of their float64 numbers.
 Digests hold on one machine only, so none are kept in the repository.
@@ -89,7 +89,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def cases() -> dict[str, Callable[[], lf.Scene]]:
-    """Return the makers of the 40 scenes by their names."""
+    """Return the makers of some 40 scenes by their names."""
 
     def asset(name: str, changes: dict[str, Any]) -> Callable[[], lf.Scene]:
         return lambda: lf.load(asset_path(f"scenes/{name}.toml")).changed(SMALL | changes)
@@ -194,7 +194,9 @@ def differences(here: dict[str, Digests], there: dict[str, Digests]) -> dict[str
 
 
 def main() -> int:
-    parser = OneLineParser("tools/reference", description="Bits of 40 reference renders, of this tree and another.")
+    parser = OneLineParser(
+        "tools/reference", description="Bits of some 40 reference renders of two trees."
+    )
     parser.add_argument("against", nargs="?", help="a commit, the folder of another checkout, or a file of --save")
     parser.add_argument("--save", type=Path, metavar="FILE", help="write the digests of this tree as JSON")
     parser.add_argument("--only", metavar="WORD", default="", help="scenes whose names hold the word")

@@ -224,10 +224,11 @@ def kill_and_judge(case: str, kills: int, commands: Commands, before: Path, whol
         assert code in (-signal.SIGKILL, 0)
         found.append(judge(case, before, whole, project))
         assert code != 0 or found[-1]
-    # The same command, once more to its end, clears what the last one left.
+    # The same command, once more to its end, clears what the last one left; a render has to be told so.
     if case == "export" and (project / "out").exists():
         shutil.rmtree(project / "out")
-    assert commands.run(*CASES[case]) == 0
+    again = ["--restart"] if CASES[case][0] == "render" else []
+    assert commands.run(*CASES[case], *again) == 0
     assert judge(case, before, whole, project)
     assert not [path.name for path in project.iterdir() if path.name.startswith(STAGING)]
     return found

@@ -14,7 +14,7 @@ import pytest
 import lfmesh.geometry.surfaces.surface
 import lfmesh.kernels.decorators
 from lfmesh.kernels.cache import KEPT, digest, remove_older_versions
-from lfmesh.scene.camera.camera import lens, qcon
+from lfmesh.scene.camera import lens, qcon
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -27,8 +27,8 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, env=own, capture_output=True, text=True)
 
 
-def test_there_are_forty_scenes_and_all_are_valid(reference: Any) -> None:
-    assert len(reference.cases()) == 40
+def test_there_are_forty_scenes_or_more_and_all_are_valid(reference: Any) -> None:
+    assert len(reference.cases()) >= 40
     for request in reference.requests(reference.cases()):
         scene = reference.lf.Scene(**json.loads(json.dumps(request["tables"])))
         assert scene.transport.threads == 1

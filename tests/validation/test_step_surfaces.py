@@ -9,12 +9,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import trimesh
-from tests.geometry.test_cad_file import model, save_3mf
 
 import lfmesh as lf
 from lfmesh.geometry.objects.refractors import face_lines, measured
 from lfmesh.geometry.surfaces.optical_face import Told, fitted_form, told_form
 from lfmesh.scene import Camera, Element, Lens, Pose, Refractor, Scene, Sensor, Surface
+from tests.geometry.files.test_cad_file import model, save_3mf
 from tests.validation.cad_lenses import (
     SOLIDS,
     cylinder_lens,

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
-from tests.study.test_fit import LEVEL, errors
 
 import lfmesh as lf
 from lfmesh.cli import main
@@ -23,6 +22,7 @@ from lfmesh.study.fits.board_pictures import fully_lit, of_own_lenslets
 from lfmesh.study.fits.ray_map import RayMap
 from lfmesh.study.fits.white_picture import light_of
 from tests.cameras import bench_camera
+from tests.study.fits.test_fit import LEVEL, errors
 
 CORNERS, SQUARE_MM = 4, 5.5
 """Along each side, between four squares, and the side of a square."""

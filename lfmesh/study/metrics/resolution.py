@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
+from scipy.sparse import diags_array
 
 from lfmesh.analysis.spots import half_contrast
 
@@ -58,7 +59,9 @@ def edge_mtf50(picture: Array) -> float:
     half = min(middle + reach, reach - middle, 3.0 * (high - low) + 2.0)
     if not half > 1.0:
         return float("nan")
-    away = np.clip(2.0 * np.abs(x - middle) / half - 1.0, 0.0, 1.0)
+    near = np.abs(x - middle) < half
+    x, slope = x[near], slope[near]
+    away = np.maximum(2.0 * np.abs(x - middle) / half - 1.0, 0.0)
     frequency = np.linspace(0.0, 2.0, 1001)
     mtf = np.abs(np.exp(-2j * np.pi * frequency[:, None] * x) @ (slope * 0.5 * (1.0 + np.cos(np.pi * away))))
     return half_contrast(frequency, mtf / mtf[0])
@@ -109,10 +112,11 @@ def _edge_profile(picture: Array, line: Array, seen: NDArray[np.bool_]) -> BSpli
         at, given = distance[inside], values[inside]
         knots = np.arange(-count - 3, count + 4) / KNOTS
         basis = BSpline.design_matrix(at, knots, 3)
-        normal = (basis.T @ basis).toarray()
-        thirds = np.diff(np.eye(len(normal)), 3, axis=0)
-        normal += STIFFNESS * np.trace(normal) / len(normal) * (thirds.T @ thirds)
-        bands = np.stack([np.append(np.diagonal(normal, -k), np.zeros(k)) for k in range(4)])
+        normal = basis.T @ basis
+        size = normal.shape[0]
+        thirds = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(size - 3, size))
+        normal = normal + STIFFNESS * normal.trace() / size * (thirds.T @ thirds)
+        bands = np.stack([np.append(normal.diagonal(-k), np.zeros(k)) for k in range(4)])
         profile = BSpline(knots, solveh_banded(bands, basis.T @ given, lower=True), 3)
         fall = -profile.derivative()(at) / np.hypot(1.0, lean)
         row = np.broadcast_to(rows[:, None], distance.shape)[inside]

@@ -194,9 +194,7 @@ def differences(here: dict[str, Digests], there: dict[str, Digests]) -> dict[str
 
 
 def main() -> int:
-    parser = OneLineParser(
-        "tools/reference", description="Bits of some 40 reference renders of two trees."
-    )
+    parser = OneLineParser("tools/reference", description="Bits of some 40 reference renders of two trees.")
     parser.add_argument("against", nargs="?", help="a commit, the folder of another checkout, or a file of --save")
     parser.add_argument("--save", type=Path, metavar="FILE", help="write the digests of this tree as JSON")
     parser.add_argument("--only", metavar="WORD", default="", help="scenes whose names hold the word")

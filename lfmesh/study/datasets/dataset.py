@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,13 +20,13 @@ from lfmesh.files.whole import write_whole
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene, load
-from lfmesh.scene.inputs import digest_of, files_of
+from lfmesh.scene.inputs import files_of
 from lfmesh.scene.toml import table
 from lfmesh.study.datasets.dataset_file import DatasetFile, Draw, read_dataset
 from lfmesh.study.datasets.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera, warnings_in
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.paths import value_at
-from lfmesh.study.sweeps.plan import MOST_POINTS, in_a_line, path_faults, seed_of
+from lfmesh.study.sweeps.plan import MOST_POINTS, in_a_line, path_faults, pinned_with, seed_of
 from lfmesh.study.sweeps.pool import here, in_pool
 from lfmesh.study.sweeps.study import Progress, Report, Shard, check_workers, cores, default_workers, lists_settings
 from lfmesh.study.sweeps.study_file import refused
@@ -135,26 +135,24 @@ class Dataset:
         faults += path_faults(file.changes, scene, "changes")
         if not faults and file.changes:
             self.base = scene.changed(file.changes)
-        self.base = self.base.pinned()
         self.candidates = tuple(draw.candidates(folder) for draw in file.random)
         for i, draw in enumerate(file.random):
             faults += [f"random[{i}].{line}" for line in self._draw_faults(draw, self.candidates[i])]
         if file.parts and self.base.camera.mla is None:
             faults.append(f"parts = {list(file.parts)}: need a camera with a microlens array; give parts = []")
         if not faults:
-            self._pin_candidates()
+            # No item takes another file than those that there are now.
+            drawn = zip(self.file.random, self.candidates, strict=True)
+            self.base = pinned_with(self.base, ((draw.path, self._in_scene(draw, found)) for draw, found in drawn))
         faults = faults or list(self._item_faults())
         if faults:
             raise refused(name, faults)
 
-    def _pin_candidates(self) -> None:
-        """Give the template the digests of all files that may be drawn: no item takes another."""
-        digests = self.base.digests
-        for draw, found in zip(self.file.random, self.candidates, strict=True):
-            if draw.files is not None:
-                there = {relative(self.folder / name, self.base.folder): self.folder / name for name in found}
-                digests |= {name: digest_of(path) for name, path in there.items()}
-        self.base = self.base.with_digests(digests)
+    def _in_scene(self, draw: Draw, values: Iterable[Any]) -> list[Any]:
+        """Return values that were drawn as they stand in the scene: files as named from there."""
+        if draw.files is None:
+            return list(values)
+        return [relative(self.folder / value, self.base.folder) for value in values]
 
     def _draw_faults(self, draw: Draw, candidates: tuple[Any, ...]) -> Iterator[str]:
         if draw.files is not None and not candidates:
@@ -212,8 +210,7 @@ class Dataset:
         """
         values = {"transport.seed": seed_of(self.file.seed, number + 1), **self.drawn(number)}
         for draw in self.file.random:
-            if draw.files is not None:
-                values[draw.path] = relative(self.folder / values[draw.path], self.base.folder)
+            (values[draw.path],) = self._in_scene(draw, [values[draw.path]])
         return self.base.changed(values)
 
     def camera_scene(self, scene: Scene) -> Scene:
@@ -225,20 +222,14 @@ class Dataset:
         """SHA-256 of all that items follow from: template, files, draws, seed, parts; not of their count."""
         facts = {
             "scene": self.base.digest,
-            "inputs": self._digests([name for _, name in files_of(self.base)], self.base.folder),
+            "inputs": self.base.digests,
             "random": [table(draw) for draw in self.file.random],
-            "candidates": [
-                self._digests(found, self.folder) if draw.files is not None else None
-                for draw, found in zip(self.file.random, self.candidates, strict=True)
-            ],
+            "candidates": self.candidates,
             "seed": self.file.seed,
             "parts": sorted(self.file.parts),
             "views": self.file.views,
         }
         return _sha256(facts)
-
-    def _digests(self, names: Any, folder: Path) -> dict[str, str]:
-        return {name: digest_of(folder / name) for name in sorted(set(names))}
 
     def item(self, number: int, threads: int = 0) -> Item:
         """Return an item, ready to be made."""
@@ -248,7 +239,7 @@ class Dataset:
         return Item(number, scene, self.drawn(number), camera, _sha256(facts), parts, self.file.views, threads)
 
     def _camera_digest(self, camera: Scene) -> str:
-        inputs = {name: digest_of(camera.resolve(name)) for _, name in files_of(camera)}
+        inputs = {name: camera.digests[name] for _, name in files_of(camera)}
         return _sha256({"scene": camera.digest, "inputs": inputs, "parts": sorted(self.file.parts)})
 
     def make(

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,7 +196,8 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
     if faults:
         raise refused(name, faults)
     points = [Point(i, ()) for i in range(len(scenes))] if scenes else list(_points(study, axes, ready_scene))
-    plan = Plan(study, _pinned(ready_scene, axes), axes, points, tuple(scene.pinned() for scene in scenes))
+    ready_scene = pinned_with(ready_scene, ((axis.path, axis.values or ()) for axis in axes))
+    plan = Plan(study, ready_scene, axes, points, tuple(scene.pinned() for scene in scenes))
     faults = list(_point_faults(plan))
     if faults:
         raise refused(name, faults)
@@ -354,14 +355,23 @@ def in_a_line(error: LfmeshError) -> str:
     return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 
-def _pinned(base: Scene, axes: tuple[Axis, ...]) -> Scene:
-    """Return the reference camera's scene with the digests of its files, and of those that axes name."""
-    digests = base.pinned().digests
-    for axis in axes:
-        for value in dict.fromkeys(value for value in axis.values or () if isinstance(value, str)):
-            with suppress(LfmeshError):  # a value that is not valid is found with its point
-                digests |= base.changed({axis.path: value}).pinned().digests
-    return base.with_digests(digests)
+def pinned_with(base: Scene, choices: Iterable[tuple[str, Iterable[Any]]]) -> Scene:
+    """Return a scene with the digests of its files, and of those that it reads where one of its values is another.
+
+    Parameters
+    ----------
+    base : Scene
+    choices : iterable of (str, iterable)
+        Path in the scene, and the values that may stand there.
+    """
+    base = base.pinned()
+    for path, values in choices:
+        for value in values:
+            # A number names no file; a value that is not valid is found with its point.
+            if not is_number(value):
+                with suppress(LfmeshError, KeyError, IndexError, TypeError, ValueError):
+                    base = base.with_digests(base.changed({path: value}).pinned().digests)
+    return base
 
 
 def summary_of(plan: Plan) -> dict[str, Any]:

@@ -83,13 +83,17 @@ def test_items_do_not_depend_on_their_count_or_on_other_draws() -> None:
     assert len({many.scene(i).transport.seed for i in range(9)}) == 9
 
 
-def test_an_item_whose_file_has_changed_since_the_dataset_was_read_fails(tmp_path: Path) -> None:
+@pytest.mark.parametrize("way", ["files", "values"])
+def test_an_item_whose_file_has_changed_since_the_dataset_was_read_fails(tmp_path: Path, way: str) -> None:
     for name in ("a", "b"):
         Picture.fromarray(np.full((4, 4), 90, np.uint8)).save(tmp_path / f"{name}.png")
-    draws = [{"path": TEXTURE, "files": "*.png"}]
-    scene = small_scene(samples=4, replicates=2)
+    draws: list[dict[str, Any]] = [{"path": TEXTURE, "files": "*.png"}]
+    if way == "values":
+        of = [{"radiance_w_m2_sr": 1.0, "texture": name} for name in ("a.png", "b.png")]
+        draws = [{"path": "targets[0].material", "values": of}]
+    scene = small_scene(samples=4, replicates=2).in_folder(tmp_path)
     data = lf.Dataset(scene, draws, folder=tmp_path, count=6, parts=[])
-    drawn = [Path(data.drawn(number)[TEXTURE]).name for number in range(6)]
+    drawn = [Path(data.scene(number).targets[0].material.texture or "").name for number in range(6)]
     assert len(set(drawn)) == 2
     Picture.fromarray(np.full((4, 4), 200, np.uint8)).save(tmp_path / "b.png")
     with warnings.catch_warnings():

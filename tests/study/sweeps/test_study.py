@@ -199,14 +199,18 @@ def test_warnings_of_a_studys_reference_are_those_of_its_first_point(tmp_path: P
 TEXTURED = PLANE | {"material": {"reflectance": 0.8, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}}
 
 
+@pytest.mark.parametrize("in_a_table", [False, True])
 def test_a_file_that_changes_while_a_study_runs_makes_points_fail_and_is_in_no_value(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, in_a_table: bool
 ) -> None:
     """Files that an axis names among them; put back, the study goes on to the table of one without the change."""
     for name, grey in (("chart.png", 200), ("other.png", 90)):
         PIL.Image.new("L", (4, 4), grey).save(tmp_path / name)
     scene = small_scene().changed({"targets": [TEXTURED]}).in_folder(tmp_path)
-    axes = [{"path": "targets[0].material.texture", "values": ["other.png", "chart.png"]}]
+    axes: list[dict[str, Any]] = [{"path": "targets[0].material.texture", "values": ["other.png", "chart.png"]}]
+    if in_a_table:
+        materials = [TEXTURED["material"] | {"texture": name} for name in axes[0]["values"]]
+        axes = [{"path": "targets[0].material", "values": materials}]
     study = lf.Study(scene, axes=axes, metrics=["light"])
     study.run(tmp_path / "whole", workers=0)
     contents = {name: (tmp_path / name).read_bytes() for name in ("chart.png", "other.png")}

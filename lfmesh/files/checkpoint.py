@@ -96,6 +96,7 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
     except FileNotFoundError:
         raise FileError(f"{folder} has no checkpoint to go on from; render the scene again") from None
     except FileError as error:
-        raise FileError(f"{error}; begin anew with lfmesh render --restart, or delete {folder / CHECKPOINT}") from None
+        why = str(error)
     except (ValueError, KeyError, TypeError):
-        raise FileError(f"{folder / CHECKPOINT} is damaged; delete it, and render the scene again") from None
+        why = f"{folder / CHECKPOINT} is damaged"
+    raise FileError(f"{why}; begin anew with lfmesh render --restart, or delete {folder / CHECKPOINT}")

@@ -53,14 +53,20 @@ def write_sealed(file: IO[bytes], form: int, facts: Mapping[str, Any], arrays: M
 
 
 def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
-    """Read what `write_sealed` wrote: the facts and the arrays.
+    """Read what `write_sealed` wrote into a file: the facts and the arrays.
+
+    Parameters
+    ----------
+    path : Path
+    form : int
+        Number of the format.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     FileError
-        It is damaged, was changed, or another program wrote it.
+        It cannot be read, is damaged, was changed, or another program wrote it.
 
     Warns
     -----
@@ -68,35 +74,64 @@ def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
         Another kind of processor computed it.
     """
     try:
-        with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
-            if not file[_FACTS].ndim:
-                raise FileError(f"{path} was written by an older lfmesh, which may have had other bits")
-            digest, text = (str(entry) for entry in file[_FACTS])
+        with open_regular(path) as file:
+            return unsealed(file, form, str(path))
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arrays]:
+    """Do as `read_sealed` with a binary file, which messages call `what`."""
+    try:
+        with np.load(file, allow_pickle=False) as held:
+            if not held[_FACTS].ndim:
+                raise FileError(f"{what} was written by an older lfmesh, which may have had other bits")
+            digest, text = (str(entry) for entry in held[_FACTS])
             stated = json.loads(text)
-            found, known = stated["format"], stated["program"]
             if hashlib.sha256(text.encode()).hexdigest() != digest:
                 raise ValueError("its facts were changed")
-            other = f"format {found} in place of {form}" if found != form else difference(known)
-            if other:
-                raise FileError(f"{path} was written by another program ({other}), which may have had other bits")
-            if {*file.files} != {*stated["arrays"], _FACTS}:
+            refuse_maker(what, form, stated["format"], stated["program"])
+            if {*held.files} != {*stated["arrays"], _FACTS}:
                 raise ValueError("it has other arrays")
-            arrays = {name: file[name] for name in stated["arrays"]}
+            arrays = {name: held[name] for name in stated["arrays"]}
         if any(_digest(arrays[name]) != known for name, known in stated["arrays"].items()):
             raise ValueError("its arrays were changed")
         facts, where = dict(stated["facts"]), stated["processor"]
-    except (FileNotFoundError, FileError):
+    except FileError:
         raise
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError):
-        raise FileError(f"{path} is damaged") from None
+        raise FileError(f"{what} is damaged") from None
     if where != processor():
         warnings.warn(
-            f"{path} was computed by another kind of processor ({where}, here {processor()}): bits of the whole may "
+            f"{what} was computed by another kind of processor ({where}, here {processor()}): bits of the whole may "
             "differ from those of either",
             ProcessorWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
     return facts, arrays
+
+
+def refuse_maker(what: str, form: int, found: object, maker: object) -> None:
+    """Refuse what another program wrote, or the same in another format.
+
+    Parameters
+    ----------
+    what : str
+        The file, in messages.
+    form, found : int
+        Format that is read, and that of the file.
+    maker : dict of str
+        Program that wrote it.
+
+    Raises
+    ------
+    FileError
+        The formats or the programs differ.
+    """
+    if other := f"format {found} in place of {form}" if found != form else difference(maker):
+        raise FileError(f"{what} was written by another program ({other}), which may have had other bits")
 
 
 def _digest(array: NDArray[Any]) -> str:

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
 from lfmesh.files.run import scene_from, scene_metadata
-from lfmesh.files.sealed import read_sealed, write_sealed
-from lfmesh.provenance import difference, program
+from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
+from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.blind_check import BlindSamples
@@ -222,11 +222,10 @@ def _facts(folder: Path) -> dict[str, Any]:
         known = False
     if not known:
         raise FileError(f"{folder / FACTS} is damaged: delete the folder, and trace its share again")
-    other = f"format {form} in place of {FORMAT}" if form != FORMAT else difference(maker)
-    if other:
-        raise FileError(
-            f"{folder} was written by another program ({other}), which may have had other bits: trace its share again"
-        )
+    try:
+        refuse_maker(str(folder), FORMAT, form, maker)
+    except FileError as error:
+        raise FileError(f"{error}: trace its share again") from None
     return facts
 
 

@@ -69,10 +69,7 @@ class StudyFolder:
 
     def has_reference(self, batch: int) -> bool:
         """Tell whether the films of a batch are there and whole."""
-        try:
-            return is_reference(read_bytes(self.reference_path(batch)), self.plan.digest, batch)
-        except OSError:
-            return False
+        return is_reference(self.reference_path(batch), self.plan.digest, batch)
 
     def keep_reference(self, batch: int, content: bytes) -> None:
         """Write the films of a batch.
@@ -121,10 +118,7 @@ class StudyFolder:
             return None
         except OSError as error:
             raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-        try:
-            return unpacked(content, self.plan.digest, point, batch, self.plan.metrics)
-        except FileError as error:
-            raise FileError(f"{path} {error}") from None
+        return unpacked(content, self.plan.digest, point, batch, self.plan.metrics, str(path))
 
     def log(self, event: str, **values: Any) -> None:
         """Add a line to the log; a log that cannot be written stops nothing."""

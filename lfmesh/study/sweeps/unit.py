@@ -4,10 +4,7 @@ A unit can be pickled and computed by any process; its outcome is bytes, which a
 """
 
 import io
-import json
 import time
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -18,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_order
+from lfmesh.files.sealed import read_sealed, unsealed, write_sealed
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.provenance import program, refuse_other
-from lfmesh.regular_file import read_bytes
 from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, films
 
@@ -126,11 +123,13 @@ def reference_films(unit: Unit) -> bytes:
     began = time.perf_counter()
     with collected() as found:
         traced = films(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
-    facts = {"study": unit.study, "batch": unit.batch, "format": FORMAT, "warnings": _as_dicts(found)}
-    arrays: dict[str, Any] = {f"film.{name}": power for name, power in traced.items()}
-    arrays["facts"] = np.array(json.dumps(facts))
-    arrays["seconds"] = np.array(time.perf_counter() - began)
-    return _bytes_of(arrays)
+    facts = {
+        "study": unit.study,
+        "batch": unit.batch,
+        "seconds": time.perf_counter() - began,
+        "warnings": _as_dicts(found),
+    }
+    return _sealed(facts, {f"film.{name}": power for name, power in traced.items()})
 
 
 def run_unit(unit: Unit, reference: Reference) -> bytes:
@@ -200,7 +199,6 @@ def _preview(unit: Unit, own: Films, known: Films) -> NDArray[np.uint8]:
 def packed(outcome: Outcome, study: str) -> bytes:
     """Return an outcome as bytes."""
     facts = {
-        "format": FORMAT,
         "study": study,
         "point": outcome.point,
         "batch": outcome.batch,
@@ -208,15 +206,16 @@ def packed(outcome: Outcome, study: str) -> bytes:
         "fault": outcome.fault,
         "warnings": _as_dicts(outcome.warnings),
     }
-    arrays: dict[str, Any] = {"facts": np.array(json.dumps(facts))}
-    arrays |= {f"column.{name}": values for name, values in outcome.columns.items()}
+    arrays: dict[str, NDArray[Any]] = {f"column.{name}": values for name, values in outcome.columns.items()}
     arrays |= {f"map.{name}": values for name, values in outcome.maps.items()}
     if outcome.preview is not None:
         arrays["preview"] = outcome.preview
-    return _bytes_of(arrays)
+    return _sealed(facts, arrays)
 
 
-def unpacked(content: bytes, study: str, point: int, batch: int, metrics: tuple[str, ...]) -> Outcome:
+def unpacked(
+    content: bytes, study: str, point: int, batch: int, metrics: tuple[str, ...], what: str = "the outcome"
+) -> Outcome:
     """Return an outcome from its bytes.
 
     Parameters
@@ -227,24 +226,22 @@ def unpacked(content: bytes, study: str, point: int, batch: int, metrics: tuple[
     point, batch : int
         Of the unit.
     metrics : tuple of str
+    what : str
+        The file that holds them, in messages.
 
     Raises
     ------
     FileError
-        They are damaged, or of another unit.
+        They are damaged, of another unit, or another program computed them.
     """
-    arrays = _arrays_of(content)
-    try:
-        facts = json.loads(str(arrays["facts"]))
-        if (facts["format"], facts["study"], facts["point"], facts["batch"]) != (FORMAT, study, point, batch):
-            raise FileError("belongs to another study or unit")
-        fault, seconds = facts["fault"], float(facts["seconds"])
-        columns = {} if fault else {column.name: arrays[f"column.{column.name}"] for column in columns_of(metrics)}
-        found = _warnings_in(facts)
-    except (ValueError, KeyError, TypeError):
-        raise FileError("is damaged") from None
+    facts, arrays = unsealed(io.BytesIO(content), FORMAT, what)
+    if (facts["study"], facts["point"], facts["batch"]) != (study, point, batch):
+        raise FileError(f"{what} belongs to another study or unit")
+    fault = facts["fault"]
+    columns = {} if fault else {column.name: arrays[f"column.{column.name}"] for column in columns_of(metrics)}
     maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
-    return Outcome(point, batch, columns, seconds, fault, maps, arrays.get("preview"), found)
+    found = _warnings_in(facts)
+    return Outcome(point, batch, columns, facts["seconds"], fault, maps, arrays.get("preview"), found)
 
 
 def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:
@@ -261,60 +258,44 @@ def opened_reference(reference: Reference) -> Traced:
     Raises
     ------
     FileError
-        They are damaged.
+        They cannot be read, are damaged, or another program traced them.
     """
     if isinstance(reference, Path):
         return _opened_file(reference)
-    arrays = _arrays_of(reference)
-    return _films_in(arrays)
+    return _films_in(*unsealed(io.BytesIO(reference), FORMAT, "the reference"))
 
 
 @lru_cache(maxsize=2)
 def _opened_file(path: Path) -> Traced:
     try:
-        return _films_in(_arrays_of(read_bytes(path)))
-    except OSError as error:
-        raise FileError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return _films_in(*read_sealed(path, FORMAT))
+    except FileNotFoundError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}") from None
 
 
-def _films_in(arrays: Mapping[str, NDArray[Any]]) -> Traced:
-    found = {name.removeprefix("film."): power for name, power in arrays.items() if name.startswith("film.")}
-    return Traced(found, float(arrays["seconds"]), _warnings_in(json.loads(str(arrays["facts"]))))
+def _films_in(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Traced:
+    found = {name.removeprefix("film."): power for name, power in arrays.items()}
+    return Traced(found, facts["seconds"], _warnings_in(facts))
 
 
-def is_reference(content: bytes, study: str, batch: int) -> bool:
-    """Tell whether bytes are whole films of a study's reference.
+def is_reference(path: Path, study: str, batch: int) -> bool:
+    """Tell whether a file holds whole films of a study's reference.
 
     Parameters
     ----------
-    content : bytes
+    path : Path
     study : str
         Digest of the study.
     batch : int
     """
     try:
-        facts = json.loads(str(_arrays_of(content)["facts"]))
-        return (facts["study"], facts["batch"], facts["format"]) == (study, batch, FORMAT)
-    except (FileError, KeyError, ValueError, TypeError):
+        facts, _ = read_sealed(path, FORMAT)
+        return (facts["study"], facts["batch"]) == (study, batch)
+    except (FileError, FileNotFoundError):
         return False
 
 
-def _bytes_of(arrays: Mapping[str, Any]) -> bytes:
+def _sealed(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
     stream = io.BytesIO()
-    np.savez(stream, **arrays)
+    write_sealed(stream, FORMAT, facts, arrays)
     return stream.getvalue()
-
-
-def _arrays_of(content: bytes) -> dict[str, NDArray[Any]]:
-    """Read all arrays; their checksums are compared.
-
-    Raises
-    ------
-    FileError
-        They are damaged.
-    """
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        raise FileError("is damaged") from None

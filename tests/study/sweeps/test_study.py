@@ -18,12 +18,14 @@ import PIL.Image
 import pytest
 
 import lfmesh as lf
+from lfmesh import provenance
 from lfmesh.cli import main
+from lfmesh.files import sealed
 from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
 from lfmesh.study.sweeps.pool import Result, in_pool
 from lfmesh.study.sweeps.study_folder import logged
-from lfmesh.study.sweeps.unit import Unit, run_unit
+from lfmesh.study.sweeps.unit import FORMAT, Unit, run_unit
 from tests.study.studies import PLANE, SHIFT, shifted, small_scene
 
 ROOT = Path(lf.__file__).parents[1]
@@ -231,6 +233,32 @@ def test_a_file_that_changes_while_a_study_runs_makes_points_fail_and_is_in_no_v
     PIL.Image.new("L", (4, 4), 255).save(tmp_path / "other.png")
     with pytest.raises(lf.LfmeshError, match="holds another study"):
         lf.Study(scene, axes=axes, metrics=["light"]).run(out, workers=0)
+
+
+def test_a_unit_that_another_program_computed_is_named_and_computed_again(tmp_path: Path, table: str) -> None:
+    shifted().run(tmp_path, workers=0)
+    path = tmp_path / "units" / "point000002-batch000.npz"
+    facts, arrays = sealed.read_sealed(path, FORMAT)
+    own = provenance.program()
+    with path.open("wb") as file, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sealed, "program", lambda: own | {"sources": "others"})
+        sealed.write_sealed(file, FORMAT, facts, arrays)
+    shifted().run(tmp_path, workers=0)
+    (reason,) = (line["reason"] for line in logged(tmp_path) if line["event"] == "unreadable")
+    assert f"sources others, here {own['sources']}" in reason
+    assert Counter(events(tmp_path, "done"))[2, 0] == 2
+    assert (tmp_path / "table.csv").read_text() == table
+
+
+def test_an_edited_unit_is_named_and_computed_again(tmp_path: Path, table: str) -> None:
+    shifted().run(tmp_path, workers=0)
+    path = tmp_path / "units" / "point000002-batch000.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **arrays | {"column.light_w_per_pixel": 2.0 * arrays["column.light_w_per_pixel"]})
+    shifted().run(tmp_path, workers=0)
+    assert [line["point"] for line in logged(tmp_path) if line["event"] == "unreadable"] == [2]
+    assert (tmp_path / "table.csv").read_text() == table
 
 
 def test_a_unit_that_another_program_planned_is_not_computed(tmp_path: Path) -> None:

@@ -122,6 +122,8 @@ def render(
     ways = {"--resume": resume, "--merge": merge, "--shard": shard, "--dask": dask}
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
         raise LfmeshError(f"{' and '.join(given)} do not go together: give one of them")
+    if restart and given and dask is None:
+        raise LfmeshError(f"--restart begins a render anew: leave it out beside {given[0]}")
     if merge is not None:
         code = _merged(merge, scene, out, overrides)
         return _white(out, None) if with_white and out is not None and code == 0 else code

@@ -177,6 +177,9 @@ def test_the_command_line_makes_the_run_of_all_shares(
         (["scene.toml", "-o", "x", "--shard", "3/2"], "--shard 3/2"),
         (["scene.toml", "-o", "x", "--shard", "1/2", "--dask", "local"], "do not go together"),
         (["scene.toml", "-o", "x", "--shard", "1/2", "--white"], "--white"),
+        (["scene.toml", "-o", "x", "--shard", "1/2", "--restart"], "leave it out beside --shard"),
+        (["--merge", "part1", "part2", "-o", "x", "--restart"], "leave it out beside --merge"),
+        (["--resume", "part1", "--restart"], "leave it out beside --resume"),
         (["--merge", "part1", "part2"], "--out"),
         (["--merge", "part1", "part2", "-o", "x", "--seed", "3"], "--seed"),
     ):

@@ -8,10 +8,10 @@ from cyclopts import Parameter
 from lfmesh.cli.application import CASE_FAILED, app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Shard, Whole, share_of
-from lfmesh.cli.printing import list_files, say_note
+from lfmesh.cli.printing import list_files, say_note, say_warnings
 from lfmesh.cli.progress import status
 from lfmesh.cli.study import LISTED, progress_in_words
-from lfmesh.errors import LfmeshError, warn_caller
+from lfmesh.errors import LfmeshError
 
 if TYPE_CHECKING:
     from lfmesh.study.datasets.dataset import Dataset
@@ -84,10 +84,6 @@ def _plan(loaded: "Dataset") -> int:
         from lfmesh.transport.world import build
 
     first = loaded.scene(0)
-    wrong = foreseen(build(first))
-    warn_caller(wrong)
-    for note in solved_camera(first).report.warnings:
-        if note not in map(str, wrong):
-            say_note(note)
+    say_warnings(foreseen(build(first)), solved_camera(first).report)
     print(f"{len(loaded)} items, all valid: raw images, {', '.join(loaded.file.parts) or 'nothing else'}")
     return 0

@@ -6,9 +6,12 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lfmesh.errors import PictureWarning
+from lfmesh.errors import PictureWarning, warn_caller
+
+if TYPE_CHECKING:
+    from lfmesh.scene import FirstOrder
 
 COLUMNS = 80
 """Width of what is printed, on a terminal or not."""
@@ -42,6 +45,21 @@ def warnings_in_words() -> Iterator[None]:
 def say_note(note: object) -> None:
     """Print a note on standard error."""
     print(wrapped(f"Note: {note}"), file=sys.stderr)
+
+
+def say_warnings(found: Sequence[PictureWarning], report: "FirstOrder") -> None:
+    """Warn of what may be wrong with a picture, and print the notes of a first-order report that say something else.
+
+    Parameters
+    ----------
+    found : sequence of PictureWarning
+    report : FirstOrder
+    """
+    warn_caller(found)
+    known = set(map(str, found))
+    for note in report.warnings:
+        if note not in known:
+            say_note(note)
 
 
 def list_files(paths: Sequence[Path]) -> None:

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from lfmesh.cli.application import WRONG_INPUT, app
 from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
-from lfmesh.cli.printing import list_files, say_note, wrapped
+from lfmesh.cli.printing import list_files, say_note, say_warnings, wrapped
 from lfmesh.cli.progress import status
 from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.view.progress import progress
@@ -217,11 +217,7 @@ def _say_beforehand(scene: "Scene") -> None:
     from lfmesh.scene.advice import doubtful
 
     camera = solved_camera(scene)
-    wrong = doubtful(camera.scene, camera.report)
-    warn_caller(wrong)
-    for note in camera.report.warnings:
-        if note not in map(str, wrong):
-            say_note(note)
+    say_warnings(doubtful(camera.scene, camera.report), camera.report)
 
 
 def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.meshes.boxes import meets_box, part_inside
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
-from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.decorators import kernel
 
 LARGEST_LEAF = 4
 """Most patches of a leaf."""
@@ -237,11 +238,11 @@ def _crosses(
     du = a[0, 0] * dx + a[0, 1] * dy + a[0, 2] * dz
     dv = a[1, 0] * dx + a[1, 1] * dy + a[1, 2] * dz
     dw = a[2, 0] * dx + a[2, 1] * dy + a[2, 2] * dz
-    first, last = _inside_of(dw, patch.high - w, begin, end)
-    first, last = _inside_of(-dw, w - patch.low, first, last)
+    first, last = part_inside(dw, patch.high - w, begin, end)
+    first, last = part_inside(-dw, w - patch.low, first, last)
     for k in range(3):
         e = patch.edges[k]
-        first, last = _inside_of(e[0] * du + e[1] * dv, e[2] - e[0] * u - e[1] * v, first, last)
+        first, last = part_inside(e[0] * du + e[1] * dv, e[2] - e[0] * u - e[1] * v, first, last)
     if not first <= last:
         return False, 0.0, 0.0, 0.0, 1.0
     u, v, w = u + first * du, v + first * dv, w + first * dw
@@ -269,30 +270,6 @@ def _crosses(
                 )
         side = -side
     return False, 0.0, 0.0, 0.0, 1.0
-
-
-@inlined
-def _inside_of(rate: float, room: float, first: float, last: float) -> tuple[float, float]:
-    """Return the part of a line between two distances that lies inside a plane: where rate · t ≤ room."""
-    if rate > 0.0:
-        last = min(last, room / rate)
-    elif rate < 0.0:
-        first = max(first, room / rate)
-    elif room < 0.0:
-        last = -np.inf
-    return first, last
-
-
-@inlined
-def _meets_box(
-    low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
-) -> bool:  # fmt: skip
-    """Tell whether a ray meets a box between two distances."""
-    for axis in range(3):
-        o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-        begin, end = _inside_of(d, high[axis] - o, begin, end)
-        begin, end = _inside_of(-d, o - low[axis], begin, end)
-    return begin <= end
 
 
 def patch_finder(sense_of: Any) -> Any:
@@ -330,7 +307,7 @@ def patch_finder(sense_of: Any) -> Any:
         found, nearest, nx, ny, nz = -1, end, 0.0, 0.0, 1.0
         node = 1 if tree.leaves > 0 else 0
         while node > 0:
-            if _meets_box(tree.low[node], tree.high[node], x, y, z, dx, dy, dz, begin, nearest):
+            if meets_box(tree.low[node], tree.high[node], x, y, z, dx, dy, dz, begin, nearest):
                 if node < tree.leaves:
                     node *= 2
                     continue

@@ -9,11 +9,12 @@ Transactions on Graphics 9 (1990) 66-104). So no line slips through an edge or a
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.meshes.boxes import meets_box
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
@@ -87,21 +88,6 @@ def _nodes(corners: Array, order: NDArray[np.int64]) -> Iterator[tuple[Array, Ar
 
 
 @inlined
-def _meets_box(node: Any, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> bool:
-    first, last = -np.inf, np.inf
-    for axis in range(3):
-        o, d = (ox, oy, oz)[axis], (dx, dy, dz)[axis]
-        low, high = node.low[axis], node.high[axis]
-        if d == 0.0:
-            if not low <= o <= high:
-                return False
-            continue
-        a, b = (low - o) / d, (high - o) / d
-        first, last = max(first, min(a, b)), min(last, max(a, b))
-    return first <= last
-
-
-@inlined
 def _passes_left(ax: float, ay: float, bx: float, by: float) -> tuple[float, bool]:
     """Return the cross product of two points of a plane, and whether the origin, moved aside, is left of their line."""
     cross = ax * by - ay * bx
@@ -157,7 +143,7 @@ def next_crossing(
     beyond, ahead, node = 0, np.inf, begin
     while node < end:
         box = tree.nodes[node]
-        if not _meets_box(box, x, y, z, dx, dy, dz):
+        if not meets_box(box.low, box.high, x, y, z, dx, dy, dz, -np.inf, np.inf):
             node = box.next
             continue
         for facet in range(box.first, box.first + box.count):

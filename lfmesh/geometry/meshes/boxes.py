@@ -1,0 +1,49 @@
+"""Boxes that a line is tested against, as the trees of facets and of patches do."""
+
+import numpy as np
+
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.kernels.decorators import inlined
+
+
+@inlined
+def part_inside(rate: float, room: float, first: float, last: float) -> tuple[float, float]:
+    """Return the part of a line between two distances that lies inside a plane: where rate · t ≤ room.
+
+    Parameters
+    ----------
+    rate : float
+        At which the line comes nearer to the plane, over the distance along it.
+    room : float, mm
+        From the start of the line to the plane.
+    first, last : float, mm
+    """
+    if rate > 0.0:
+        last = min(last, room / rate)
+    elif rate < 0.0:
+        first = max(first, room / rate)
+    elif room < 0.0:
+        last = -np.inf
+    return first, last
+
+
+@inlined
+def meets_box(
+    low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
+) -> bool:  # fmt: skip
+    """Tell whether a line meets a box between two distances.
+
+    Parameters
+    ----------
+    low, high : (3,) float64, mm
+    x, y, z : float, mm
+        Start of the line.
+    dx, dy, dz : float
+        Unit direction.
+    begin, end : float, mm
+    """
+    for axis in range(3):
+        o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
+        begin, end = part_inside(d, high[axis] - o, begin, end)
+        begin, end = part_inside(-d, o - low[axis], begin, end)
+    return begin <= end

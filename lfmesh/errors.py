@@ -93,7 +93,7 @@ class LostEnergyWarning(PictureWarning):
 
 
 class OpenLedgerWarning(PictureWarning):
-    """The energy ledger does not close: energy is missing of which nothing is known."""
+    """The energy ledger does not close, or values of the picture are no numbers: a fault of the tracer."""
 
 
 class CutPathsWarning(PictureWarning):

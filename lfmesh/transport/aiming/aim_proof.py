@@ -563,7 +563,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         Distance from the sensor's centre at which each ray would land by first-order optics.
     """
     lens, sensor = through.lens, through.sensor
-    space, z, aperture, depth, pose = _stop_of(lens)
+    space, z, rim, depth, pose = _stop_of(lens)
     moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
     centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
     height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
@@ -572,9 +572,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
     slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
     # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
-    radius = aperture * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(
-        slope
-    )
+    radius = rim * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(slope)
     x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
     tx = slope * (centre_x + place * np.cos(around) - height * x)
     ty = slope * (centre_y + place * np.sin(around) - height * y)
@@ -633,10 +631,10 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
-    aperture = float(surfaces[k]["semi_diameter"])
+    rim = float(surfaces[k]["semi_diameter"])
     phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
-    depth = float(np.abs(mesh_heights(surfaces[k], aperture * np.cos(phi), aperture * np.sin(phi))).max())
-    return k, float(surfaces[k]["vertex_z"]), aperture, depth, np.array(surfaces[k]["pose"])
+    depth = float(np.abs(mesh_heights(surfaces[k], rim * np.cos(phi), rim * np.sin(phi))).max())
+    return k, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
 
 
 @kernel

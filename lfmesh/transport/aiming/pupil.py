@@ -383,14 +383,14 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     heights, distances = (np.broadcast_to(a[:, None], x.shape).flatten() for a in (height, distance))
     unbounded = lens.surfaces.copy()
     unbounded["semi_diameter"] = np.inf
-    aperture = np.ascontiguousarray(lens.surfaces["semi_diameter"])
+    rims = np.ascontiguousarray(lens.surfaces["semi_diameter"])
     room = empty_bundle()
     least = np.full(x.size, np.inf)
     colours = lens.media.indices.shape[1]
     for colour in sorted({0, colours // 2, colours - 1}):
         _trace_unbounded(
             heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
-            seen.to_sensor, lens._replace(surfaces=unbounded), aperture, colour, room, least,
+            seen.to_sensor, lens._replace(surfaces=unbounded), rims, colour, room, least,
         )  # fmt: skip
     return least.reshape(x.shape)
 
@@ -398,7 +398,7 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
 @kernel
 def _trace_unbounded(
     height: Array, distance: Array, x: Array, y: Array, plane_z: float, to_sensor: bool, lens: LensTables,
-    aperture: Array, colour: int, bundle: Array, least: Array,
+    rims: Array, colour: int, bundle: Array, least: Array,
 ) -> None:  # fmt: skip
     """Trace rays from points (height, 0) at a distance through points (x, y) of a plane; lower their obstruction."""
     sense = 1.0 if to_sensor else -1.0
@@ -431,7 +431,7 @@ def _trace_unbounded(
             k = space if to_sensor else space - 1
             through_surface(bundle, lens, k, colour, sense, np.inf, DROPPED, DROPPED)
             for i in range(BLOCK):
-                filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (aperture[k] * aperture[k])
+                filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (rims[k] * rims[k])
                 bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)
         for i in range(count):
             if bundle[ENDED_ON + i] == 0.0:

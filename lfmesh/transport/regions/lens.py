@@ -565,8 +565,8 @@ def _is_cut(
             x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x + at * dx, y + at * dy, z + at * dz)
             end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, STOP, S_ABSORBED)
             return True
-    aperture = lens.surfaces[k].semi_diameter
-    if _radius2(lens.surfaces[k], x, y, z) > aperture * aperture:
+    rim = lens.surfaces[k].semi_diameter
+    if _radius2(lens.surfaces[k], x, y, z) > rim * rim:
         slot = lens.mount_slot[k]
         x, y, z = arrive(flow, lens.media, packet, lens.medium[packet.space], x, y, z)
         end(options, flow, frames, packet, CAMERA_FRAME, x, y, z, dx, dy, dz, packet.weight, slot, S_ABSORBED)
@@ -847,7 +847,7 @@ def _first_bulge(
             nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
     # A crossing that the mesh has found already is no news.
     prim, t, mx, my, mz = _first_patch(
-        lens.tree, (space, lens.surfaces), packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, ahead,
+        lens.tree, space, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, ahead,
         nearest * (1.0 - SAME_HIT),
     )  # fmt: skip
     if prim >= 0:
@@ -859,11 +859,8 @@ def _first_bulge(
 
 
 @inlined
-def _sense_at(state: Any, body: int) -> float:
-    """Return the sense in which a packet of a space meets the patches of a surface; 0 where it is not made of them."""
-    space, surfaces = state
-    if surfaces[body].level != PATCH:
-        return 0.0
+def _sense_at(space: int, body: int) -> float:
+    """Return the sense in which a packet of a space meets the patches of a surface; 0 for one of another space."""
     return 1.0 if body == space else (-1.0 if body == space - 1 else 0.0)
 
 

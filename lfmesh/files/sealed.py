@@ -83,7 +83,16 @@ def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
 
 
 def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arrays]:
-    """Do as `read_sealed` with a binary file, which messages call `what`."""
+    """Do as `read_sealed` with a file that is open.
+
+    Parameters
+    ----------
+    file : binary file
+    form : int
+        Number of the format.
+    what : str
+        The file, in messages.
+    """
     try:
         with np.load(file, allow_pickle=False) as held:
             if not held[_FACTS].ndim:

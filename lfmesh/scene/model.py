@@ -80,7 +80,7 @@ class Model(BaseModel, metaclass=_ModelClass):
             model = handler(_plain(data))
         except ValidationError as error:
             raise _as_error(
-                cls, [_restated(detail, cls) for detail in error.errors() if detail["type"] != NOT_TRIED]
+                cls, [_restated(detail, cls) for detail in error.errors() if not _follows(detail)]
             ) from None
         faults = list(model.faults())
         if faults:
@@ -186,6 +186,16 @@ def _short(limit: Any) -> str:
     if isinstance(limit, int):
         return f"{limit:,}" if abs(limit) >= 10_000 else str(limit)
     return f"{limit:g}" if isinstance(limit, float) else str(limit)
+
+
+def _follows(detail: ErrorDetails) -> bool:
+    """Tell whether pydantic found this fault only because of another one, which it reports too.
+
+    A default that depends on a faulty field is not made, and faulty entries of a list do not count in its length.
+    """
+    if detail["type"] == "too_short":
+        return len(detail["input"]) >= detail["ctx"]["min_length"]
+    return detail["type"] == NOT_TRIED
 
 
 def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:

@@ -43,6 +43,8 @@ REFUSED = {
         SCENE.replace("radius_mm = 50.0", f"radius_mm = 50.0, asphere_mm = {[0.0] * 11}"),
         "may have 10 entries at most",
     ),
+    "too many replicates": (SCENE + "[transport]\nreplicates = 100000000", "must be 10,000 or less"),
+    "a wavelength below zero, and no other": (SCENE + "[transport]\nwavelengths_nm = [-500.0]", "must be 100 or more"),
     "too many threads": (SCENE + "[transport]\nthreads = 1000000000", "must be 1024 or less"),
 }
 

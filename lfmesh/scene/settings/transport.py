@@ -15,6 +15,8 @@ PRIMARY_NM = 587.6
 MOST_EVENTS = 2**15 - 1
 """What a packet counts in 16 bits."""
 MOST_THREADS = 1024
+MOST_REPLICATES = 10_000
+"""Each replicate is a pass over all pixels, of at least one sample."""
 
 REPLICATES, REPLICATES_OF_IMAGE_PATH = 8, 4
 """Replicates of a scene that gives none; with split = "transmit" few of many samples, because a replicate's points are
@@ -58,7 +60,7 @@ class Transport(Model):
     samples: Count = 64
     """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels. Rounded up to a multiple of
     `replicates`."""
-    replicates: Count = Field(default_factory=_usual_replicates)
+    replicates: Annotated[Count, Field(le=MOST_REPLICATES)] = Field(default_factory=_usual_replicates)
     """Independent randomisations that share the samples; their spread is the standard error. 8 if omitted, 4 with
     split = "transmit"."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None

@@ -105,13 +105,13 @@ def _told(now: "Progress") -> dict[str, Any]:
     from lfmesh.files.words import count, duration
 
     left = now.seconds_left
-    replicate = min(now.replicate + 1, now.replicates)
+    replicate = f" (replicate {min(now.replicate + 1, now.replicates)}/{now.replicates})" if now.replicates else ""
     return {
-        "description": f"{now.stage} (replicate {replicate}/{now.replicates})",
+        "description": f"{now.stage}{replicate}",
         "completed": now.done,
         "total": now.total or None,
-        "rate": f"{count(now.rate)} packets/s" if now.rate else "",
-        "left": f"{duration(left)} left" if left is not None else "",
+        "rate": f"{count(now.rate)} packets/s" if now.rate and now.replicates else "",
+        "left": f"{duration(left)} left" if left is not None and now.replicates else "",
     }
 
 
@@ -122,17 +122,22 @@ class _Lines:
     SECONDS = 2.0
 
     def __init__(self) -> None:
+        self._stage = "tracing"
         self._step = 0
         self._printed_at = 0.0
 
     def __call__(self, now: "Progress") -> None:
         from lfmesh.files.words import count, duration
 
-        step = self.STEPS * now.done // now.total if now.total else 0
-        if step <= self._step or (now.seconds - self._printed_at < self.SECONDS and now.done < now.total):
+        step, percent = (n * now.done // now.total if now.total else 0 for n in (self.STEPS, 100))
+        if now.stage != self._stage:
+            self._stage, self._step = now.stage, 0
+        elif step <= self._step or (now.seconds - self._printed_at < self.SECONDS and now.done < now.total):
             return
         self._step, self._printed_at = step, now.seconds
-        line = f"{now.stage}: {100 * now.done // now.total} %, {count(now.rate)} packets/s"
-        if now.seconds_left:
+        line = f"{now.stage}: {percent} %"
+        if now.replicates:
+            line += f", {count(now.rate)} packets/s"
+        if now.replicates and now.seconds_left:
             line += f", {duration(now.seconds_left)} left"
         print(line, file=sys.stderr, flush=True)

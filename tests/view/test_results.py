@@ -178,6 +178,20 @@ def test_progress_is_shown_to_those_who_ask(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().err.splitlines() == ["tracing: 50 %, 250 packets/s, 2.0 s left"]
 
 
+def test_what_comes_before_tracing_has_no_packets(capsys: pytest.CaptureFixture[str]) -> None:
+    with notebook.watched(True) as report:
+        assert report is not None
+        for done in (0, 1, 4):
+            report(lf.Progress(done, 4, 5.0 * done, 0, 0, "compiling"))
+        report(told(500))
+    assert capsys.readouterr().err.splitlines() == [
+        "compiling: 0 %",
+        "compiling: 25 %",
+        "compiling: 100 %",
+        "tracing: 50 %, 250 packets/s, 2.0 s left",
+    ]
+
+
 def test_in_a_notebook_progress_is_a_bar_that_ends_as_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("IPython")
     shown: list[str] = []

@@ -4,17 +4,20 @@ On a fresh install nothing is compiled yet, and numba compiles one function at a
 kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
 that aim packets and take them along the image path and along ghosts: each about half of all. Both write to numba's
 cache on disk, where the render finds what the other has compiled. Where the second process fails, the render compiles
-everything itself.
+everything itself. Meanwhile the render reports its progress, step by step.
 """
 
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from threading import Thread
+from typing import IO, Any
 
 import numpy as np
+from numba.core import event
 
 from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
@@ -26,6 +29,7 @@ from lfmesh.transport.regions.lens import shade_lens
 from lfmesh.transport.regions.mla import shade_cells
 from lfmesh.transport.regions.objects import shade_objects
 from lfmesh.transport.render.parts import parts_of
+from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
@@ -45,18 +49,30 @@ import gc, os, sys
 gc.disable()
 sys.path[:] = {path!r}
 from {module} import compile_stations
-compile_stations({stations!r}, starts={starts!r}, glass={glass!r})
+compile_stations({stations!r}, starts={starts!r}, glass={glass!r}, done=lambda: os.write(1, b"."))
 os._exit(0)
 """
 
+POLL_SECONDS = 0.05
+STAGE = "compiling kernels, once for this installation"
+
+Report = Callable[[Progress], None]
+
 
 @contextmanager
-def compiled_ahead(scene: Scene) -> Iterator["Ahead"]:
+def compiled_ahead(scene: Scene, report: Report | None = None) -> Iterator["Ahead"]:
     """Compile kernels that a render of the scene needs in a second process, unless they are cached.
 
     The process is stopped where the block raises.
+
+    Parameters
+    ----------
+    scene : Scene
+        To be rendered next.
+    report : callable, optional
+        Told how much is compiled.
     """
-    ahead = Ahead(scene)
+    ahead = Ahead(scene, report)
     try:
         yield ahead
     except BaseException:
@@ -71,15 +87,23 @@ class Ahead:
     ----------
     scene : Scene
         To be rendered next.
+    report : callable, optional
+        Told how much is compiled, where kernels are not cached.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, report: Report | None = None) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._starts = False
+        self._steps = self._own = self._others = 0
+        self._said = -1
+        self._began = time.perf_counter()
         alone = engine_of(scene)[0] == "sequential"
         kernels = (shade_objects,) if alone else (shade_objects, shade_lens, shade_cells)
+        cached = any(map(is_cached, kernels))
+        self._report = None if cached else report
+        self._say()
         # The kernels of polarised light are others, and few scenes have it.
-        if processors() > 1 and not scene.transport.polarisation and not any(map(is_cached, kernels)):
+        if processors() > 1 and not scene.transport.polarisation and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             starts = scene.transport.method == "adjoint" and not alone
             glass = len(scene.bodies()) > 0
@@ -87,17 +111,45 @@ class Ahead:
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
-                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0,
                 )  # fmt: skip
                 self._starts = starts
+                self._steps = len(stations) + starts
             except OSError:
                 self._process = None
 
     def join(self, world: World) -> None:
         """Compile the kernels that launch packets of a world, and wait until the other process has compiled its own."""
-        if self._process is not None:
-            compile_launches(world, starts=not self._starts)
-            self._process.wait()
+        if (process := self._process) is None:
+            return
+        self._steps += 1 + len(parts_of(world))
+        self._step()
+        counting = Thread(target=self._count_others, args=(process.stdout,), daemon=True)
+        counting.start()
+        with _told_of_kernels(self._say):
+            compile_launches(world, starts=not self._starts, done=self._step)
+        while counting.is_alive():
+            counting.join(POLL_SECONDS)
+            self._say()
+        process.wait()
+
+    def _step(self) -> None:
+        """Count a step of this process, and report it."""
+        self._own += 1
+        self._say()
+
+    def _count_others(self, finished: IO[bytes]) -> None:
+        """Count the steps of the other process, one byte each, until it ends."""
+        with finished:
+            while finished.read(1):
+                self._others += 1
+
+    def _say(self) -> None:
+        """Report the steps of both processes, if there are more than at the last report."""
+        done = self._own + self._others
+        if self._report is not None and done > self._said:
+            self._said = done
+            self._report(Progress(done, self._steps, time.perf_counter() - self._began, 0, 0, STAGE))
 
     def stop(self) -> None:
         """End the process."""
@@ -106,13 +158,28 @@ class Ahead:
             self._process.wait()
 
 
+@contextmanager
+def _told_of_kernels(tell: Callable[[], None]) -> Iterator[None]:
+    """Call a function whenever numba begins or ends to compile a kernel, within the block."""
+
+    class Told(event.Listener):  # type: ignore[misc]
+        def on_start(self, _: event.Event) -> None:
+            tell()
+
+        def on_end(self, _: event.Event) -> None:
+            tell()
+
+    with event.install_listener("numba:compile", Told()):
+        yield
+
+
 def processors() -> int:
     """Return the number of processors that this process may use."""
     available = getattr(os, "sched_getaffinity", None)
     return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
-def compile_launches(world: World, *, starts: bool = True) -> None:
+def compile_launches(world: World, *, starts: bool = True, done: Callable[[], object] = object) -> None:
     """Compile what launches the packets of a render, and what follows the image path and ghosts, by launching none.
 
     Parameters
@@ -120,6 +187,8 @@ def compile_launches(world: World, *, starts: bool = True) -> None:
     world : World
     starts : bool
         Whether to compile `launch_adjoint`, too.
+    done : callable
+        Called after each part of the image.
     """
     alone = engine_of(world.scene)[0] == "sequential"
     for part in parts_of(world):
@@ -134,9 +203,16 @@ def compile_launches(world: World, *, starts: bool = True) -> None:
             LightSource(0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
         if part.options.paths == GHOSTS or (part.options.sequential and not alone):
             work.advance(LENS)
+        done()
 
 
-def compile_stations(stations: tuple[tuple[int, bool], ...], *, starts: bool = False, glass: bool = False) -> None:
+def compile_stations(
+    stations: tuple[tuple[int, bool], ...],
+    *,
+    starts: bool = False,
+    glass: bool = False,
+    done: Callable[[], object] = object,
+) -> None:
     """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
 
     Parameters
@@ -147,6 +223,8 @@ def compile_stations(stations: tuple[tuple[int, bool], ...], *, starts: bool = F
         Whether to compile `launch_adjoint`, too.
     glass : bool
         Whether the scene has bodies of glass.
+    done : callable
+        Called after each station, and after `launch_adjoint`.
     """
     world = build(Scene.model_validate(BARE | {"targets": [GLASS if glass else WALL]}), aimed=False)
     options = options_of(world)
@@ -155,9 +233,11 @@ def compile_stations(stations: tuple[tuple[int, bool], ...], *, starts: bool = F
     for station, sequential in stations:
         work.options = options._replace(in_order=station == LENS, sequential=sequential)
         work.advance(station)
+        done()
     if starts:
         work.options = options._replace(sequential=False)
         PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
+        done()
 
 
 BARE = {

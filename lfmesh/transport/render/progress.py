@@ -10,17 +10,17 @@ class Progress:
     Attributes
     ----------
     done : int
-        Packets started so far, over all replicates.
+        Packets started so far, over all replicates; before tracing, steps finished.
     total : int
-        Packets in all.
+        Packets in all; before tracing, steps, 0 while their number is not known.
     seconds : float
-        Wall-clock time since tracing began.
+        Wall-clock time since tracing, or what comes before, began.
     replicate : int
         Replicates finished.
     replicates : int
-        Replicates in all.
+        Replicates in all; 0 before tracing.
     stage : str
-        Name of the stage: "building", "tracing", ...
+        Name of the stage: "tracing", "refining", or what a first render of an installation does before.
     """
 
     done: int
@@ -32,7 +32,7 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """Packets a second since tracing began; 0 before the first."""
+        """Packets, or steps, a second since the stage began; 0 before the first."""
         return self.done / self.seconds if self.seconds > 0.0 else 0.0
 
     @property

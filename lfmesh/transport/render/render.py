@@ -80,10 +80,10 @@ def render(
     LfmeshError
         The scene cannot be built, or `saved` is of another one.
     """
-    with compiled_ahead(scene) as ahead:
-        world = build(scene)
-        ahead.join(world)
     with watched(progress) as report:
+        with compiled_ahead(scene, report) as ahead:
+            world = build(scene)
+            ahead.join(world)
         renderer = Renderer(world, progress=report)
         return warned(renderer, lambda: renderer.image(saved, keep))
 

@@ -84,6 +84,26 @@ def test_a_render_does_without_a_process_that_fails(python: str, monkeypatch: py
     assert (image.mean == expected.mean).all()
 
 
+def test_a_first_render_tells_how_much_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
+    heard: list[lf.Progress] = []
+    lf.render(scene_of(), progress=heard.append)
+    compiling = [each for each in heard if each.stage == compile_ahead.STAGE]
+    assert heard[: len(compiling)] == compiling
+    done = [each.done for each in compiling]
+    assert done == sorted(set(done))
+    # The world, its parts (image path with other paths, ghosts), and seven steps of the other process.
+    assert done[0] == 0 < len(compiling) - 3
+    assert compiling[-1].done == compiling[-1].total
+
+
+def test_a_render_of_cached_kernels_tells_of_no_compiling() -> None:
+    lf.render(scene_of())
+    heard: list[lf.Progress] = []
+    lf.render(scene_of(), progress=heard.append)
+    assert {each.stage for each in heard} <= {"tracing"}
+
+
 def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
     start = subprocess.Popen
@@ -119,4 +139,4 @@ def test_only_what_the_scene_needs_is_compiled(
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
     Ahead(scene_of().changed({"transport.split": "both"} | changes))
     stations, starts, glass = asked
-    assert f"compile_stations({stations!r}, starts={starts}, glass={glass})" in started[0][-1]
+    assert f"compile_stations({stations!r}, starts={starts}, glass={glass}, " in started[0][-1]

@@ -54,7 +54,7 @@ def check(scene: SceneFile, /) -> int:
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:
         lines += tank_lines(loaded)
-    if loaded.coatings:
+    if loaded.all_coatings:
         from lfmesh.transport.tables.interfaces import coating_lines
 
         lines += coating_lines(solved_camera(loaded).scene)

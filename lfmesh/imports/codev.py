@@ -311,6 +311,10 @@ class _Reader:
 
     _on_gl1 = _on_gla
 
+    def _on_mlt(self, _: list[str]) -> None:
+        how = "multilayer files are not read; the surface is traced bare"
+        self.report.add(self.at, self.text, Verdict.APPROXIMATED, how)
+
     def _on_cir(self, words: list[str]) -> None:
         surface, rest = self._named(words)
         kind = rest[0].upper()

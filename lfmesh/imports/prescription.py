@@ -11,12 +11,14 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.coatings import CoatingFile, UnreadableCoatingError, found_coating, name_in_scene
 from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
 from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
+from lfmesh.scene.materials.coatings import Coating
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
@@ -57,6 +59,8 @@ class FileSurface:
     extent: float | None = None
     """Radius that rays of the file's fields fill: what its program computed and draws."""
     stop: bool = False
+    coating: tuple[int, str, str] | None = None
+    """Line, text and name of its coating."""
     focal_length: float | None = None
     """Of a thin lens in the surface's place; NaN: not given."""
 
@@ -88,6 +92,8 @@ class Prescription:
         Glass catalogues that the file uses, the first first.
     indices : dict
         Index, or glass, by name of the materials that the file defines itself.
+    coating_file : str, optional
+        Name of the file, beside this one, that defines coatings.
     """
 
     surfaces: list[FileSurface] = field(default_factory=list)
@@ -101,6 +107,7 @@ class Prescription:
     fields: list[FieldPoint] = field(default_factory=list)
     makers: list[str] = field(default_factory=list)
     indices: dict[str, Medium] = field(default_factory=dict)
+    coating_file: str | None = None
 
     @property
     def primary_nm(self) -> float:
@@ -163,6 +170,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     stop_mm = _stop_radius_mm(prescription, made, paraxial, report)
     radii = [shortest_radius(surface.curvature / unit) for surface in made.kept]
     apertures = _apertures_mm(prescription, made, paraxial, stop_mm, report)
+    coatings, names = _coatings(prescription, made, report)
     surfaces = []
     for i, (surface, medium) in enumerate(zip(made.kept, made.media, strict=True)):
         size = None if i == stop and f_number is not None else apertures[i]
@@ -183,6 +191,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "conic": surface.conic,
             "asphere_mm": tuple(coefficients),
             "odd_asphere_mm": tuple(odd),
+            "coating": names[i],
         }
         if surface.section is not None:
             across: dict[str, float] = {"radius_x_mm": shortest_radius(surface.curvature_x / unit)}
@@ -195,11 +204,40 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             source=prescription.source or None,
             surfaces=tuple(Surface(**values) for values in surfaces),
             f_number=f_number,
+            coatings=coatings,
         )
     except SceneError as error:
         raise SceneError(f"{report.path}: as a lens of this program: {error}") from None
     _note(prescription, made, paraxial, report)
     return lens
+
+
+def _coatings(prescription: Prescription, made: _Made, report: Report) -> tuple[dict[str, Coating], list[str | None]]:
+    """Return the coatings of a lens by name, and the name that each kept surface gives."""
+    coatings: dict[str, Coating] = {}
+    names: list[str | None] = []
+    coated = any(surface.coating for surface in made.kept)
+    file = CoatingFile.beside(report.path, prescription.coating_file) if coated else None
+    before: Medium | None = None
+    for surface, medium in zip(made.kept, made.media, strict=True):
+        names.append(None)
+        if surface.coating is not None:
+            line, text, name = surface.coating
+            found, bare = None, ""
+            if medium == before or surface.focal_length is not None:
+                bare = "no coating, since it has the same medium on both sides"
+            else:
+                try:
+                    found = found_coating(name, prescription.primary_nm, file)
+                except UnreadableCoatingError as error:
+                    bare = f"{error}; the surface is traced bare"
+            if found is not None:
+                names[-1] = name_in_scene(name)
+                coatings[name_in_scene(name)] = found.coating
+            how = bare or (found.how if found is not None else "")
+            report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
+        before = medium
+    return coatings, names
 
 
 def shortest_radius(curvature: float) -> float:

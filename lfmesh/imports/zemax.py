@@ -29,11 +29,11 @@ _UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
 _FIELD_KINDS = {0: "angle", 1: "object", 2: "image", 3: "image"}
 
 _WITHOUT_EFFECT = command_names(
-    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD COFN BLNK TOL DBDT FWGN FWGT WWGT "
-    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS COAT PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
+    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD BLNK TOL DBDT FWGN FWGT WWGT "
+    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
     "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
 )
-"""Names, settings of the program, solves whose present value stands in the line, coatings, drawing, mechanics."""
+"""Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
 
 _ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
 """Even aspheres, odd ones, and extended even ones: terms of r over a radius of their own, in XDAT."""
@@ -299,6 +299,11 @@ class _Reader:
         self.made.primary = int(number(words[0]))
         self._taken()
 
+    def _on_cofn(self, words: list[str]) -> None:
+        names = [word.strip('"') for word in words]
+        self.made.coating_file = next((name for name in names if name.upper().endswith(".DAT")), None)
+        self._taken()
+
     def _on_mnum(self, words: list[str]) -> None:
         if int(number(words[0])) > 1:
             self._approximated(f"{words[0]} configurations: the surfaces are taken as they stand in the file")
@@ -461,6 +466,10 @@ class _Reader:
             self._surface.aperture = self._surface.extent
 
     _on_flap = _on_clap
+
+    def _on_coat(self, words: list[str]) -> None:
+        # What becomes of it is known with the primary wavelength and the media, at the end.
+        self._surface.coating = (self.at, self.text, words[0])
 
     def _on_sqap(self, words: list[str]) -> None:
         half = numbers(words[:2])

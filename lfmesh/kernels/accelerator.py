@@ -28,7 +28,7 @@ def private(part: str) -> ModuleType | None:
     Parameters
     ----------
     part : str
-        Its name: "pipeline" or "tables".
+        Its name: "pipeline", "tables" or "listening".
     """
     if os.environ.get(PLAIN, "0") not in ("", "0"):
         return None

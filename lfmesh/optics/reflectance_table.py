@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +32,23 @@ class ReflectanceTable:
     wavelengths_nm: Array
     cosines: Array
     reflectance: Array
+
+    @classmethod
+    def of(
+        cls, wavelengths_nm: Sequence[float], angles_deg: Sequence[float], reflectance: Sequence[Sequence[float]]
+    ) -> "ReflectanceTable":
+        """Return a table of reflectances.
+
+        Parameters
+        ----------
+        wavelengths_nm, angles_deg : sequence of float
+            Increasing, the angles from 0 to 90 degrees.
+        reflectance : sequence of sequence of float
+            For each wavelength that at each angle.
+        """
+        cosines = np.cos(np.radians(angles_deg))[::-1]
+        cosines[0] = 0.0
+        return cls(np.array(wavelengths_nm), cosines, np.array(reflectance)[:, ::-1])
 
     def at(self, wavelength_nm: float, cosine: Array) -> Array:
         """Return the reflectance at a wavelength of the table's range, by the cosine of the angle, 0 to 1.
@@ -92,11 +110,7 @@ def read_reflectance(path: Path) -> ReflectanceTable:
                 f"{path}: the reflectance for {wavelength:g} nm at 90 degrees is {values[wavelength, 90.0]:g}; there "
                 "every surface reflects 1"
             )
-    cosines = np.cos(np.radians(angles))
-    cosines[0] = 0.0
-    return ReflectanceTable(
-        np.array(wavelengths), cosines, np.array([[values[w, a] for a in angles] for w in wavelengths])
-    )
+    return ReflectanceTable.of(wavelengths, angles[::-1], [[values[w, a] for a in angles[::-1]] for w in wavelengths])
 
 
 def _numbers(path: Path, number: int, head: list[str], row: list[str]) -> tuple[float, float, float]:

@@ -84,7 +84,10 @@ def load_lens(path: str | Path) -> Lens:
 
 
 def with_lens_file(lens: Lens, folder: Path) -> Lens:
-    """Return a lens whose `file` is replaced by what it holds; stop size, names and poses given beside it win."""
+    """Return a lens whose `file` is replaced by what it holds.
+
+    Stop size, names, poses and coatings that are given beside it win.
+    """
     if lens.file is None:
         return lens
     held = load_lens(_lens_path(lens.file, folder))
@@ -93,6 +96,8 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
         beside |= {key: getattr(lens, key) for key in STOP_SIZES}
     if lens.elements:
         beside["elements"] = lens.elements
+    if lens.coatings:
+        beside["coatings"] = {**held.coatings, **lens.coatings}
     return Lens(**{**held.model_dump(), **beside})
 
 

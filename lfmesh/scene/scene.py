@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.notebook import Shown
 from lfmesh.optics.glass import Medium as GlassOrAir
-from lfmesh.optics.glass import absorption_per_mm, catalogue_name, complex_index, refractive_index
+from lfmesh.optics.glass import absorption_per_mm, catalogue_name, refractive_index
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera.camera import Camera
@@ -287,6 +287,11 @@ class Scene(Model, Shown):
         yield from self._polarisation_faults()
         yield from self._memory_faults()
 
+    @property
+    def all_coatings(self) -> dict[str, Coating]:
+        """The scene's coatings and those that the lens brings, by name."""
+        return {**self.camera.lens.coatings, **self.coatings}
+
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
         """Yield where surfaces give the name of a coating, and the name."""
         for i, surface in enumerate(self.camera.lens.surfaces):
@@ -414,18 +419,24 @@ class Scene(Model, Shown):
                 yield ("targets", i, "refractor", "finish"), target.refractor.finish
 
     def _coating_faults(self) -> Iterator[Fault]:
+        of_lens = self.camera.lens.coatings
+        for beginning, coatings in (((), self.coatings), (("camera", "lens"), of_lens)):
+            for name, coating in coatings.items():
+                where: Location = (*beginning, "coatings", name)
+                if why := name_fault(name):
+                    yield Fault(where, None, why)
+                for i, layer in enumerate(coating.layers or ()):
+                    for wavelength in self._checked_nm() if layer.glass is not None else ():
+                        try:
+                            layer.index_at(wavelength)
+                        except GlassError as error:
+                            yield Fault((*where, "layers", i, "glass"), None, str(error))
+                            break
         for name, coating in self.coatings.items():
-            if why := name_fault(name):
-                yield Fault(("coatings", name), None, why)
-            for i, layer in enumerate(coating.layers or ()):
-                for wavelength in self._checked_nm() if layer.glass is not None else ():
-                    try:
-                        complex_index(layer.glass or "", wavelength)
-                    except GlassError as error:
-                        yield Fault(("coatings", name, "layers", i, "glass"), None, str(error))
-                        break
+            if of_lens.get(name, coating) != coating:
+                yield Fault(("coatings", name), None, "the lens has another coating of this name; take another one")
         for where, name in self.coating_uses():
-            if why := unknown_fault(name, tuple(self.coatings)):
+            if why := unknown_fault(name, tuple(self.all_coatings)):
                 yield Fault(where, name, why)
 
     def _polarisation_faults(self) -> Iterator[Fault]:
@@ -440,7 +451,7 @@ class Scene(Model, Shown):
                     yield Fault(where, value, "needs transport.polarisation = true")
             return
         for where, name in self.coating_uses():
-            coating = self.coatings.get(name)
+            coating = self.all_coatings.get(name)
             if coating is not None and coating.layers is None:
                 given = "reflectance" if coating.reflectance is not None else "table"
                 yield Fault(

@@ -6,6 +6,7 @@ import re
 import tempfile
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from lfmesh.files import exr
 from lfmesh.files.calibration import read_calibration, write_calibration
 from lfmesh.files.white_picture import read_picture
 from lfmesh.geometry.voxels import read_voxels
+from lfmesh.imports.coatings import CoatingFile, UnreadableCoatingError
 from lfmesh.imports.lens_file import read_lens, write_lens_file
 from lfmesh.lightfield.volumes.voxel_box import read_box
 from lfmesh.optics.curve import read_curve
@@ -100,7 +102,17 @@ DISPLACED = "x_mm,y_mm,z_mm,dx_mm,dy_mm,dz_mm\n" + "".join(
 COATING = "wavelength_nm,angle_deg,reflectance\n" + "".join(
     f"{w},{a},{r}\n" for w in (400, 700) for a, r in ((0, 0.01), (45, 0.02), (90, 1))
 )
-
+COATING_DAT = """MATE X
+0.4 1.4 0
+0.7 1.3 -0.1
+COAT STACK
+X 0.25 0 2
+X 0.05 1 2
+IDEAL GREY 0.5 0.5
+TABLE MEASURED
+ANGL 0
+WAVE 0.5 0.1 0.1 0.9 0.9
+"""
 
 PARTICLES = "x_mm,y_mm,z_mm,intensity_w_sr\n1,2,-500,0.1\n2,2.5,-510,1e-3\n"
 SPECTRUM = "wavelength_nm,value\n400,0.5\n500,0.7\n700,0.1\n"
@@ -113,6 +125,13 @@ class Beside(NamedTuple):
 
     def resolve(self, path: str | Path) -> Path:
         return self.folder / path
+
+
+def coating_file(path: Path) -> Any:
+    file = CoatingFile.read(path)
+    for name in file.entries:
+        with suppress(UnreadableCoatingError):
+            file.coating(name, 587.6)
 
 
 def profile(path: Path) -> Any:
@@ -221,6 +240,7 @@ TEXTS: dict[str, Callable[[], Kind]] = {
     "displacements": lambda: Kind("csv", DISPLACED.encode(), displaced),
     "profile": lambda: Kind("ies", IES.encode(), profile),
     "coating": lambda: Kind("csv", COATING.encode(), read_reflectance),
+    "coating file": lambda: Kind("dat", COATING_DAT.encode(), coating_file),
     "spectrum": lambda: Kind("csv", SPECTRUM.encode(), lambda path: read_curve(path, "value")),
     "lens": lambda: Kind("toml", asset_path("lenses/cooke_triplet_50mm.toml").read_bytes(), lens),
     "zmx": lambda: Kind("zmx", as_lens("zmx"), lens),

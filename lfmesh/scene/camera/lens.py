@@ -20,7 +20,7 @@ from lfmesh.scene.camera.sections import (
     toroid_sag_mm,
 )
 from lfmesh.scene.literals import at_least, at_most
-from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.scene.materials.coatings import UNCOATED, Coating
 from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
 from lfmesh.scene.materials.own_glass import Glass
 from lfmesh.scene.model import Fault, Model
@@ -75,7 +75,7 @@ class Surface(Model):
     stop: Flag = False
     """Whether this surface's aperture is the aperture stop of the lens."""
     coating: Text = UNCOATED
-    """Name of a coating of the scene, or "none": bare."""
+    """Name of a coating of the scene or of the lens, or "none": bare."""
     finish: AnyFinish = POLISHED
     """"polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     conic: Number = 0.0
@@ -453,6 +453,12 @@ class Lens(Model):
     """Sets the radius of the stop so that the entrance pupil has this diameter, in mm."""
     elements: tuple[Element, ...] = ()
     """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
+    coatings: dict[str, Coating] = Field(default_factory=dict)
+    """Coatings that the lens brings, by the name that its surfaces use, beside those of the scene."""
+
+    def __hash__(self) -> int:
+        values = (frozenset(value.items()) if isinstance(value, dict) else value for _, value in self)
+        return hash(tuple(values))
 
     @property
     def stop_index(self) -> int | None:
@@ -498,6 +504,9 @@ class Lens(Model):
             if self.surfaces:
                 yield Fault(("file",), self.file, "surfaces are given too; give one of them")
             return
+        for name, coating in self.coatings.items():
+            if coating.table is not None:
+                yield Fault(("coatings", name, "table"), coating.table, "a coating with a file belongs to the scene")
         if not self.surfaces:
             yield Fault(("surfaces",), None, 'missing: give the prescription, or file = "..." with one')
             return

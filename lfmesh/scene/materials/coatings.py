@@ -2,10 +2,13 @@
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
+from lfmesh.optics.glass import complex_index
 from lfmesh.scene.model import Fault, Model, nearest
 from lfmesh.scene.quantities import FilePath, FractionOfOne, GlassName, Positive
 
@@ -20,31 +23,111 @@ Extinction = Annotated[float, Field(strict=True, ge=0, le=100)]
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
+class MeasuredIndex(Model):
+    """Complex index n + ik of a layer by a table; linear in between, and beyond its ends as at the nearer one."""
+
+    wavelengths_nm: tuple[Positive, ...] = Field(min_length=1)
+    """Wavelengths, increasing, in nm."""
+    index: tuple[LayerIndex, ...]
+    """Refractive index n at each of them."""
+    extinction: tuple[Extinction, ...] = ()
+    """Extinction k at each of them; none if omitted."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the columns."""
+        count = len(self.wavelengths_nm)
+        for key in ("index", "extinction"):
+            given = len(getattr(self, key))
+            if given != count and (given or key == "index"):
+                yield Fault((key,), None, f"{given} numbers beside {count} wavelengths; give as many")
+        if any(after <= before for before, after in pairwise(self.wavelengths_nm)):
+            yield Fault(("wavelengths_nm",), None, "must increase")
+
+    def at(self, wavelength_nm: float) -> complex:
+        """Return n + ik at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+        """
+        columns = (self.index, self.extinction or (0.0,) * len(self.index))
+        n, k = (float(np.interp(wavelength_nm, self.wavelengths_nm, column)) for column in columns)
+        return complex(n, k)
+
+
 class Layer(Model):
     """A plane layer of a coating."""
 
     index: LayerIndex | None = None
-    """Refractive index. Or give `glass`."""
+    """Refractive index. Or give `glass` or `measured`."""
     extinction: Extinction = 0.0
     """Imaginary part k of the index n + ik, of a layer that absorbs (no unit); beside `index` only."""
     glass: GlassName | None = None
     """A glass or film of the catalogue, like "SCHOTT/N-BK7" or "main/TiO2/Devore-o", with its extinction where the
     catalogue has it."""
+    measured: MeasuredIndex | None = None
+    """Its index and extinction by wavelength."""
     thickness_nm: Positive
     """Thickness, in nm."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        if self.index is None and self.glass is None:
-            yield Fault(("index",), None, "missing: give the index of the layer, or glass")
-        elif self.index is not None and self.glass is not None:
-            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
-        elif self.glass is not None and self.extinction:
-            yield Fault(("extinction",), self.extinction, "omit it: the catalogue gives that of a glass")
+        given = [key for key in ("index", "glass", "measured") if getattr(self, key) is not None]
+        if not given:
+            yield Fault(("index",), None, "missing: give the index of the layer, glass or measured")
+        elif len(given) > 1:
+            first, second = (getattr(self, key) for key in given[:2])
+            shown = None if given[1] == "measured" else second
+            yield Fault((given[1],), shown, f"{given[0]} = {first} is given too; give one of them")
+        elif self.index is None and self.extinction:
+            source = "catalogue" if self.glass is not None else "table"
+            yield Fault(("extinction",), self.extinction, f"omit it: the {source} gives it")
+
+    def index_at(self, wavelength_nm: float) -> complex:
+        """Return the complex index n + ik at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Raises
+        ------
+        GlassError
+            The catalogue has no such glass, or not at this wavelength.
+        """
+        if self.glass is not None:
+            return complex_index(self.glass, wavelength_nm)
+        if self.measured is not None:
+            return self.measured.at(wavelength_nm)
+        return complex(self.index or 1.0, self.extinction)
+
+
+class MeasuredReflectance(Model):
+    """Reflectance by wavelength and angle; what is not reflected passes."""
+
+    wavelengths_nm: tuple[Positive, ...] = Field(min_length=1)
+    """Wavelengths, increasing, in nm; linear in between, nothing outside."""
+    angles_deg: tuple[float, ...]
+    """Angles in the thinner medium, increasing from 0 to 90 degrees; a monotone cubic in the cosine in between."""
+    reflectance: tuple[tuple[FractionOfOne, ...], ...]
+    """For each wavelength the reflectance at each angle, 0..1; 1 at 90 degrees."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield what is wrong between the columns."""
+        for key in ("wavelengths_nm", "angles_deg"):
+            if any(after <= before for before, after in pairwise(getattr(self, key))):
+                yield Fault((key,), None, "must increase")
+        if not self.angles_deg or (self.angles_deg[0], self.angles_deg[-1]) != (0.0, 90.0):
+            yield Fault(("angles_deg",), None, "must reach from 0 to 90")
+        rows = {len(row) for row in self.reflectance}
+        if len(self.reflectance) != len(self.wavelengths_nm) or rows != {len(self.angles_deg)}:
+            yield Fault(("reflectance",), None, "must have a row for each wavelength, a number for each angle")
+        elif any(row[-1] != 1.0 for row in self.reflectance):
+            yield Fault(("reflectance",), None, "must end at 1: at 90 degrees every surface reflects everything")
 
 
 class Coating(Model):
-    """Coating of an interface: one of `reflectance`, `table` and `layers`."""
+    """Coating of an interface: one of `reflectance`, `table`, `measured` and `layers`."""
 
     reflectance: FractionOfOne | None = None
     """Share of the light that is reflected, 0..1, at every angle and wavelength; the rest passes."""
@@ -52,14 +135,17 @@ class Coating(Model):
     """A CSV file, relative to the scene file, with the columns wavelength_nm, angle_deg (in the thinner medium, from 0
     to 90) and reflectance, every angle at every wavelength; what is not reflected passes. Between wavelengths it is
     linear, between angles a monotone cubic in the cosine, as layers behave: give angles close enough."""
+    measured: MeasuredReflectance | None = None
+    """What such a file holds, in its place."""
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        given = [key for key in ("reflectance", "table", "layers") if getattr(self, key) is not None]
+        kinds = ("reflectance", "table", "measured", "layers")
+        given = [key for key in kinds if getattr(self, key) is not None]
         if not given:
-            yield Fault((), None, "a coating needs one of reflectance, table and layers")
+            yield Fault((), None, "a coating needs one of reflectance, table, measured and layers")
         if self.layers is not None and not 0 < len(self.layers) <= MOST_LAYERS:
             yield Fault(
                 ("layers",), None, f"a stack has 1 to {MOST_LAYERS} layers, and this one has {len(self.layers)}"

@@ -22,7 +22,7 @@ def glass_lines(scene: Scene) -> list[str]:
             # A tank's bodies are called after it.
             name = target.name if target.refractor.box_mm is not None else None
             places.setdefault(target.refractor.glass, []).append(name or f"targets[{i}]")
-    for name, coating in scene.coatings.items():
+    for name, coating in scene.all_coatings.items():
         for layer in coating.layers or ():
             if layer.glass is not None and f"coating {name}" not in places.get(layer.glass, []):
                 places.setdefault(layer.glass, []).append(f"coating {name}")

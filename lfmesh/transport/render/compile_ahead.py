@@ -12,13 +12,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from threading import Thread
 from typing import IO, Any
 
 import numpy as np
-from numba.core import event
 
+from lfmesh.kernels.accelerator import private
 from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
@@ -126,7 +126,8 @@ class Ahead:
         self._step()
         counting = Thread(target=self._count_others, args=(process.stdout,), daemon=True)
         counting.start()
-        with _told_of_kernels(self._say):
+        listening = private("listening")
+        with listening.told_of_kernels(self._say) if listening is not None else nullcontext():
             compile_launches(world, starts=not self._starts, done=self._step)
         while counting.is_alive():
             counting.join(POLL_SECONDS)
@@ -156,21 +157,6 @@ class Ahead:
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
-
-
-@contextmanager
-def _told_of_kernels(tell: Callable[[], None]) -> Iterator[None]:
-    """Call a function whenever numba begins or ends to compile a kernel, within the block."""
-
-    class Told(event.Listener):  # type: ignore[misc]
-        def on_start(self, _: event.Event) -> None:
-            tell()
-
-        def on_end(self, _: event.Event) -> None:
-            tell()
-
-    with event.install_listener("numba:compile", Told()):
-        yield
 
 
 def processors() -> int:

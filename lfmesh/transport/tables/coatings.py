@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.coatings import Stack, between, beyond
-from lfmesh.optics.glass import Medium, complex_index, refractive_index
+from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.optics.reflectance_table import ReflectanceTable, read_reflectance
 from lfmesh.optics.share_table import ALLOWED_MEASURED, ShareTable, TooManyPiecesError, constant, tabulated
 from lfmesh.scene import Coating, Layer, Scene
@@ -55,7 +55,7 @@ def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
         Of the coating.
     wavelengths_nm : sequence of float
     """
-    layers = scene.coatings[name].layers or ()
+    layers = scene.all_coatings[name].layers or ()
     return any(stack_of(layers, wavelength).absorbs for wavelength in wavelengths_nm)
 
 
@@ -78,7 +78,7 @@ def coating_table(
     SceneError, FileError
         Its file cannot be used, or does not reach a wavelength; it cannot be tabulated.
     """
-    coating = scene.coatings[name]
+    coating = scene.all_coatings[name]
     path = scene.resolve(coating.table) if coating.table is not None else None
     stamp = file_stamp(path) if path is not None else ()
     return _tabulated(name, coating, path, stamp, outer, inner, tuple(float(w) for w in wavelengths_nm))
@@ -91,6 +91,8 @@ def _tabulated(
 ) -> CoatingTable:  # fmt: skip
     """Return the table of a coating; `stamp` only tells versions of its file apart."""
     measured = read_reflectance(path) if path is not None else None
+    if (rows := coating.measured) is not None:
+        measured = ReflectanceTable.of(rows.wavelengths_nm, rows.angles_deg, rows.reflectance)
     lossy = any(stack_of(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
     tables: list[ShareTable] = []
     try:
@@ -104,8 +106,8 @@ def _tabulated(
     except TooManyPiecesError as error:
         if measured is not None:
             raise SceneError(
-                f"coatings.{name}.table: its reflectance changes too fast from angle to angle to be followed (error "
-                f"{error.args[0]:.1g}, {ALLOWED_MEASURED:g} is allowed); smooth it, or give fewer angles"
+                f"coatings.{name}.{_key(coating)}: its reflectance changes too fast from angle to angle to be followed "
+                f"(error {error.args[0]:.1g}, {ALLOWED_MEASURED:g} is allowed); smooth it, or give fewer angles"
             ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
@@ -115,6 +117,11 @@ def _tabulated(
     values = np.stack([table.coefficients.ravel() for table in tables], axis=1)
     values.setflags(write=False)
     return CoatingTable(values, tables[0].pieces, lossy, max(table.error for table in tables))
+
+
+def _key(coating: Coating) -> str:
+    """Return the key that gives the reflectance of a measured coating."""
+    return "table" if coating.table is not None else "measured"
 
 
 def _size(coating: Coating) -> str:
@@ -134,7 +141,7 @@ def _at_wavelength(
         shortest, longest = measured.wavelengths_nm[[0, -1]]
         if not shortest <= wavelength_nm <= longest:
             raise SceneError(
-                f"coatings.{name}.table: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
+                f"coatings.{name}.{_key(coating)}: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
                 f"{wavelength_nm:g} nm"
             )
         return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least, ALLOWED_MEASURED)
@@ -179,11 +186,5 @@ def stack_of(layers: Sequence[Layer], wavelength_nm: float) -> Stack:
     wavelength_nm : float
     """
     return Stack(
-        tuple(
-            complex_index(layer.glass, wavelength_nm)
-            if layer.glass is not None
-            else complex(layer.index or 1.0, layer.extinction)
-            for layer in layers
-        ),
-        tuple(layer.thickness_nm for layer in layers),
+        tuple(layer.index_at(wavelength_nm) for layer in layers), tuple(layer.thickness_nm for layer in layers)
     )

@@ -286,7 +286,7 @@ def coating_lines(scene: Scene) -> list[str]:
         shares = ", ".join(f"{100.0 * R:.3g} % at {a:g}" for R, a in zip(shown, _SHOWN_DEG, strict=True))
         error = f"tabulated to {finish.error:.0e}" if finish.error > 0.0 else "the same at every angle"
         lines.append(f"{face.body:<34}{face.coating}: reflects {shares} degrees; {error}")
-    unused = [name for name in scene.coatings if name not in used]
+    unused = [name for name in scene.all_coatings if name not in used]
     return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
 
 

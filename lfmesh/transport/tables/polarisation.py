@@ -95,7 +95,7 @@ def polarisation_tables(
 
 
 def _stack(scene: Scene, face: Face, wavelength_nm: float) -> Stack:
-    layers = scene.coatings[face.coating].layers if face.coating != UNCOATED else None
+    layers = scene.all_coatings[face.coating].layers if face.coating != UNCOATED else None
     return stack_of(layers or (), wavelength_nm)
 
 

@@ -1,0 +1,296 @@
+"""Coatings that lens files name: OpticStudio's built-in ones, and those of a coating file beside the lens file.
+
+A coating file (OpticStudio's help, "Defining Coatings") holds materials (`MATE`), layers (`COAT`), fixed shares
+(`IDEAL`) and shares by angle and wavelength (`TABLE`). `!` starts a comment. Layers stand from the air side to the
+glass, as in a scene; between two glasses from the object to the sensor.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.text import read_lines
+from lfmesh.scene.materials.coatings import UNCOATED, Coating, Layer, MeasuredIndex, MeasuredReflectance
+
+USUAL_FILE = "COATING.DAT"
+"""Name of the coating file of a lens that names none."""
+
+MGF2_INDEX = 1.38
+"""Index of the quarter wave of magnesium fluoride that `AR` stands for."""
+
+_IDEAL = re.compile(r"I(\.\d+|\d*\.\d+|1)")
+"""Coating named by the share of the light that it transmits: `I.95`."""
+
+_KINDS = ("MATE", "COAT", "IDEAL", "IDEAL2", "TABLE", "TAPR", "ENCRYPTED")
+
+_LOST = 1e-6
+"""Share of the light that a coating may absorb before that is said."""
+
+
+class UnreadableCoatingError(Exception):
+    """A coating cannot be read; its text says why."""
+
+
+@dataclass(frozen=True)
+class FoundCoating:
+    """A coating of a lens file.
+
+    Attributes
+    ----------
+    coating : Coating
+    how : str
+        What of it is approximated; empty if nothing is.
+    """
+
+    coating: Coating
+    how: str = ""
+
+
+@dataclass
+class CoatingFile:
+    """Coating file, entry by entry.
+
+    Attributes
+    ----------
+    path : Path
+    materials : dict
+        Complex index by name.
+    entries : dict of str to (str, list of list of str)
+        Kind of each coating, and the words of its lines after the first; of an `IDEAL` one, of its only line.
+    """
+
+    path: Path
+    materials: dict[str, MeasuredIndex] = field(default_factory=dict)
+    entries: dict[str, tuple[str, list[list[str]]]] = field(default_factory=dict)
+
+    @classmethod
+    def beside(cls, lens_file: Path, name: str | None) -> "CoatingFile | None":
+        """Read the coating file in the folder of a lens file, if there is one; capitals do not matter.
+
+        Parameters
+        ----------
+        lens_file : Path
+        name : str, optional
+            As the lens file gives it; else the usual one.
+
+        Raises
+        ------
+        SceneError
+            As in `read`.
+        """
+        wanted = (name or USUAL_FILE).upper()
+        try:
+            found = [path for path in sorted(lens_file.parent.iterdir()) if path.name.upper() == wanted]
+        except OSError:
+            found = []
+        return cls.read(found[0]) if found else None
+
+    @classmethod
+    def read(cls, path: Path) -> "CoatingFile":
+        """Read a coating file.
+
+        Parameters
+        ----------
+        path : Path
+
+        Raises
+        ------
+        SceneError
+            It cannot be read, or a material of it makes no sense.
+        """
+        file = cls(path)
+        for kind, name, lines in _blocks(path):
+            if kind != "MATE":
+                file.entries[name] = kind, lines
+                continue
+            try:
+                file.materials[name] = _material(lines)
+            except (ValueError, SceneError) as error:
+                raise SceneError(f"{path}: MATE {name}: {error}") from None
+        return file
+
+    def coating(self, name: str, primary_nm: float) -> FoundCoating:
+        """Return a coating of the file.
+
+        Parameters
+        ----------
+        name : str
+            In capitals.
+        primary_nm : float
+            Wavelength in which thicknesses count.
+
+        Raises
+        ------
+        UnreadableCoatingError
+            The file has none of this name, or of a kind that a scene cannot have.
+        """
+        if name not in self.entries:
+            raise UnreadableCoatingError(f"{self.path.name} has no such coating")
+        kind, lines = self.entries[name]
+        try:
+            if kind == "COAT":
+                return self._layers(lines, primary_nm)
+            if kind == "IDEAL":
+                transmitted, reflected = numbers(lines[0][:2])
+                return _fixed(reflected, transmitted)
+            if kind == "TABLE":
+                return _by_angle(lines)
+        except (ValueError, IndexError, SceneError) as error:
+            raise UnreadableCoatingError(f"{self.path.name}: {error or 'it is cut short'}") from None
+        raise UnreadableCoatingError(f"{self.path.name} has it as {kind}, which is not read")
+
+    def _layers(self, lines: list[list[str]], primary_nm: float) -> FoundCoating:
+        """Return a stack: each line a material, a thickness, whether that is in µm, a group's number, a taper."""
+        layers, groups, tapers = [], [], []
+        for words in lines:
+            material = self.materials.get(words[0].upper())
+            if material is None:
+                raise ValueError(f"material {words[0]} is not in the file")
+            thickness = number(words[1])
+            if len(words) > 2 and number(words[2]):
+                nm = 1000.0 * thickness
+            else:
+                nm = thickness * primary_nm / material.at(primary_nm).real
+            layers.append(Layer(measured=material, thickness_nm=nm))
+            groups.append(int(number(words[3])) if len(words) > 3 else 0)
+            tapers += words[4:5]
+        how = f"layers of taper {tapers[0]} have the thickness of the middle everywhere" if tapers else ""
+        return FoundCoating(Coating(layers=tuple(_repeated(layers, groups))), how)
+
+
+def found_coating(name: str, primary_nm: float, file: CoatingFile | None) -> FoundCoating | None:
+    """Return the coating that a Zemax file means by a name; None: bare.
+
+    Parameters
+    ----------
+    name : str
+    primary_nm : float
+        Primary wavelength, in which quarter waves count.
+    file : CoatingFile, optional
+        The coating file, whose definitions come before the built-in ones.
+
+    Raises
+    ------
+    UnreadableCoatingError
+        It is neither in the file nor built in, or of a kind that a scene cannot have.
+    """
+    name = name.upper()
+    if name in ("NONE", "NULL"):
+        return None
+    if file is not None and name in file.entries:
+        return file.coating(name, primary_nm)
+    if name == "AR":
+        quarter = Layer(index=MGF2_INDEX, thickness_nm=primary_nm / MGF2_INDEX / 4.0)
+        return FoundCoating(Coating(layers=(quarter,)))
+    if name == "MIRROR":
+        return FoundCoating(Coating(reflectance=1.0), "a metal's coating; taken as one that reflects everything")
+    if _IDEAL.fullmatch(name):
+        return _fixed(1.0 - float(name[1:]), float(name[1:]))
+    where = f"{file.path.name} has no such coating" if file is not None else f"no {USUAL_FILE} beside the file"
+    raise UnreadableCoatingError(where)
+
+
+def name_in_scene(name: str) -> str:
+    """Return a coating's name with the letters that a scene allows.
+
+    Parameters
+    ----------
+    name : str
+    """
+    allowed = re.sub(r"[^A-Za-z0-9_-]", "_", name)
+    return f"{allowed}_" if allowed == UNCOATED else allowed
+
+
+def _blocks(path: Path) -> Iterator[tuple[str, str, list[list[str]]]]:
+    """Yield kind, name in capitals, and the words of the lines of each entry."""
+    kind, name, lines = "", "", list[list[str]]()
+    for line in read_lines(path):
+        words = line.partition("!")[0].split()
+        if not words:
+            continue
+        if words[0].upper() in _KINDS and len(words) > 1:
+            if kind:
+                yield kind, name, lines
+            kind, name, lines = words[0].upper(), words[1].upper(), [words[2:]] if words[2:] else []
+        elif kind:
+            lines.append(words)
+    if kind:
+        yield kind, name, lines
+
+
+def _material(lines: list[list[str]]) -> MeasuredIndex:
+    """Return a material of rows of wavelength in µm, n and k; k is below zero where light is absorbed."""
+    rows = sorted(tuple(numbers([*words, "0"][:3])) for words in lines)
+    if not rows:
+        raise ValueError("it has no rows")
+    if any(row[2] > 0.0 for row in rows):
+        raise ValueError("an extinction above 0, which amplifies light")
+    return MeasuredIndex(
+        wavelengths_nm=tuple(float(f"{row[0] * 1000.0:.10g}") for row in rows),
+        index=tuple(row[1] for row in rows),
+        extinction=tuple(0.0 - row[2] for row in rows) if any(row[2] for row in rows) else (),
+    )
+
+
+def _repeated(layers: list[Layer], groups: list[int]) -> list[Layer]:
+    """Return layers with their groups repeated; the first and the last of a group carry how often it comes."""
+    made: list[Layer] = []
+    at = 0
+    while at < len(layers):
+        times = groups[at]
+        if times < 1:
+            made.append(layers[at])
+            at += 1
+            continue
+        end = next((i for i in range(at + 1, len(groups)) if groups[i] == times), None)
+        if end is None:
+            raise ValueError(f"a group of layers with number {times} has no end")
+        made += layers[at : end + 1] * times
+        at = end + 1
+    return made
+
+
+def _fixed(reflected: float, transmitted: float) -> FoundCoating:
+    """Return a coating of the same shares at all angles."""
+    lost = 1.0 - reflected - transmitted
+    if lost < -_LOST:
+        raise ValueError(f"it reflects {reflected:g} and transmits {transmitted:g}, more than there is")
+    how = f"of the light it absorbs {lost:.3g}, which passes here" if lost > _LOST else ""
+    return FoundCoating(Coating(reflectance=min(1.0, max(0.0, float(f"{reflected:.12g}")))), how)
+
+
+def _by_angle(lines: list[list[str]]) -> FoundCoating:
+    """Return a coating by a table: `ANGL` in degrees, then `WAVE` in µm with Rs, Rp, Ts, Tp at that angle."""
+    rows: dict[float, dict[float, float]] = {}
+    angle, lost = 0.0, 0.0
+    for words in lines:
+        if words[0].upper() == "ANGL":
+            angle = number(words[1])
+        elif words[0].upper() == "WAVE":
+            micrometres, *shares = numbers(words[1:6])
+            reflected, passed = 0.5 * (shares[0] + shares[1]), 0.5 * (shares[2] + shares[3])
+            lost = max(lost, 1.0 - reflected - passed)
+            rows.setdefault(float(f"{micrometres * 1000.0:.10g}"), {})[angle] = reflected
+    angles = sorted({angle for row in rows.values() for angle in row})
+    if not angles or any(sorted(row) != angles for row in rows.values()):
+        raise ValueError("every angle must stand at every wavelength")
+    said = []
+    if angles[-1] < 90.0 or any(row[90.0] != 1.0 for row in rows.values()):
+        said.append("at 90 degrees it reflects everything, as every surface does")
+    if angles[0] > 0.0:
+        said.append(f"below {angles[0]:g} degrees it is as there")
+    if lost > _LOST:
+        said.append(f"of the light it absorbs up to {lost:.3g}, which passes here")
+    wavelengths = sorted(rows)
+    inner = [angle for angle in angles if 0.0 < angle < 90.0]
+    table = MeasuredReflectance(
+        wavelengths_nm=tuple(wavelengths),
+        angles_deg=(0.0, *inner, 90.0),
+        reflectance=tuple(
+            (rows[wave][angles[0]], *(rows[wave][angle] for angle in inner), 1.0) for wave in wavelengths
+        ),
+    )
+    return FoundCoating(Coating(measured=table), "; ".join(said))

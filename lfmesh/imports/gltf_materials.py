@@ -1,11 +1,57 @@
-"""Properties of a glTF object's material and mesh that a target does not take over."""
+"""Properties of a glTF object's node, mesh and material that a target does not take over.
 
-from collections.abc import Iterator
+Every property of the specification (glTF 2.0, section 5) stands in one of the tables below: taken, without effect on
+light, or left out with the words that say so. What stands in none of them, such as an extension, is left out by name.
+"""
+
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from lfmesh.geometry.files.gltf_nodes import Node
 
-_MAPS = {"normalTexture": "its normal map", "emissiveTexture": "its emission"}
+SILENT = ""
+"""In place of words: taken, or without effect on light."""
+
+_EVERYWHERE = dict.fromkeys(("name", "extras"), SILENT)
+
+OF_NODE = _EVERYWHERE | {
+    **dict.fromkeys(("camera", "children", "matrix", "mesh", "rotation", "scale", "translation"), SILENT),
+    "skin": "its bones are left out: it stands in the shape that it was made in",
+    # The weights of morph targets, which the primitives tell of.
+    "weights": SILENT,
+}
+OF_PRIMITIVE = _EVERYWHERE | {
+    **dict.fromkeys(("attributes", "indices", "material", "mode"), SILENT),
+    "targets": "its shape keys (morph targets) are left out",
+}
+OF_ATTRIBUTES = {
+    **dict.fromkeys(("POSITION", "NORMAL", "TANGENT"), SILENT),
+    "COLOR_0": "its vertex colours are left out",
+}
+"""Those that end in a number beyond what is told here, such as joints and further places in pictures, are silent:
+other properties that use them are told of."""
+OF_MATERIAL = _EVERYWHERE | {
+    **dict.fromkeys(("pbrMetallicRoughness", "alphaMode", "alphaCutoff", "doubleSided"), SILENT),
+    "normalTexture": "its normal map is left out",
+    # Darkening that stands for light which is traced here.
+    "occlusionTexture": SILENT,
+    "emissiveFactor": "its emission is left out",
+    "emissiveTexture": "its emission is left out",
+}
+OF_PBR = _EVERYWHERE | {
+    **dict.fromkeys(("baseColorFactor", "baseColorTexture", "metallicFactor", "roughnessFactor"), SILENT),
+    "metallicRoughnessTexture": "of its metallic and roughness picture the mean is taken",
+}
+OF_TEXTURE_INFO = _EVERYWHERE | dict.fromkeys(("index", "texCoord"), SILENT)
+OF_TEXTURE = _EVERYWHERE | dict.fromkeys(("sampler", "source"), SILENT)
+OF_SAMPLER = _EVERYWHERE | {
+    **dict.fromkeys(("wrapS", "wrapT", "minFilter"), SILENT),
+    "magFilter": "its picture is interpolated between texels, where the file asks for the nearest",
+}
+_LINEAR = 9729
+
+_TAKEN = ("KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength")
+"""Extensions that are taken, and one that multiplies an emission which is told of."""
 
 
 def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]]) -> Iterator[str]:
@@ -19,42 +65,51 @@ def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]])
     parts : list of (int, int)
         Mesh and number of its primitives.
     """
-    if "skin" in node.entry:
-        yield "its bones are left out: it stands in the shape that it was made in"
-    extensions = node.entry.get("extensions")
-    if isinstance(extensions, dict):
-        for name in sorted(set(extensions) - {"KHR_lights_punctual"}):
-            yield f"{str(name)[:60]} is left out"
-    told: dict[str, None] = {}
+    told = dict.fromkeys(_told(node.entry, OF_NODE))
     for mesh, number in parts:
         primitive = document["meshes"][mesh]["primitives"][number]
-        if primitive.get("targets"):
-            told["its shape keys (morph targets) are left out"] = None
-        if "COLOR_0" in (primitive.get("attributes") or {}):
-            told["its vertex colours are left out"] = None
+        told |= dict.fromkeys(_told(primitive, OF_PRIMITIVE))
+        attributes = primitive.get("attributes")
+        told |= {words: None for key in attributes or () if (words := OF_ATTRIBUTES.get(key, SILENT))}
         told |= dict.fromkeys(_of_material(document, primitive.get("material")))
     yield from told
 
 
 def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
-    materials = document.get("materials")
-    if not isinstance(materials, list) or not isinstance(number, int) or not 0 <= number < len(materials):
-        return
-    material = materials[number]
-    if not isinstance(material, dict):
-        return
-    where = f"materials[{number}]: "
+    material = _entry(document, "materials", number)
     glow = material.get("emissiveFactor", [0.0])
-    if isinstance(glow, list) and any(glow) and "emissiveTexture" not in material:
-        yield f"{where}its emission is left out"
-    for key, what in _MAPS.items():
-        if key in material and (key != "emissiveTexture" or (isinstance(glow, list) and any(glow))):
-            yield f"{where}{what} is left out"
-    pbr = material.get("pbrMetallicRoughness")
-    if isinstance(pbr, dict) and "metallicRoughnessTexture" in pbr:
-        yield f"{where}of its metallic and roughness picture the mean is taken"
-    extensions = material.get("extensions")
-    if isinstance(extensions, dict):
-        # The strength multiplies an emission that is told of above.
-        for name in sorted(set(extensions) - {"KHR_materials_emissive_strength"}):
-            yield f"{where}{str(name)[:60]} is left out"
+    dark = not (isinstance(glow, list) and any(glow))
+    shown = {key: value for key, value in material.items() if not (dark and key.startswith("emissive"))}
+    pbr = _table(material.get("pbrMetallicRoughness"))
+    base = _table(pbr.get("baseColorTexture"))
+    texture = _entry(document, "textures", base.get("index"))
+    sampler = dict(_entry(document, "samplers", texture.get("sampler")))
+    if sampler.get("magFilter") == _LINEAR:
+        sampler.pop("magFilter")
+    for entry, known in (
+        (shown, OF_MATERIAL), (pbr, OF_PBR), (base, OF_TEXTURE_INFO), (texture, OF_TEXTURE), (sampler, OF_SAMPLER),
+    ):  # fmt: skip
+        for words in dict.fromkeys(_told(entry, known)):
+            yield f"materials[{number}]: {words}"
+
+
+def _told(entry: Mapping[str, Any], known: Mapping[str, str]) -> Iterator[str]:
+    """Yield what is said of the properties of an entry, and its extensions by name."""
+    for key, value in entry.items():
+        if key == "extensions":
+            names = sorted(str(name) for name in _table(value) if name not in _TAKEN)
+            yield from (f"{name[:60]} is left out" for name in names)
+        elif (words := known.get(key, f"{str(key)[:60]} is left out")) != SILENT and value not in ([], {}, None):
+            yield words
+
+
+def _entry(document: dict[str, Any], key: str, number: Any) -> dict[str, Any]:
+    """Return an entry of one of the document's lists; empty where there is none."""
+    entries = document.get(key)
+    if not isinstance(entries, list) or not isinstance(number, int) or not 0 <= number < len(entries):
+        return {}
+    return _table(entries[number])
+
+
+def _table(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

@@ -1,5 +1,6 @@
 """Scenes from glTF files: names, places, lights, cameras, what is left out and said, and files that are refused."""
 
+import io
 import json
 import os
 import time
@@ -8,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import PIL.Image
 import pytest
 
 from lfmesh.errors import LensFileWarning, LfmeshError, MeshError, SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.files.mesh_file import load_mesh
+from lfmesh.geometry.objects.targets import target_mesh
+from lfmesh.geometry.objects.texture import srgb_to_linear
 from lfmesh.imports import read_gltf
 from lfmesh.imports.report import Verdict
 from lfmesh.optics.rgb_spectra import primary_reflectances
@@ -84,14 +88,8 @@ def test_objects_stand_where_the_whole_file_puts_them(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("uv_set", [0, 1])
 def test_pictures_lie_where_offset_scale_and_their_own_coordinates_put_them(tmp_path: Path, uv_set: int) -> None:
-    import io
-
-    import PIL.Image
-
-    stream = io.BytesIO()
-    PIL.Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(stream, "PNG")
     glb = Glb()
-    material = glb.material(picture=stream.getvalue())
+    material = glb.material(picture=png(np.zeros((2, 2, 3))))
     base = glb.tree["materials"][material]["pbrMetallicRoughness"]["baseColorTexture"]
     base["texCoord"] = uv_set
     base["extensions"] = {"KHR_texture_transform": {"offset": [0.25, 0.1], "scale": [0.5, 2.0]}}
@@ -107,6 +105,84 @@ def test_pictures_lie_where_offset_scale_and_their_own_coordinates_put_them(tmp_
     base["extensions"]["KHR_texture_transform"]["rotation"] = 0.1
     with pytest.raises(MeshError, match="is turned by KHR_texture_transform"):
         load_mesh(glb.write(path))
+
+
+def png(values: Any) -> bytes:
+    stream = io.BytesIO()
+    PIL.Image.fromarray(np.asarray(values, np.uint8)).save(stream, "PNG")
+    return stream.getvalue()
+
+
+WRAPS = {
+    # glTF 2.0, section 5.27: by number, the place inside the picture of a place anywhere.
+    10497: lambda t: t - np.floor(t),
+    33071: lambda t: np.clip(t, 0.0, 1.0),
+    33648: lambda t: 1.0 - np.abs(t - 2.0 * np.floor(t / 2.0) - 1.0),
+}
+
+
+@pytest.mark.parametrize("across", WRAPS)
+@pytest.mark.parametrize("down", WRAPS)
+def test_pictures_go_on_outside_as_their_sampler_says(tmp_path: Path, across: int, down: int) -> None:
+    rng = np.random.default_rng(across + 3 * down)
+    # Sixteen plain cells of four texels, which nothing interpolates in the middle.
+    cells = rng.integers(0, 256, (4, 4, 3))
+    glb = Glb()
+    material = glb.material(picture=png(np.kron(cells, np.ones((4, 4, 1)))))
+    glb.tree["textures"][0]["sampler"] = glb.add("samplers", {"wrapS": across, "wrapT": down})
+    # Facets whose corners stand in the middle of cells, up to two pictures outside.
+    uv = (rng.integers(-8, 12, (30, 2)) + 0.5) / 4.0
+    corners = np.column_stack([rng.normal(size=(30, 2)), np.zeros(30)])
+    faces = np.arange(30).reshape(10, 3)
+    glb.node("A", mesh=glb.add("meshes", {"primitives": [glb.primitive(corners, faces, material, TEXCOORD_0=uv)]}))
+    made = target_mesh(loaded(tmp_path, glb).targets[0], loaded(tmp_path, glb))
+    assert made.uv is not None
+    assert made.texture is not None
+    assert (made.uv >= 0.0).all()
+    assert (made.uv <= 1.0).all()
+    height, width = made.texture.shape[:2]
+    column = np.minimum((made.uv[..., 0] * width).astype(int), width - 1)
+    row = np.minimum(((1.0 - made.uv[..., 1]) * height).astype(int), height - 1)
+    u, v = (
+        np.minimum((4 * wrap(t)).astype(int), 3) for wrap, t in zip((WRAPS[across], WRAPS[down]), uv.T, strict=True)
+    )
+    expected = srgb_to_linear(cells[v, u] / 255.0)[faces]
+    np.testing.assert_allclose(made.texture[row, column], expected, atol=1e-6)
+
+
+def test_a_sampler_that_cannot_be_is_refused_in_one_line(tmp_path: Path) -> None:
+    glb = Glb()
+    material = glb.material(picture=png(np.zeros((2, 2, 3))))
+    glb.tree["textures"][0]["sampler"] = 0
+    glb.node("A", mesh=glb.add("meshes", {"primitives": [glb.primitive(QUAD, SPLIT, material, TEXCOORD_0=QUAD_UV)]}))
+    with pytest.raises(MeshError, match=r"textures\.sampler is 0, and there are 0"):
+        load_mesh(glb.write(tmp_path / "scene.glb"))
+    glb.add("samplers", {"wrapS": 1})
+    with pytest.raises(MeshError, match=r"samplers\[0\]\.wrapS is 1; valid are 10497, 33071, 33648"):
+        load_mesh(glb.write(tmp_path / "scene.glb"))
+
+
+def test_every_property_is_taken_or_told(tmp_path: Path) -> None:
+    glb = Glb()
+    material = glb.material(picture=png(np.zeros((2, 2, 3))), occlusionTexture={"index": 0}, novelty=[1.0])
+    base = glb.tree["materials"][material]["pbrMetallicRoughness"]["baseColorTexture"]
+    base |= {"extensions": {"KHR_texture_transform": {}, "EXT_of_texture": {}}, "twist": 2}
+    glb.tree["textures"][0] |= {"sampler": 0, "extensions": {"KHR_texture_basisu": {"source": 0}}}
+    glb.add("samplers", {"magFilter": 9728, "minFilter": 9984, "wrapS": 33071})
+    sheet(glb, "Other")
+    glb.tree["meshes"][0]["primitives"] = [glb.primitive(QUAD, SPLIT, material, TEXCOORD_0=QUAD_UV)]
+    glb.tree["meshes"][0]["primitives"][0]["extensions"] = {"KHR_materials_variants": {}}
+    scene = read_gltf(glb.write(tmp_path / "scene.glb"))
+    scene.targets("scene.glb")
+    said = [line.how for line in scene.report.of(Verdict.APPROXIMATED)]
+    assert sorted(said) == sorted([
+        "KHR_materials_variants is left out",
+        f"materials[{material}]: novelty is left out",
+        f"materials[{material}]: EXT_of_texture is left out",
+        f"materials[{material}]: twist is left out",
+        f"materials[{material}]: KHR_texture_basisu is left out",
+        f"materials[{material}]: its picture is interpolated between texels, where the file asks for the nearest",
+    ])  # fmt: skip
 
 
 def test_a_target_says_which_nodes_there_are(tmp_path: Path) -> None:

@@ -26,6 +26,13 @@ MOST_NODES = 100_000
 LONGEST_NAME = 100
 """Characters of a node's name by which it is called; one with a longer name has its number."""
 
+REPEATS = 10497
+WRAPS = {REPEATS: "repeat", 33071: "clamp", 33648: "mirror"}
+"""How pictures go on outside 0..1, by glTF's numbers (glTF 2.0, section 5.27)."""
+REPEAT = ("repeat", "repeat")
+WRAP = "wrap"
+"""Key of trimesh's metadata that holds a geometry's pair of these."""
+
 TAKEN_EXTENSIONS = ("KHR_lights_punctual", "KHR_texture_transform")
 """That a file may require."""
 
@@ -205,7 +212,9 @@ def load_primitives(path: Path, document: dict[str, Any], wanted: Iterable[tuple
     for mesh, number in wanted:
         geometry = scene.geometry.get(_called(mesh, number))
         if isinstance(geometry, trimesh.Trimesh):
-            _place_picture(geometry, _base_picture(document, document["meshes"][mesh]["primitives"][number]))
+            base = _base_picture(document, document["meshes"][mesh]["primitives"][number])
+            _place_picture(geometry, base)
+            geometry.metadata[WRAP] = _wrap_of(path, document, base)
             made[mesh, number] = geometry
     return made
 
@@ -255,6 +264,25 @@ def _place_picture(geometry: Any, base: dict[str, Any]) -> None:
     (left, top), (across, down) = moved.get("offset", (0.0, 0.0)), moved.get("scale", (1.0, 1.0))
     # glTF counts from the top of a picture, trimesh from its bottom.
     geometry.visual.uv = np.column_stack([left + across * uv[:, 0], 1.0 - (top + down * (1.0 - uv[:, 1]))])
+
+
+def _wrap_of(path: Path, document: dict[str, Any], base: dict[str, Any]) -> tuple[str, str]:
+    """Return what a base colour texture shows outside its picture, across and down."""
+    textures, samplers = _list(path, document, "textures"), _list(path, document, "samplers")
+    if not base:
+        return REPEAT
+    texture = textures[_number(path, "baseColorTexture.index", base.get("index"), len(textures))]
+    if (number := texture.get("sampler")) is None:
+        return REPEAT
+    sampler = samplers[_number(path, "textures.sampler", number, len(samplers))]
+    across, down = (sampler.get(key, REPEATS) for key in ("wrapS", "wrapT"))
+    for key, mode in (("wrapS", across), ("wrapT", down)):
+        if mode not in WRAPS:
+            shown = reprlib.repr(mode)[:LONGEST_NAME]
+            raise MeshError(
+                f"{path}: broken: samplers[{number}].{key} is {shown}; valid are {', '.join(map(str, WRAPS))}"
+            )
+    return WRAPS[across], WRAPS[down]
 
 
 def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
@@ -320,6 +348,7 @@ _LISTS_OF_OBJECTS = (
     "buffers",
     "images",
     "textures",
+    "samplers",
 )
 
 _KINDS: dict[str, type] = {

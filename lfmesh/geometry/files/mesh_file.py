@@ -17,7 +17,15 @@ import numpy as np
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.files import cad_file
-from lfmesh.geometry.files.gltf_nodes import check_document, load_primitives, node_called, nodes_of, primitives_of
+from lfmesh.geometry.files.gltf_nodes import (
+    REPEAT,
+    WRAP,
+    check_document,
+    load_primitives,
+    node_called,
+    nodes_of,
+    primitives_of,
+)
 from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.objects.texture import FORMATS, MOST_PIXELS, Texture, linear_light, with_alpha
 from lfmesh.geometry.surfaces.optical_face import Told
@@ -56,7 +64,7 @@ class Piece:
         In the file's frame, mm; with corner normals only where the file itself gives them (OBJ, PLY, GLB), of whatever
         length and sense it gives.
     uv : (m, 3, 2) float64 or None
-        Place in the picture of each facet's corners; (0, 0) is its bottom left, repeats lie outside 0..1.
+        Place in the picture of each facet's corners; (0, 0) is its bottom left; `wrap` tells what lies outside 0..1.
     picture : (h, w, 3) float32 or None
         Base colour texture, linear light; (h, w, 4) with its alpha.
     factor : (3,) float64
@@ -66,6 +74,9 @@ class Piece:
     alpha_mode : str
         "OPAQUE": the alpha does not count; "MASK": the surface is there where it is at least `alpha_cutoff`; "BLEND":
         it is the surface's opacity.
+    wrap : tuple of str
+        Across and down, what the picture shows outside 0..1: "repeat", "mirror" (every other repeat is mirrored) or
+        "clamp" (its edge goes on).
     """
 
     mesh: Mesh
@@ -75,6 +86,7 @@ class Piece:
     material: GltfMaterial | None = None
     alpha_mode: str = "OPAQUE"
     alpha_cutoff: float = 0.5
+    wrap: tuple[str, str] = REPEAT
 
 
 def load_mesh(
@@ -283,7 +295,9 @@ def _piece(geometry: Any, transform: Array, scale: float, pictures: dict[int, Te
     at_corners = normals[faces] if normals is not None else None
     material = getattr(geometry.visual, "material", None)
     picture, factor = _colour(material, pictures, alpha)
-    return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor, *_gltf_material(material, factor))
+    surface = _gltf_material(material, factor)
+    wrap = geometry.metadata.get(WRAP, REPEAT)
+    return Piece(Mesh(moved * scale, faces, at_corners), corners, picture, factor, *surface, wrap)
 
 
 def _gltf_material(material: Any, factor: Array) -> tuple[GltfMaterial | None, str, float]:

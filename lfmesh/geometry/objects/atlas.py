@@ -1,5 +1,7 @@
 """One picture for a whole target: the pictures and plain colours of its pieces, stacked, repeats unrolled."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lfmesh.errors import MeshError
@@ -12,6 +14,10 @@ MAX_TEXELS = 2**27
 
 _NOISE = 1e-6
 """How far a uv may overshoot the picture by rounding, in pictures, without asking for another repeat."""
+
+
+PERIODS = {"repeat": 1, "mirror": 2}
+"""After how many pictures one that goes on is as before."""
 
 
 def atlas(name: str, pieces: list[Piece]) -> tuple[Array | None, Texture | None]:
@@ -34,10 +40,10 @@ def atlas(name: str, pieces: list[Piece]) -> tuple[Array | None, Texture | None]
         if any(piece.uv is None for piece in pieces):
             return None, None
         return np.concatenate([piece.uv for piece in pieces if piece.uv is not None]), None
-    kinds: dict[tuple[int, ...], list[int]] = {}
+    kinds: dict[tuple[int | str, ...], list[int]] = {}
     for number, piece in enumerate(pieces):
         picture = id(piece.picture) if piece.uv is not None else 0
-        kinds.setdefault((picture, *piece.factor.view(np.int64)), []).append(number)
+        kinds.setdefault((picture, *piece.wrap, *piece.factor.view(np.int64)), []).append(number)
 
     placed: dict[int, Array] = {}
     tiles: list[Texture] = []
@@ -65,18 +71,52 @@ def _tile(name: str, pieces: list[Piece]) -> tuple[Texture, list[Array]]:
         return plain, [np.full((len(piece.mesh.faces), 3, 2), 0.5) for piece in pieces]
     # Rows run down, v runs up.
     turned = [uv * [1.0, -1.0] + [0.0, 1.0] for uv in (piece.uv for piece in pieces) if uv is not None]
-    folded = [xy - np.floor(xy.min(axis=1, keepdims=True) + _NOISE) for xy in turned]
-    furthest = np.max([xy.max(axis=(0, 1), initial=0.0) for xy in folded], axis=0)
-    repeats = np.maximum(1, np.ceil(furthest - _NOISE)).astype(np.int64)
     height, width = first.picture.shape[:2]
-    if height * width * int(repeats.prod()) > MAX_TEXELS:
-        raise _too_large(name, (height * int(repeats[1]), width * int(repeats[0])))
+    across, down = (_unrolled([xy[..., k] for xy in turned], first.wrap[k]) for k in (0, 1))
+    columns, rows = width * (across.stop - across.start), height * (down.stop - down.start)
+    if columns * rows > MAX_TEXELS:
+        raise _too_large(name, (rows, columns))
     # A picture that is used as it is, as most are, is not copied.
     picture = first.picture if (first.factor == 1.0).all() else first.picture * first.factor.astype(np.float32)
-    if repeats.prod() > 1:
-        picture = np.tile(picture, (repeats[1], repeats[0], 1))
-    size = np.array([width, height], dtype=np.float64)
-    return picture, [np.clip(xy, 0.0, repeats) * size for xy in folded]
+    if (across.start, across.stop, down.start, down.stop) != (0, 1, 0, 1):
+        picture = picture[_texels(down, height, first.wrap[1])][:, _texels(across, width, first.wrap[0])]
+    return picture, [
+        np.stack([x * width, y * height], axis=-1) for x, y in zip(across.folded, down.folded, strict=True)
+    ]
+
+
+class _Unrolled(NamedTuple):
+    """Places in a picture along one axis, in pictures from the first that is shown, and which are shown."""
+
+    folded: list[Array]
+    start: int
+    stop: int
+
+
+def _unrolled(places: list[Array], wrap: str) -> _Unrolled:
+    """Return places, (m, 3) a piece, folded by the picture's period, with no facet torn.
+
+    A picture whose edge goes on has no period: all that any facet shows of it is unrolled.
+    """
+    least = [np.floor(place.min(axis=1, keepdims=True) + _NOISE) for place in places]
+    if wrap == "clamp":
+        start = int(min((first.min(initial=0.0) for first in least), default=0.0))
+        folded = [place - start for place in places]
+    else:
+        start, period = 0, PERIODS[wrap]
+        folded = [place - period * np.floor(first / period) for place, first in zip(places, least, strict=True)]
+    furthest = max((place.max(initial=0.0) for place in folded), default=0.0)
+    count = max(1, int(np.ceil(furthest - _NOISE)))
+    return _Unrolled([np.clip(place, 0.0, count) for place in folded], start, start + count)
+
+
+def _texels(shown: _Unrolled, size: int, wrap: str) -> Index:
+    """Return the texel of the picture at each place of those that are shown, along an axis of a number of texels."""
+    number = np.arange(shown.start * size, shown.stop * size)
+    if wrap == "clamp":
+        return np.clip(number, 0, size - 1)
+    number = number % (PERIODS[wrap] * size)
+    return np.minimum(number, 2 * size - 1 - number) if wrap == "mirror" else number
 
 
 def _stacked(tiles: list[Texture]) -> tuple[Texture, list[Index]]:

@@ -6,11 +6,13 @@ Every mesh and picture is loaded for it; no ray is traced, so that bodies in fro
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array, facet_normals
 from lfmesh.geometry.meshes.winding import winding
@@ -160,15 +162,16 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
         return
     half = half_field_mm(z_mm, facts)
     unit = target.units if target.refractor is None else target.refractor.units
-    what = f"with units = {unit!r}" if unit else "by its file's own unit, the metre"
+    fixed = UNIT_OF_FORMAT.get(Path(file).suffix.lower())
+    of_file = f"by the unit of its format, {fixed}," if fixed else "by the unit that its file names,"
+    what = f"with units = {unit!r}," if unit else of_file
     if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
         yield (
-            f"is {1e-3 * size_mm:.4g} m large {what}, and the camera sees {2e-3 * max(half):.3g} m there; "
-            "check the unit"
+            f"is {1e-3 * size_mm:.4g} m large {what} and the camera sees {2e-3 * max(half):.3g} m there; check the unit"
         )
     sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0
     if 0.0 < size_mm < sample < math.inf:
-        yield f"is {size_mm:.3g} mm large {what}, less than a sample of the picture there; check the unit"
+        yield f"is {size_mm:.3g} mm large {what} less than a sample of the picture there; check the unit"
 
 
 def _sensor_z_mm(scene: Scene) -> float:

@@ -12,6 +12,6 @@ from lfmesh.scene.objects import gltf_keys
 
 __all__ = ["GltfScene", "read_gltf", "read_lens", "read_lens_file", "with_gltf", "write_lens_file"]
 
-for _ending in (".zmx", ".seq"):
+for _ending in (".zmx", ".seq", ".csv"):
     register(_ending, read_lens)
 gltf_keys.register(with_gltf)

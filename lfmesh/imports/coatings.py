@@ -6,14 +6,20 @@ glass, as in a scene; between two glasses from the object to the sensor.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lfmesh.errors import SceneError
+from lfmesh.imports.glasses import Medium
 from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.scene.materials.coatings import UNCOATED, Coating, Layer, MeasuredIndex, MeasuredReflectance
+
+if TYPE_CHECKING:
+    from lfmesh.imports.prescription import FileSurface
 
 USUAL_FILE = "COATING.DAT"
 """Name of the coating file of a lens that names none."""
@@ -159,6 +165,53 @@ class CoatingFile:
             tapers += words[4:5]
         how = f"layers of taper {tapers[0]} have the thickness of the middle everywhere" if tapers else ""
         return FoundCoating(Coating(layers=tuple(_repeated(layers, groups))), how)
+
+
+def lens_coatings(
+    surfaces: Sequence["FileSurface"],
+    media: Sequence[Medium | None],
+    primary_nm: float,
+    file_name: str | None,
+    report: Report,
+) -> tuple[dict[str, Coating], list[str | None]]:
+    """Return the coatings of a lens by name, and the name that each surface gives.
+
+    Parameters
+    ----------
+    surfaces : sequence of FileSurface
+    media : sequence of Medium
+        What follows each; None is air.
+    primary_nm : float
+        Primary wavelength.
+    file_name : str, optional
+        Of the coating file, as the lens file gives it.
+    report : Report
+        Gets the verdict on each line with a coating.
+    """
+    coatings: dict[str, Coating] = {}
+    names: list[str | None] = []
+    coated = any(surface.coating for surface in surfaces)
+    file = CoatingFile.beside(report.path, file_name) if coated else None
+    before: Medium | None = None
+    for surface, medium in zip(surfaces, media, strict=True):
+        names.append(None)
+        if surface.coating is not None:
+            line, text, name = surface.coating
+            found, bare = None, ""
+            if medium == before or surface.focal_length is not None:
+                bare = "no coating, since it has the same medium on both sides"
+            else:
+                try:
+                    found = found_coating(name, primary_nm, file)
+                except UnreadableCoatingError as error:
+                    bare = f"{error}; the surface is traced bare"
+            if found is not None:
+                names[-1] = name_in_scene(name)
+                coatings[name_in_scene(name)] = found.coating
+            how = bare or (found.how if found is not None else "")
+            report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
+        before = medium
+    return coatings, names
 
 
 def found_coating(name: str, primary_nm: float, file: CoatingFile | None) -> FoundCoating | None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.glasses import private_glass
+from lfmesh.imports.glasses import laurent_glass, private_glass
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
@@ -76,7 +76,16 @@ def read(
     reader = _Reader(Report(path))
     for at, words in commands(read_lines(path) if lines is None else lines):
         reader.take(at, words)
-    return lens_of(reader.finished(), reader.report, glasses), reader.report
+    made = reader.finished()
+    try:
+        return lens_of(made, reader.report, glasses), reader.report
+    except SceneError as error:
+        if reader.radii is not None:
+            raise
+        raise SceneError(
+            f"{error}; the file has no line RDM, so that the first numbers of its surfaces count as curvatures: if "
+            "they are radii, put RDM before them"
+        ) from None
 
 
 def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
@@ -223,7 +232,8 @@ class _Reader:
         if words:
             self._bend(surface, number(words[0]))
         if len(words) > 1:
-            surface.thickness = number(words[1])
+            far = command == "SO" and words[1].lower().startswith("inf")
+            surface.thickness = math.inf if far else number(words[1])
         if len(words) > 2:
             self._glass(surface, words[2])
         if len(words) > 3:
@@ -243,6 +253,9 @@ class _Reader:
         if re.fullmatch(r"\d{3,}\.\d+", name):
             digits, abbe = name.split(".")
             surface.model = 1.0 + float(f"0.{digits}"), float(f"{abbe[:2]}.{abbe[2:] or '0'}")
+        elif re.fullmatch(r"\d+(\.\d*)?:\d+(\.\d*)?", name):
+            index, abbe = name.split(":")
+            surface.model = float(index), float(abbe)
         else:
             surface.glass = name.strip("'\"")
 
@@ -401,9 +414,16 @@ class _Reader:
         else:
             self.private.append(words[0].strip("'\""))
             try:
-                self.made.indices[self.private[-1]] = private_glass(self.private_nm, numbers(words[1:]))
+                formula = words[1].upper() if len(words) > 1 and not _is_number(words[1]) else None
+                if formula is None:
+                    glass = private_glass(self.private_nm, numbers(words[1:]))
+                elif formula == "LAU":
+                    glass = laurent_glass(numbers(words[2:]))
+                else:
+                    raise GlassError(f"formula {formula} is not read")
+                self.made.indices[self.private[-1]] = glass
                 self._taken()
-            except GlassError as error:
+            except (GlassError, ValueError) as error:
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
 

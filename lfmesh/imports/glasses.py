@@ -7,6 +7,12 @@ from lfmesh.scene.materials.own_glass import OwnGlass
 UNLIKE = 2e-3
 """Difference between the catalogue's nd and the one that a file gives beside the name, above which it is said."""
 
+SAME = 1e-4
+"""Difference of nd up to which glasses of one name count as the same: makers' melts differ by some 1e-5."""
+
+LAURENT_FROM_NM, LAURENT_STEP_NM, LAURENT_ROWS = 365.0, 5.0, 148
+"""Table that stands for a formula: from 365 to 1,100 nm, so close that a spline through it is off by 1e-9."""
+
 Medium = float | str | OwnGlass
 """Index without dispersion, name of a catalogue glass, or a glass by its dispersion."""
 
@@ -65,6 +71,7 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         except GlassError:
             continue
         return full, ""
+    _refuse_ambiguous(name)
     try:
         find_glass(name)
     except GlassError:
@@ -76,8 +83,52 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         # Names close to a CODE V name are found by maker and glass.
         find_glass(f"{maker}/{stem}")
     if not catalogues:
-        return name, ""
+        # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
+        own = find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
+        return name, "" if own else f"the file names no catalogue; taken as {glass_in_words(name)}"
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
+
+
+def _refuse_ambiguous(name: str) -> None:
+    """Raise if a name without a maker means glasses that differ."""
+    found: dict[str, float] = {}
+    for maker in MAKERS:
+        try:
+            find_glass(f"{maker}/{name}")
+            found[f"{maker}/{name}"] = refractive_index(f"{maker}/{name}", D_LINE_NM)
+        except GlassError:
+            continue
+    if found and max(found.values()) - min(found.values()) > SAME:
+        listed = ", ".join(f"{glass} (nd = {index:.5f})" for glass, index in found.items())
+        raise GlassError(
+            f"glass {name!r} means different glasses: {listed}; name the maker in the file (GCAT), or give --glass "
+            f"{name}={next(iter(found))}"
+        )
+
+
+def laurent_glass(coefficients: list[float]) -> Medium:
+    """Return a glass by Laurent's formula, n² = a₀ + a₁ λ² + a₂ λ⁻² + a₃ λ⁻⁴ + a₄ λ⁻⁶ + a₅ λ⁻⁸ with λ in µm.
+
+    Parameters
+    ----------
+    coefficients : list of float
+        Up to six.
+
+    Raises
+    ------
+    GlassError
+        There are others, or they give no index.
+    """
+    if not 1 <= len(coefficients) <= 6:
+        raise GlassError(f"{len(coefficients)} coefficients of Laurent's formula, which has 1 to 6")
+    rows = [LAURENT_FROM_NM + LAURENT_STEP_NM * k for k in range(LAURENT_ROWS)]
+    squares = [
+        sum(a * (1e-3 * nm) ** power for a, power in zip(coefficients, (0, 2, -2, -4, -6, -8), strict=False))
+        for nm in rows
+    ]
+    if not min(squares) >= 1.0:
+        raise GlassError("its formula gives no index of 1 or more")
+    return private_glass(rows, [square**0.5 for square in squares])
 
 
 def unlike(name: str, index_d: float) -> str:

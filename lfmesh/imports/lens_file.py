@@ -4,17 +4,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from lfmesh.errors import SceneError
-from lfmesh.imports import codev, codev_writer, zemax, zemax_writer
+from lfmesh.imports import codev, codev_writer, lens_table, zemax, zemax_writer
 from lfmesh.imports.report import Report
 from lfmesh.scene import load_lens, toml
 from lfmesh.scene.camera.lens import Lens
 
-_READERS = {".zmx": zemax.read, ".seq": codev.read}
+_READERS = {".zmx": zemax.read, ".seq": codev.read, ".csv": lens_table.read}
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
 
 
 def read_lens(path: Path) -> Lens:
-    """Return the lens of a `.zmx` or `.seq` file, with a LensFileWarning of what is not exactly the file's.
+    """Return the lens of a `.zmx`, `.seq` or `.csv` file, with a LensFileWarning of what is not exactly the file's.
 
     Raises
     ------
@@ -32,9 +32,9 @@ def read_lens_file(path: str | Path, glasses: Mapping[str, str | float] | None =
     Parameters
     ----------
     path : str or Path
-        A `.zmx`, `.seq` or `.toml` file; or "lib:" and the name of a lens that comes with lfmesh.
+        A `.zmx`, `.seq`, `.csv` or `.toml` file; or "lib:" and the name of a lens that comes with lfmesh.
     glasses : mapping, optional
-        Catalogue glass or index by the name that a `.zmx` or `.seq` file uses, in place of looking the name up.
+        Catalogue glass or index by the name that a file of another program uses, in place of looking the name up.
 
     Raises
     ------
@@ -47,7 +47,9 @@ def read_lens_file(path: str | Path, glasses: Mapping[str, str | float] | None =
     if reader is not None and not name.startswith("lib:"):
         return reader(path, glasses=glasses)
     if glasses:
-        raise SceneError(f"{name}: glasses can be replaced in {' and '.join(_READERS)} files only")
+        raise SceneError(f"{name}: glasses can be replaced in {', '.join(_READERS)} files only")
+    if path.suffix.lower() != ".toml" and not name.startswith("lib:"):
+        raise SceneError(f"{name}: unknown ending; a lens is read from .toml, {', '.join(_READERS)} or lib:NAME")
     return load_lens(name), Report(path)
 
 

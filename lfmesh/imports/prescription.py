@@ -11,20 +11,23 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.coatings import CoatingFile, UnreadableCoatingError, found_coating, name_in_scene
+from lfmesh.imports.coatings import lens_coatings
 from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.square_terms import SquareTerm, without_square
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
 from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
-from lfmesh.scene.materials.coatings import Coating
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
 
 FAR_MM = 1e9
 """Distance of the object from which it counts as infinite; files write 1e10 to 1e14."""
+
+OFF_MM = 1e-9
+"""How far a surface may lie off after its term in r² was rewritten."""
 
 _MOST_DIGITS = 17
 
@@ -50,6 +53,10 @@ class FileSurface:
     """Coefficients of r⁴, r⁶, ..."""
     odd: list[float] = field(default_factory=list)
     """Coefficients of r³, r⁵, ..."""
+    square: float = 0.0
+    """Coefficient of r², beside the curvature."""
+    rewritten: SquareTerm | None = None
+    """What the surface was before that term was put into the others."""
     section: str | None = None
     """"biconic" or "toroid", where the section x–z is another one: the other shape is that of y–z."""
     curvature_x: float = 0.0
@@ -63,6 +70,15 @@ class FileSurface:
     """Line, text and name of its coating."""
     focal_length: float | None = None
     """Of a thin lens in the surface's place; NaN: not given."""
+
+    def take_square(self) -> None:
+        """Put a term in r² into the curvature, the conic constant and the other terms."""
+        if self.square:
+            self.rewritten = SquareTerm(self.curvature, self.conic, self.square)
+            self.curvature, self.conic, self.asphere = without_square(
+                self.curvature, self.conic, self.asphere, self.square
+            )
+            self.square = 0.0
 
 
 @dataclass(frozen=True)
@@ -146,6 +162,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     if len(prescription.surfaces) < 3:
         report.raise_refusals()
         raise SceneError(f"{report.path}: holds no lens: {_count(prescription)} between the object and the image")
+    for surface in prescription.surfaces:
+        surface.take_square()
     media = _media(prescription, report, glasses or {})
     made = _merged(prescription, media, report)
     report.raise_refusals()
@@ -170,7 +188,13 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     stop_mm = _stop_radius_mm(prescription, made, paraxial, report)
     radii = [shortest_radius(surface.curvature / unit) for surface in made.kept]
     apertures = _apertures_mm(prescription, made, paraxial, stop_mm, report)
-    coatings, names = _coatings(prescription, made, report)
+    for surface, aperture in zip(made.kept, apertures, strict=True):
+        if surface.rewritten is not None and not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
+            raise SceneError(
+                f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
+                f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
+            )
+    coatings, names = lens_coatings(made.kept, made.media, prescription.primary_nm, prescription.coating_file, report)
     surfaces = []
     for i, (surface, medium) in enumerate(zip(made.kept, made.media, strict=True)):
         size = None if i == stop and f_number is not None else apertures[i]
@@ -210,34 +234,6 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         raise SceneError(f"{report.path}: as a lens of this program: {error}") from None
     _note(prescription, made, paraxial, report)
     return lens
-
-
-def _coatings(prescription: Prescription, made: _Made, report: Report) -> tuple[dict[str, Coating], list[str | None]]:
-    """Return the coatings of a lens by name, and the name that each kept surface gives."""
-    coatings: dict[str, Coating] = {}
-    names: list[str | None] = []
-    coated = any(surface.coating for surface in made.kept)
-    file = CoatingFile.beside(report.path, prescription.coating_file) if coated else None
-    before: Medium | None = None
-    for surface, medium in zip(made.kept, made.media, strict=True):
-        names.append(None)
-        if surface.coating is not None:
-            line, text, name = surface.coating
-            found, bare = None, ""
-            if medium == before or surface.focal_length is not None:
-                bare = "no coating, since it has the same medium on both sides"
-            else:
-                try:
-                    found = found_coating(name, prescription.primary_nm, file)
-                except UnreadableCoatingError as error:
-                    bare = f"{error}; the surface is traced bare"
-            if found is not None:
-                names[-1] = name_in_scene(name)
-                coatings[name_in_scene(name)] = found.coating
-            how = bare or (found.how if found is not None else "")
-            report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
-        before = medium
-    return coatings, names
 
 
 def shortest_radius(curvature: float) -> float:
@@ -454,10 +450,11 @@ def _chief_ray(prescription: Prescription, paraxial: Paraxial, size: float, obje
 
 
 def _without_crossings(surfaces: list[dict[str, object]], made: _Made, report: Report) -> list[dict[str, object]]:
-    """Shrink apertures that followed from the fields where neighbours would cross inside them."""
+    """Shrink apertures that are drawn or followed from the fields where neighbours would cross inside them."""
     shaped = [Surface(**values) for values in surfaces]
     for i, (front, back) in enumerate(pairwise(shaped)):
-        free = [k for k in (i, i + 1) if not (made.kept[k].aperture or made.kept[k].extent or shaped[k].stop)]
+        # What the file's program draws stops no light, and neither does what follows from the fields.
+        free = [k for k in (i, i + 1) if not (made.kept[k].aperture or shaped[k].stop)]
         sizes = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
         if not free or not sizes:
             continue
@@ -465,10 +462,15 @@ def _without_crossings(surfaces: list[dict[str, object]], made: _Made, report: R
         if radius < min(sizes):
             for k in free:
                 surfaces[k] = {**surfaces[k], "semi_diameter_mm": min(radius, shaped[k].semi_diameter_mm or radius)}
-            report.notes.append(
+            how = (
                 f"clear aperture of surfaces {', '.join(map(str, free))}: {radius:.6g} mm, where surfaces {i} and "
                 f"{i + 1} meet"
             )
+            drawn = [made.kept[k] for k in free if made.kept[k].extent]
+            for surface in drawn:
+                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, within what the file draws")
+            if not drawn:
+                report.notes.append(how)
     return surfaces
 
 

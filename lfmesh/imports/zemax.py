@@ -35,8 +35,10 @@ _WITHOUT_EFFECT = command_names(
 )
 """Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
 
-_ASPHERES = ("EVENASPH", "ODDASPHE", "XASPHERE")
-"""Even aspheres, odd ones, and extended even ones: terms of r over a radius of their own, in XDAT."""
+_EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
+"""Aspheres of terms of r over a radius of their own, in XDAT, and by how much the power grows from term to term."""
+
+_ASPHERES = ("EVENASPH", "ODDASPHE", *_EXTENDED)
 
 _SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
 """Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
@@ -412,8 +414,11 @@ class _Reader:
 
     def _add_term(self, power: int, value: float) -> None:
         """Let the sag have a term in a power of r."""
-        if power == 2:
-            self._refuse("a term in r² beside the curvature is not supported; put it into the curvature")
+        if power == 2 and self.kind in _SECTIONS:
+            self._refuse("a term in y² beside the curvature is not supported; put it into the curvature")
+        elif power == 2:
+            self._surface.square = value
+            self._taken("in the curvature, the conic constant and the other terms")
         elif power == 1:
             self._refuse("a term in r makes a cone, which is not supported: it has no normal at its vertex")
         elif power > 2 * MOST_ASPHERE_TERMS + 2:
@@ -435,7 +440,7 @@ class _Reader:
                 self._refuse("Zernike terms of a toroid are not supported")
             else:
                 self._taken()
-        elif self.kind != "XASPHERE":
+        elif self.kind not in _EXTENDED:
             if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
                 self.report.add(self.at, self.text, Verdict.UNKNOWN)
         elif place == 1:
@@ -447,7 +452,7 @@ class _Reader:
             else:
                 self._refuse("the radius in which heights are counted must be above 0")
         else:
-            power = 2 * (place - 2)
+            power = _EXTENDED[self.kind] * (place - 2)
             self._add_term(power, value / self.norm_radius**power)
 
     def _on_diam(self, words: list[str]) -> None:

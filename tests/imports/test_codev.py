@@ -129,3 +129,64 @@ def test_a_path_loads_by_its_ending(tmp_path):
     path = tmp_path / "Lens.SEQ"
     path.write_text(SINGLET_SEQ)
     assert load_lens(path) == lens_of(SINGLET_SEQ)
+
+
+SINGLET = """\
+RDM
+EPD 10.0
+DIM M
+WL 587.6
+REF 1
+YAN 0.0
+{private}SO 0.0 {far}
+S  50.0 4.0 {glass}
+  STO
+  CIR 8.0
+S  -50.0 45.0
+  CIR 8.0
+SI 0.0 0.0
+"""
+
+
+def singlet(far="1e10", glass="NBK7_SCHOTT", private=""):
+    return SINGLET.format(far=far, glass=glass, private=private)
+
+
+def test_an_object_may_stand_at_inf_and_a_glass_be_given_by_nd_and_vd():
+    lens, report = read(Path("lens.seq"), singlet("inf", "1.5168:64.17").splitlines())
+    assert (lens.surfaces[0].glass.nd, lens.surfaces[0].glass.vd) == (1.5168, 64.17)
+    assert any(note.startswith("object: inf") for note in report.notes)
+
+
+LAURENT = "PRV\n  PWL 550.0\n  'GLUE' LAU 2.36 0.001 0.0255 -0.00058 -0.35e-5 0.44e-7\nEND\n"
+
+
+def test_a_private_glass_by_laurents_formula_is_the_formula():
+    lens, _ = read(Path("lens.seq"), singlet(glass="'GLUE'", private=LAURENT).splitlines())
+    for nm in (404.7, 486.13, 587.6, 656.27, 1013.9):
+        um = 1e-3 * nm
+        square = 2.36 + 0.001 * um**2 + 0.0255 / um**2 - 0.00058 / um**4 - 0.35e-5 / um**6 + 0.44e-7 / um**8
+        assert lens.surfaces[0].glass.index_at(nm) == pytest.approx(square**0.5, abs=1e-8)
+
+
+@pytest.mark.parametrize("formula", ["GMS 1.0 0.01", "LAU", "LAU 0.1", "SEL x"])
+def test_a_private_glass_that_no_surface_has_is_never_in_the_way(formula):
+    private = f"PRV\n  PWL 550.0\n  'GLUE' {formula}\nEND\n"
+    lens, report = read(Path("lens.seq"), singlet(private=private).splitlines())
+    assert lens.surfaces[0].glass == "SCHOTT/N-BK7"
+    assert ["refused where a surface has it" in line.how for line in report.of(Verdict.UNKNOWN)] == [True]
+    with pytest.raises(SceneError, match="GLUE"):
+        read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
+
+
+def test_a_missing_line_rdm_is_named_as_the_likely_cause():
+    with pytest.raises(SceneError, match=r"the file has no line RDM.*put RDM before them"):
+        read(Path("lens.seq"), singlet().replace("RDM\n", "").splitlines())
+    with pytest.raises(SceneError) as other:
+        read(Path("lens.seq"), singlet().replace("50.0 4.0", "1.0 4.0").splitlines())
+    assert "RDM" not in str(other.value)
+
+
+def test_multilayers_are_said_to_be_left_out():
+    _, report = read(Path("lens.seq"), singlet().replace("  STO\n", "  STO\n  MLT 'ar.mul'\n").splitlines())
+    assert ["the surface is traced bare" in line.how for line in report.of(Verdict.APPROXIMATED)] == [True]

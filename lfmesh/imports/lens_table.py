@@ -1,0 +1,147 @@
+"""Prescriptions as tables (`.csv`): a row a surface, columns by their header, parted by semicolon, comma or tab.
+
+Spreadsheets and lens databases write such tables in many ways, so columns go by common names: radius or curvature,
+thickness, glass or index and Abbe number, semi-diameter or diameter, conic, coefficients A4, A6, ... of even aspheres,
+and a mark of the stop. Lengths are mm. The last row's thickness leads to the image.
+"""
+
+import csv
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.glasses import named_glass
+from lfmesh.imports.numbers import number
+from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription, lens_of
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.text import read_lines
+from lfmesh.scene.camera.lens import Lens
+
+_NAMES = {
+    "radius": ("r", "radius", "radiusmm", "radiusofcurvature", "roc"),
+    "curvature": ("c", "cv", "curv", "curvature"),
+    "thickness": ("t", "th", "thickness", "thicknessmm", "distance", "distancemm", "spacing"),
+    "glass": ("glass", "material", "medium"),
+    "index": ("n", "nd", "index", "refractiveindex"),
+    "abbe": ("v", "vd", "vno", "vnumber", "abbe", "abbenumber"),
+    "semi-diameter": ("sa", "sd", "semidiameter", "semidiametermm", "semiaperture", "semidia", "clearradius"),
+    "diameter": ("d", "dia", "diameter", "diametermm", "clearaperture"),
+    "conic": ("k", "cc", "conic", "conicconstant"),
+    "stop": ("stop",),
+}
+_COLUMNS = {name: column for column, names in _NAMES.items() for name in names}
+_WITHOUT_EFFECT = ("", "surface", "number", "no", "id", "comment", "label", "name", "description")
+_AIR = ("", "air", "vacuum")
+_FLAT = ("", "inf", "infinity", "plano", "flat")
+_DELIMITERS = ";\t,"
+
+
+def read(
+    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
+) -> tuple[Lens, Report]:
+    """Return the lens of a table, and what became of its columns and rows.
+
+    Parameters
+    ----------
+    path : Path
+    lines : list of str, optional
+        Its text, in place of reading it.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that the table uses.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    report = Report(path)
+    lines = read_lines(path) if lines is None else lines
+    filled = [(at, line) for at, line in enumerate(lines, 1) if line.strip(" \t;,\r")]
+    if not filled:
+        raise SceneError(f"{path}: no prescription: it is empty")
+    delimiter = max(_DELIMITERS, key=filled[0][1].count)
+    columns = _columns(report, filled[0], delimiter)
+    made = Prescription()
+    for at, line in filled[1:]:
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        values = {column: cell.strip() for column, cell in zip(columns, cells, strict=False) if cell.strip()}
+        # A comma that parts no columns is a decimal one.
+        if delimiter != ",":
+            values = {column: cell.replace(",", ".") for column, cell in values.items()}
+        try:
+            made.surfaces.append(_surface(at, line, values))
+            report.add(at, line, Verdict.TAKEN)
+        except ValueError as error:
+            report.refuse(at, line, str(error))
+    if made.surfaces and abs(made.surfaces[0].thickness) < FAR_MM:
+        made.surfaces.insert(0, FileSurface(filled[0][0], "object", thickness=math.inf))
+    made.surfaces.append(FileSurface(filled[-1][0], "image"))
+    return lens_of(made, report, glasses), report
+
+
+def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[str]:
+    """Return what each column is; "" of one that is left out."""
+    at, line = header
+    columns = []
+    for name in next(csv.reader([line], delimiter=delimiter)):
+        plain = "".join(sign for sign in name.lower() if sign.isalnum())
+        power = plain.removeprefix("a")
+        if plain in _COLUMNS:
+            columns.append(_COLUMNS[plain])
+        elif plain.startswith("a") and power.isdigit() and int(power) >= 4 and int(power) % 2 == 0:
+            columns.append(f"a{power}")
+        else:
+            columns.append("")
+            if plain not in _WITHOUT_EFFECT:
+                report.add(at, f"column {name.strip()}", Verdict.UNKNOWN)
+    twice = next((column for column in columns if column and columns.count(column) > 1), None)
+    if twice is not None:
+        raise SceneError(f"{report.path}: line {at}: two columns give the {twice}")
+    if "thickness" not in columns or not {"radius", "curvature"} & set(columns):
+        raise SceneError(
+            f"{report.path}: line {at}: no prescription: its first line must name columns, a radius or curvature and "
+            "a thickness among them"
+        )
+    if "stop" not in columns:
+        report.notes.append("no column marks the stop: the first surface is taken for it")
+    return columns
+
+
+def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
+    """Return the surface of a row."""
+    surface = FileSurface(at, line)
+    radius = values.get("radius", "")
+    if radius.lower() not in _FLAT and number(radius):
+        surface.curvature = 1.0 / number(radius)
+    elif "curvature" in values:
+        surface.curvature = number(values["curvature"])
+    thickness = values.get("thickness", "0")
+    surface.thickness = math.inf if thickness.lower() in _FLAT else number(thickness)
+    size = values.get("semi-diameter")
+    half = number(size) if size is not None else 0.5 * number(values.get("diameter", "0"))
+    surface.aperture = abs(half) or None
+    surface.conic = number(values.get("conic", "0"))
+    powers = sorted(int(column[1:]) for column in values if column[:1] == "a" and column[1:].isdigit())
+    surface.asphere = [number(values.get(f"a{power}", "0")) for power in range(4, max(powers, default=2) + 1, 2)]
+    surface.stop = values.get("stop", "").lower() not in ("", "0", "no", "false", "-")
+    _fill(surface, values)
+    return surface
+
+
+def _fill(surface: FileSurface, values: Mapping[str, str]) -> None:
+    """Put the medium behind a surface in: a glass of the catalogue, else one by its index and Abbe number."""
+    name = values.get("glass", "")
+    if name.lower() in _AIR and "index" not in values:
+        return
+    index = number(values["index"]) if "index" in values else None
+    if index == 1.0 and name.lower() in _AIR:
+        return
+    try:
+        known = bool(name) and bool(named_glass(name, []))
+    except GlassError:
+        known = False
+    if known or index is None:
+        surface.glass, surface.stated_index = name, index
+    else:
+        surface.model = index, number(values.get("abbe", "0"))

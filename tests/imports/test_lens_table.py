@@ -1,0 +1,79 @@
+"""Prescriptions as tables: any separator, common names of columns, and words for what is not read."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from lfmesh.errors import SceneError
+from lfmesh.imports import read_lens_file
+from lfmesh.imports.lens_table import read
+from lfmesh.imports.report import Verdict
+from lfmesh.scene import Paraxial, load_lens
+
+ROWS = [
+    ("surface", "radius", "thickness", "material", "index", "v-no", "sa", "stop", "conic", "A4", "A6"),
+    ("1", "50.0", "4.0", "GLASS", "1.5168", "64.2", "8.0", "", "-0.5", "1e-6", "-2e-9"),
+    ("2", "-80.0", "3.0", "air", "", "", "8.0", "", "", "", ""),
+    ("3", "inf", "2.0", "", "", "", "5.0", "x", "", "", ""),
+    ("4", "60.0", "3.0", "SCHOTT/N-SF11", "", "", "7.0", "", "", "", ""),
+    ("5", "", "45.0", "air", "1.0", "", "7.0", "", "", "", ""),
+]
+FILE = Path("lens.csv")
+
+
+def text(delimiter: str, decimal: str = ".") -> list[str]:
+    return [delimiter.join(cell.replace(".", decimal) if row != ROWS[0] else cell for cell in row) for row in ROWS]
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(";", "."), (",", "."), ("\t", "."), (";", ","), ("\t", ",")])
+def test_a_table_is_a_lens_however_it_is_parted(delimiter: str, decimal: str) -> None:
+    lens, report = read(FILE, text(delimiter, decimal))
+    first, second, stop, third, last = lens.surfaces
+    assert (first.radius_mm, first.thickness_mm, first.semi_diameter_mm) == (50.0, 4.0, 8.0)
+    assert (first.conic, first.asphere_mm) == (-0.5, (1e-6, -2e-9))
+    assert first.glass is not None
+    assert not isinstance(first.glass, str)
+    assert (first.glass.nd, first.glass.vd) == (1.5168, 64.2)
+    assert (second.medium, stop.stop, stop.semi_diameter_mm, stop.radius_mm) == (None, True, 5.0, math.inf)
+    assert (third.glass, last.radius_mm, last.medium) == ("SCHOTT/N-SF11", math.inf, None)
+    assert not report.of(Verdict.UNKNOWN)
+    assert any("image: 45 mm" in note for note in report.notes)
+
+
+def test_curvatures_diameters_and_an_object_row_are_understood() -> None:
+    lines = ["Curvature, Thickness (mm), n, Diameter, Colour", ",1e10,,,", "0.02,4.0,1.5,16,red", "-0.0125,45.0,,16,"]
+    lens, report = read(FILE, lines)
+    assert [surface.radius_mm for surface in lens.surfaces] == [50.0, -80.0]
+    assert [surface.semi_diameter_mm for surface in lens.surfaces] == [8.0, 8.0]
+    assert Paraxial.of(lens, 587.6).efl_mm == pytest.approx(1 / (0.5 * (0.02 + 0.0125 - 0.5 * 4 * 0.02 * 0.0125 / 1.5)))
+    assert [line.text for line in report.of(Verdict.UNKNOWN)] == ["column Colour"]
+    assert "no column marks the stop: the first surface is taken for it" in report.notes
+
+
+REFUSED = {
+    "": "no prescription: it is empty",
+    "a;b\n1;2": "line 1: no prescription: its first line must name columns",
+    "radius;thickness;radius\n1;2;3": "line 1: two columns give the radius",
+    "radius;thickness\nx;2": "line 2: x;2: 'x' is no number",
+    "radius;thickness;glass\n50;2;NO-SUCH\n;40;": "NO-SUCH",
+    "radius;thickness\n": "holds no lens",
+}
+
+
+@pytest.mark.parametrize("lines", REFUSED)
+def test_what_is_no_prescription_is_refused_in_one_line(lines: str) -> None:
+    with pytest.raises(SceneError) as refusal:
+        read(FILE, lines.splitlines())
+    assert REFUSED[lines] in str(refusal.value)
+    assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_a_scene_takes_a_table_and_unknown_endings_are_named(tmp_path: Path) -> None:
+    (tmp_path / "lens.csv").write_text("\n".join(text(";")))
+    assert load_lens(tmp_path / "lens.csv") == read_lens_file(tmp_path / "lens.csv")[0]
+    (tmp_path / "lens.oth").write_text("radius")
+    with pytest.raises(
+        SceneError, match=r"unknown ending; a lens is read from \.toml, \.zmx, \.seq, \.csv or lib:NAME"
+    ):
+        read_lens_file(tmp_path / "lens.oth")

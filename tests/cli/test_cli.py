@@ -23,6 +23,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.scene import Scene, solved
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 SCENE = f"""{bench_camera(4, 4)}[[targets]]
 shape = {{ kind = "plane", width_mm = 100.0, height_mm = 100.0 }}
@@ -94,7 +95,7 @@ def shell(
         stdout=stdout,
         stderr=subprocess.PIPE,
         text=True,
-        timeout=120,
+        timeout=HANGS_S,
         env={**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])},
     )
 

@@ -57,7 +57,7 @@ def drawing_fault() -> str | None:
         "plotter.add_mesh(pyvista.Sphere())\n"
         "assert plotter.screenshot(return_img=True).any()\n"
     )
-    child = subprocess.run([sys.executable, "-c", attempt], capture_output=True, text=True, timeout=300)
+    child = subprocess.run([sys.executable, "-c", attempt], capture_output=True, text=True, timeout=600)
     if child.returncode == 0:
         return None
     return "drawing off screen does not work; install the packages libegl1 and libgl1-mesa-dri"

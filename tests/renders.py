@@ -31,7 +31,8 @@ def of_world(world: World, seeds: Iterable[int]) -> Iterator[lf.Image]:
     """
     found: list[OrderCheck | None] = []
     for seed in seeds:
-        one = world.reseeded(seed)
-        renderer = _Checked(one, check=False, found=found[0]) if found else Renderer(one, check=False)
+        # Of the copy before, which has the sequences of ghosts already.
+        world = world.reseeded(seed)
+        renderer = _Checked(world, check=False, found=found[0]) if found else Renderer(world, check=False)
         found.append(renderer.order)
         yield renderer.image()

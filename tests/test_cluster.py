@@ -12,6 +12,7 @@ import lfmesh as lf
 from lfmesh import cluster
 from lfmesh.study.sweeps.study_folder import logged
 from lfmesh.transport.render.on_cluster import render_on_cluster
+from tests.processor_time import HANGS_S
 from tests.study.studies import shifted, small_scene
 
 pytest.importorskip("distributed")
@@ -30,7 +31,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     facts = tmp_path / "scheduler.json"
     process = started("distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(facts))
     try:
-        with Client(scheduler_file=str(facts), timeout="60s") as client:
+        with Client(scheduler_file=str(facts), timeout=HANGS_S) as client:
             address = client.scheduler.address
         yield process, address
     finally:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import lfmesh
+from tests.processor_time import HANGS_S
 
 PACKAGE = Path(lfmesh.__file__).parent
 LINES = 12
@@ -15,7 +16,7 @@ LEFT_OUT = ("--ignore-comments", "--ignore-docstrings")
 def similar(files: list[Path]) -> tuple[int, str]:
     """Return how many lines stand in several of some files, and the report on them."""
     command = [sys.executable, "-c", "from pylint import run_symilar; run_symilar()", "-d", str(LINES), *LEFT_OUT]
-    child = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True, timeout=300)
+    child = subprocess.run([*command, *map(str, files)], capture_output=True, text=True, check=True, timeout=HANGS_S)
     total = re.search(r"^TOTAL lines=\d+ duplicates=(\d+)", child.stdout, re.MULTILINE)
     assert total, child.stdout
     return int(total[1]), child.stdout

@@ -14,6 +14,7 @@ from cyclopts import CycloptsError
 import lfmesh
 from lfmesh.cli import app, main
 from lfmesh.scene import first_order
+from tests.processor_time import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -75,7 +76,7 @@ def test_the_python_example_runs(folder: Path) -> None:
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=HANGS_S,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert done.stderr == ""

@@ -3,6 +3,7 @@
 #
 #   prepare_environment run    what `lfmesh` needs
 #   prepare_environment dev    that and what the tests and checks need
+#   prepare_environment long   that and the programs that long tests compare with
 #
 # Afterwards $root is the project's folder and $environment its .venv. Everything said here goes to stderr, so that
 # the output of a command can be redirected.
@@ -37,12 +38,22 @@ find_python() {
     return 1
 }
 
-# Off-screen drawing needs two system libraries, and for `dev` the tests of the page in a browser need Chromium;
-# everything else works without them.
+# Prints 1, 2 or 3 for the purposes run, dev and long: each holds what the one before holds.
+rank() {
+    case $1 in
+        long) echo 3 ;;
+        dev) echo 2 ;;
+        *) echo 1 ;;
+    esac
+}
+
+# Off-screen drawing needs two system libraries, for `dev` the tests of the page in a browser need Chromium, and for
+# `long` gmsh needs libraries of the window system; everything else works without them.
 install_system_packages() {
     [ "$(uname -s)" = Linux ] || return 0
     local wanted='libegl1 libgl1-mesa-dri' missing=''
     [ "$1" = run ] || wanted="$wanted chromium"
+    [ "$1" != long ] || wanted="$wanted libglu1-mesa libxcursor1 libxft2 libxinerama1"
     if command -v dpkg-query >/dev/null && command -v apt-get >/dev/null; then
         local package
         for package in $wanted; do
@@ -82,13 +93,14 @@ wanted_stamp() {
 up_to_date() {
     [ -x "$environment/bin/python" ] && [ -f "$stamp" ] || return 1
     [ "$(head -n 2 "$stamp")" = "$(wanted_stamp)" ] || return 1
-    [ "$1" = run ] || [ "$(tail -n 1 "$stamp")" = dev ]
+    [ "$(rank "$(tail -n 1 "$stamp")")" -ge "$(rank "$1")" ]
 }
 
 install_project() {
-    local purpose=$1
-    if [ -f "$stamp" ] && [ "$(tail -n 1 "$stamp")" = dev ]; then
-        purpose=dev
+    local purpose=$1 installed
+    if [ -f "$stamp" ]; then
+        installed=$(tail -n 1 "$stamp")
+        [ "$(rank "$installed")" -le "$(rank "$purpose")" ] || purpose=$installed
     fi
     if ! "$environment/bin/python" -m pip --version >/dev/null 2>&1; then
         local python
@@ -99,8 +111,12 @@ install_project() {
     fi
     rm -f -- "$stamp"
     say "installing lfmesh and what it needs into .venv; this takes a minute or two"
-    local extras='[browser]'
-    [ "$purpose" = run ] || extras='[dev]'
+    local extras
+    case $purpose in
+        long) extras='[dev,long]' ;;
+        dev) extras='[dev]' ;;
+        *) extras='[browser]' ;;
+    esac
     (cd -- "$root" && "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
         --editable ".$extras") </dev/null >&2 || {
         say "the installation failed; the lines above say why. Run the command again to resume."

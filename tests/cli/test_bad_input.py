@@ -15,6 +15,7 @@ import trimesh
 import lfmesh
 from lfmesh.cli import main
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 SCENE = f"""{bench_camera(4, 4)}[[targets]]
 file = "part.stl"
@@ -320,7 +321,7 @@ def test_a_process_says_it_the_same_way(folder: Path, name: str) -> None:
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS_S,
         env={**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])},
     )
     assert done.returncode == 2

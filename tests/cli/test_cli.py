@@ -19,12 +19,11 @@ import numpy as np
 import pytest
 
 import lfmesh
+import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.scene import Scene, solved
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.progress import Progress
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 SCENE = f"""{bench_camera(4, 4)}[[targets]]
 shape = {{ kind = "plane", width_mm = 100.0, height_mm = 100.0 }}
@@ -38,7 +37,7 @@ power_w = 1.0
 MISMATCHED = SCENE.replace("focal_length_mm = 0.7", "focal_length_mm = 2.0")
 """Microlenses of f/16 behind a lens of f/5.6."""
 
-Report = Callable[[Progress], None]
+Report = Callable[[lf.Progress], None]
 
 
 class Renderer:
@@ -49,7 +48,7 @@ class Renderer:
         self.replicates_until_ctrl_c = math.inf
         self.seconds = 100.0
 
-    def __call__(self, scene: Scene, progress: Report | None = None, **_: object) -> Image:
+    def __call__(self, scene: Scene, progress: Report | None = None, **_: object) -> lf.Image:
         self.scene = scene = solved(scene)
         transport = scene.transport
         for replicate in range(transport.replicates):
@@ -60,15 +59,15 @@ class Renderer:
                 seconds = self.seconds * done / (100 * transport.replicates)
                 if progress is not None:
                     total = 100_000 * transport.replicates
-                    progress(Progress(1000 * done, total, seconds, replicate, transport.replicates, "tracing"))
+                    progress(lf.Progress(1000 * done, total, seconds, replicate, transport.replicates, "tracing"))
         finished = int(min(self.replicates_until_ctrl_c, transport.replicates))
         if finished == 0:
             raise KeyboardInterrupt
         shape = (*reversed(scene.camera.sensor.pixels), len(transport.wavelengths_nm))
         mean = np.random.default_rng(0).uniform(1e-12, 2e-12, shape)
-        ledger = Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0}, packets=1, events=1)
+        ledger = lf.Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0}, packets=1, events=1)
         samples = transport.samples * finished / transport.replicates
-        return Image(mean, 0.1 * mean, scene, ledger, self.seconds, finished, samples, "mesh engine")
+        return lf.Image(mean, 0.1 * mean, scene, ledger, self.seconds, finished, samples, "mesh engine")
 
 
 @pytest.fixture
@@ -96,7 +95,7 @@ def shell(
         stdout=stdout,
         stderr=subprocess.PIPE,
         text=True,
-        timeout=120,
+        timeout=HANGS_S,
         env={**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])},
     )
 
@@ -226,7 +225,7 @@ def test_ctrl_c_keeps_the_finished_replicates(
 def test_too_little_memory_is_one_line(
     renderer: Renderer, scene_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(self: Renderer, *_: object, **__: object) -> Image:
+    def full(self: Renderer, *_: object, **__: object) -> lf.Image:
         return np.zeros((1 << 26, 1 << 26))  # type: ignore[return-value]
 
     monkeypatch.setattr(Renderer, "__call__", full)
@@ -242,7 +241,7 @@ def test_sigterm_ends_a_render_as_ctrl_c_does(
     """The renderer is interrupted, which keeps the replicates that are finished; with none, the exit code says why."""
     caught: list[BaseException] = []
 
-    def killed(self: Renderer, scene: Scene, *_: object, **__: object) -> Image:
+    def killed(self: Renderer, scene: Scene, *_: object, **__: object) -> lf.Image:
         try:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(5.0)

@@ -18,6 +18,7 @@ from lfmesh.cli import main
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.render.tally import Tally
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 SCENE = f"{bench_camera(8, 8)}[transport]\nsamples = 4\nreplicates = 4\n"
 STUDY = (
@@ -94,7 +95,9 @@ import lfmesh.cli
 
 
 def test_ctrl_c_while_the_program_starts_is_no_traceback() -> None:
-    done = subprocess.run([sys.executable, "-c", AT_AN_IMPORT], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", AT_AN_IMPORT], capture_output=True, text=True, timeout=HANGS_S, check=False
+    )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
@@ -105,7 +108,7 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
 ) -> None:
     """From the second replicate on no packet moves on; what is finished is kept."""
     usual, started = Workspace._take, Tally.restart
-    stuck, until = threading.Event(), time.monotonic() + 60.0
+    stuck, until = threading.Event(), time.monotonic() + HANGS_S
 
     def restart(tally: Tally, replicate: int) -> None:
         if replicate == 1:

@@ -11,6 +11,7 @@ import lfmesh
 from lfmesh.cli import main
 from lfmesh.errors import FileError
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 posix = pytest.mark.skipif(os.name != "posix", reason="shells and devices of POSIX")
 
@@ -22,7 +23,7 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
         cwd=folder,
         capture_output=True,
         encoding="utf-8",
-        timeout=120,
+        timeout=HANGS_S,
         env={**os.environ, "PYTHONPATH": str(Path(lfmesh.__file__).parents[1]), **environment},
     )
 

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.scene import Scene, loads, solved
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
 from tests.cameras import bench_camera
 
 PLENOPTIC = f"""name = "test bench"{bench_camera(8, 6)}[[targets]]
@@ -33,10 +32,10 @@ def scene() -> Scene:
 
 
 @pytest.fixture
-def image_of(scene: Scene) -> Callable[..., Image]:
+def image_of(scene: Scene) -> Callable[..., lf.Image]:
     """Build an image of a scene (default: the one above) with noisy pixels and a ledger that closes."""
 
-    def build(of: Scene = scene, **changes: Any) -> Image:
+    def build(of: Scene = scene, **changes: Any) -> lf.Image:
         width, height = of.camera.sensor.pixels
         rng = np.random.default_rng(5)
         shape = (height, width, len(of.transport.wavelengths_nm))
@@ -45,7 +44,7 @@ def image_of(scene: Scene) -> Callable[..., Image]:
             "mean": mean,
             "stderr": 0.1 * mean,
             "scene": of,
-            "ledger": Ledger(
+            "ledger": lf.Ledger(
                 unit="m² sr",
                 emitted=2.0,
                 absorbed={"stop": 1.25, "targets[0]": 0.5},
@@ -60,6 +59,6 @@ def image_of(scene: Scene) -> Callable[..., Image]:
             "samples": float(of.transport.samples),
             "engine": "mesh engine",
         }
-        return Image(**{**values, **changes})
+        return lf.Image(**{**values, **changes})
 
     return build

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.errors import FileError
 from lfmesh.files import exr, run
-from lfmesh.transport.render.image import Image
 
-Build = Callable[..., Image]
+Build = Callable[..., lf.Image]
 
 
 def why_refused(folder: Path) -> str | None:
@@ -33,7 +33,7 @@ def refusal(folder: Path) -> str:
     return message
 
 
-def written_anew(folder: Path, image: Image, **changes: Any) -> None:
+def written_anew(folder: Path, image: lf.Image, **changes: Any) -> None:
     """Write raw.exr with other metadata, its pixels' digest fitting: what another program could have made."""
     run.save(image, folder)
     spectral = exr.read(folder / "raw.exr", ("raw", "stderr"))

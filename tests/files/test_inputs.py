@@ -18,9 +18,8 @@ from lfmesh.files import inputs, run
 from lfmesh.files.folder import MANIFEST, manifest_of
 from lfmesh.geometry.files.mesh_file import companions, load_mesh
 from lfmesh.scene.inputs import files_of
-from lfmesh.transport.render.image import Image
 
-Build = Callable[..., Image]
+Build = Callable[..., lf.Image]
 
 
 @pytest.fixture

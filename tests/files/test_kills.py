@@ -25,6 +25,7 @@ from lfmesh.files.field import FIELD, open_field
 from lfmesh.files.field import VIEWS as FIELD_VIEWS
 from lfmesh.files.folder import MANIFEST, STAGING, manifest_of
 from tests.cameras import bench_camera
+from tests.processor_time import HANGS_S
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
 
@@ -87,7 +88,7 @@ class Commands:
     def close(self) -> None:
         assert self._zygote.stdin is not None
         self._zygote.stdin.close()
-        self._zygote.wait(timeout=60)
+        self._zygote.wait(timeout=HANGS_S)
 
 
 @pytest.fixture(scope="module")

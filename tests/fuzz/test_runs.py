@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import lfmesh as lf
 from lfmesh.errors import FileError
 from lfmesh.files import run
-from lfmesh.transport.render.image import Image
 
 FILES = ("raw.exr", "report.json", "manifest.json")
 
@@ -18,21 +18,20 @@ flips = st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), min_size=1, 
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Image]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, lf.Image]:
     from lfmesh.scene import loads, solved
-    from lfmesh.transport.packets.ledger import Ledger
     from tests.cameras import bench_camera
 
     folder = tmp_path_factory.mktemp("whole")
     scene = solved(loads(bench_camera(4, 4)))
     mean = np.random.default_rng(5).uniform(1.0, 2.0, (40, 40, 1)) * 1e-12
-    ledger = Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0})
-    image = Image(mean, 0.1 * mean, scene, ledger, seconds=7.0, replicates=8, samples=64.0, engine="mesh engine")
+    ledger = lf.Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0})
+    image = lf.Image(mean, 0.1 * mean, scene, ledger, seconds=7.0, replicates=8, samples=64.0, engine="mesh engine")
     run.save(image, folder)
     return folder, run.open_run(folder)
 
 
-def is_the_same_or_refused(whole: tuple[Path, Image], name: str, flips: list[tuple[float, int]], cut: float) -> None:
+def is_the_same_or_refused(whole: tuple[Path, lf.Image], name: str, flips: list[tuple[float, int]], cut: float) -> None:
     folder, image = whole
     copy = folder.parent / "copy"
     shutil.rmtree(copy, ignore_errors=True)
@@ -65,7 +64,7 @@ unhurried = settings(
 @settings(unhurried, max_examples=100)
 @given(st.sampled_from(FILES), flips, cuts)
 def test_a_run_with_flipped_bits_is_refused_or_the_same(
-    whole: tuple[Path, Image], name: str, flips: list[tuple[float, int]], cut: float
+    whole: tuple[Path, lf.Image], name: str, flips: list[tuple[float, int]], cut: float
 ) -> None:
     is_the_same_or_refused(whole, name, flips, cut)
 
@@ -74,6 +73,6 @@ def test_a_run_with_flipped_bits_is_refused_or_the_same(
 @settings(unhurried, max_examples=2_000)
 @given(st.sampled_from(FILES), flips, cuts)
 def test_many_runs_with_flipped_bits_are_refused_or_the_same(
-    whole: tuple[Path, Image], name: str, flips: list[tuple[float, int]], cut: float
+    whole: tuple[Path, lf.Image], name: str, flips: list[tuple[float, int]], cut: float
 ) -> None:
     is_the_same_or_refused(whole, name, flips, cut)

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import DirectionalLight, PointLight, Scene, SpotLight, load, loads
 from tests.cameras import camera_without_array
 from tests.glb import QUAD, QUAD_UV, SPLIT, Glb, turn
+from tests.processor_time import processor_seconds
 
 TOML = Scene(camera=camera_without_array()).dump_toml().replace("schema_version = 1\n", "")
 
@@ -372,9 +372,9 @@ def test_broken_scenes_get_one_line(tmp_path: Path, why: str) -> None:
     glb, why = broken_scenes()[why]
     if "uri" in str(glb.tree.get("buffers")):
         glb.data = b""
-    start = time.monotonic()
+    start = processor_seconds()
     assert why in refusal(tmp_path, glb)
-    assert time.monotonic() - start < 10.0
+    assert processor_seconds() - start < 10.0
 
 
 LIGHT_FAULTS = {

@@ -15,6 +15,7 @@ import lfmesh.geometry.surfaces.surface
 import lfmesh.kernels.decorators
 from lfmesh.kernels.cache import KEPT, digest, remove_older_versions
 from lfmesh.scene.camera import lens, qcon
+from tests.processor_time import HANGS_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,7 +64,7 @@ def started(program: Path, **environment: str) -> subprocess.Popen[str]:
 
 
 def outcome(process: subprocess.Popen[str]) -> dict[str, Any]:
-    printed, _ = process.communicate(timeout=120)
+    printed, _ = process.communicate(timeout=HANGS_S)
     assert process.returncode == 0
     return json.loads(printed)
 
@@ -114,7 +115,7 @@ def test_code_from_other_files_counts(tmp_path: Path, edited: str) -> None:
         (tmp_path / f"{name}.py").write_text(text)
 
     def run() -> str:
-        return started(tmp_path / "calling.py").communicate(timeout=120)[0].strip()
+        return started(tmp_path / "calling.py").communicate(timeout=HANGS_S)[0].strip()
 
     assert [run(), run()] == ["4.0 0", "4.0 1"]
     text = texts[edited].replace("FACTOR * x", "FACTOR * x + 1.0").replace("2.0", "3.0")

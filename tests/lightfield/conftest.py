@@ -5,10 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene, loads, solved
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
 
 CAMERA = """
 schema_version = 1
@@ -50,13 +49,13 @@ def camera() -> Callable[..., Scene]:
 
 
 @pytest.fixture
-def image_of() -> Callable[..., Image]:
+def image_of() -> Callable[..., lf.Image]:
     """Build an image of a scene from its pixels, (H, W) or (H, W, wavelengths)."""
 
-    def build(scene: Scene, mean: np.ndarray, stderr: np.ndarray | None = None) -> Image:
+    def build(scene: Scene, mean: np.ndarray, stderr: np.ndarray | None = None) -> lf.Image:
         mean = mean.reshape(*mean.shape[:2], -1).astype(np.float64)
         stderr = np.zeros_like(mean) if stderr is None else stderr.reshape(mean.shape)
-        ledger = Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
-        return Image(mean, stderr, scene, ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
+        ledger = lf.Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
+        return lf.Image(mean, stderr, scene, ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
 
     return build

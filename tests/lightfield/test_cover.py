@@ -8,8 +8,8 @@ from lfmesh.geometry import frame
 from lfmesh.lightfield.rays.chief_rays import plate_of
 from lfmesh.lightfield.rays.object_rays import object_rays
 from lfmesh.lightfield.rays.pixel_slopes import pixel_slopes
-from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
+from tests.frames import motion
 
 COVER = {"thickness_mm": 0.6, "gap_mm": 0.2, "index": 1.6}
 
@@ -28,7 +28,7 @@ def test_chief_rays_land_where_traced_rays_do():
     count = len(plate.apexes)
     slopes = np.column_stack([random.uniform(-0.3, 0.3, (count, 2)), np.ones(count)])
     directions = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
-    to_world = world.tables.frames[MLA_FRAME, WORLD_FRAME]
+    to_world = motion(world, "array", "world")
     thickness = plate.lenslets.thickness
     inside = plate.inside(directions)
     behind = np.column_stack([plate.apexes + thickness * inside[:, :2] / inside[:, 2:], np.full(count, thickness)])
@@ -36,7 +36,7 @@ def test_chief_rays_land_where_traced_rays_do():
     paths = lf.trace(
         world, frame.points(to_world, behind), frame.directions(to_world, directions), split="transmit"
     )  # fmt: skip
-    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[np.argsort(paths.source), :2]
+    landed = frame.points(motion(world, "world", "sensor"), paths.position)[np.argsort(paths.source), :2]
     np.testing.assert_allclose(plate.landing(directions), landed, rtol=0.0, atol=1e-9)
 
 
@@ -48,7 +48,7 @@ def test_rays_of_pixels_are_the_way_back():
     rays = object_rays(world.scene, lenslets, pixels)
     paths = lf.trace(world, rays.origin + 5.0 * rays.direction, -rays.direction, split="transmit")
     assert (paths.status == lf.Status.SENSOR).all()
-    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[np.argsort(paths.source), :2]
+    landed = frame.points(motion(world, "world", "sensor"), paths.position)[np.argsort(paths.source), :2]
     sensor = world.scene.camera.sensor
     expected = (pixels - 0.5 * (np.array(sensor.pixels) - 1.0)) * sensor.pixel_mm
     np.testing.assert_allclose(landed, expected, rtol=0.0, atol=1e-6)

@@ -6,7 +6,6 @@ import pytest
 import lfmesh as lf
 from lfmesh.errors import LfmeshError, SceneError
 from lfmesh.scene import CircularPolarisation, LinearPolarisation
-from lfmesh.transport.choice import engine_of
 from tests.cameras import camera_without_array, close_up_camera
 
 LAMP = {"kind": "point", "position_mm": [0.0, 0.0, -10.0], "power_w": 1.0}
@@ -94,10 +93,11 @@ def test_layers_are_welcome_and_so_is_what_no_surface_has():
 
 
 def test_the_mesh_engine_traces_polarised_light():
-    assert engine_of(scene()) == ("mesh", "transport.polarisation is the mesh engine's")
-    assert engine_of(scene(polarisation=False))[0] == "both"
+    few = {"transport.samples": 1, "transport.replicates": 2}
+    assert lf.render(scene().changed(few)).engine == "mesh: transport.polarisation is the mesh engine's"
+    assert lf.render(scene(polarisation=False).changed(few)).engine.startswith("both: ")
     with pytest.raises(SceneError, match=r"transport\.polarisation is the mesh engine's"):
-        engine_of(scene(transport={"engine": "sequential"}))
+        lf.render(scene(transport={"engine": "sequential"}))
     with pytest.raises(LfmeshError, match=r"transport\.polarisation is the mesh engine's"):
         lf.trace(lf.build(scene(), aimed=False), [0, 0, -9], [0, 0, 1], split="transmit", engine="sequential")
 

@@ -127,6 +127,16 @@ def test_the_development_tools_are_added_once_and_kept(machine: Machine) -> None
     assert machine.done == ["venv", "pip .[browser]", "pip .[dev]", "pip .[dev]"]
 
 
+def test_long_tests_add_the_programs_that_they_compare_with_and_these_stay(machine: Machine) -> None:
+    machine.run("test")
+    machine.run("test", "-k", "a", "--long")
+    machine.run("test")
+    machine.run("run")
+    (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
+    machine.run("test")
+    assert machine.done == ["venv", "pip .[dev]", "pip .[dev,long]", "pip .[dev,long]"]
+
+
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:
     result = machine.run("test", "--long", "-k", "a or b")
     assert result.stdout == f"pytest in {machine.root}:\n<--numprocesses=2><--dist=loadfile><--long><-k><a or b>"

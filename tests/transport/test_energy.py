@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.render.render import Renderer
 from tests.cameras import close_up_camera
+from tests.renders import by_seed
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -91,7 +91,7 @@ def test_a_sheet_emits_pi_l_from_each_side_and_a_ball_from_its_outside() -> None
 def test_pixels_see_a_whole_hemisphere() -> None:
     """∫ cos θ dω = π over what a pixel's packets are spread over, so no direction is missed."""
     pixels = 4e-6  # m²: 20 x 20 of 0.1 mm
-    emitted = [lf.render(crowded(samples=64, replicates=1, seed=k)).ledger.emitted for k in range(24)]
+    emitted = [image.ledger.emitted for image in by_seed(crowded(samples=64, replicates=1), range(24))]
     assert stats.sem(emitted) < 0.01 * np.mean(emitted)
     assert stats.ttest_1samp(emitted, np.pi * pixels).pvalue > LEVEL
 
@@ -101,10 +101,10 @@ def test_roulette_does_not_bias(method: str) -> None:
     """Cutoffs from almost none to the harshest: strips of the image and its sum by Welch's t-test, Bonferroni."""
     cutoffs = (0.01, 0.1, 1.0)
     settings = {"method": method, "split": "both", "samples": 24, "replicates": 1}
-    worlds = [lf.build(crowded(weight_cutoff=cutoff, **settings)) for cutoff in cutoffs]
+    scenes = [crowded(weight_cutoff=cutoff, **settings) for cutoff in cutoffs]
     images = [
-        np.array([Renderer(world.reseeded(100 * which + k)).image().mean[..., 0] for k in range(24)])
-        for which, world in enumerate(worlds)
+        np.array([image.mean[..., 0] for image in by_seed(given, range(100 * which, 100 * which + 24))])
+        for which, given in enumerate(scenes)
     ]
     sums = [stack.sum(axis=(1, 2)) for stack in images]
     for total in sums:

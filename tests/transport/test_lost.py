@@ -11,7 +11,6 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import LostEnergyWarning
 from lfmesh.files import words
-from lfmesh.transport.packets.ledger import LOST_LIMIT
 from lfmesh.view.rays.launch import from_pixels
 from lfmesh.view.rays.path_table import path_table
 
@@ -62,7 +61,8 @@ def test_a_render_that_loses_energy_warns_and_names_the_body(flawed: lf.Scene) -
     with pytest.warns(LostEnergyWarning, match="of the energy was lost by the tracer: .* in flawed ball"):
         image = lf.render(flawed)
     ledger = image.ledger
-    assert ledger.lost_share > 1e3 * LOST_LIMIT
+    # A thousand times what a run may lose without a warning.
+    assert ledger.lost_share > 1e-4
     # Said once by reason, once by body: both are all of it, and none of it counts as absorbed.
     assert ledger.lost_in == {"flawed ball": pytest.approx(sum(ledger.lost.values()), rel=1e-12)}
     assert abs(ledger.imbalance) < 1e-12

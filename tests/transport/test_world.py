@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.render.render import Renderer
+from tests.renders import of_world
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 
@@ -231,12 +231,12 @@ def test_a_reseeded_world_renders_as_one_that_is_built_with_that_seed(split):
         }
     )  # fmt: skip
     world = lf.build(scene)
-    other = Renderer(world.reseeded(7)).image()
+    other, own = of_world(world, [7, scene.transport.seed])
     built = lf.render(scene.changed({"transport.seed": 7}))
     np.testing.assert_array_equal(other.mean, built.mean)
     assert other.scene == built.scene
     assert world.scene.transport.seed == scene.transport.seed
-    assert (Renderer(world).image().mean != other.mean).any()
+    assert (own.mean != other.mean).any()
 
 
 def test_a_world_is_pickled_as_its_scene_and_copied(monkeypatch):

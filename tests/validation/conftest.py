@@ -6,7 +6,7 @@ import pytest
 @pytest.fixture(scope="module")
 def gmsh():
     """The CAD kernel that writes lenses; it is a tool of tests alone."""
-    module = pytest.importorskip("gmsh", reason="gmsh, which writes random lenses as STEP, is not there")
+    module = pytest.importorskip("gmsh", reason="gmsh is not there; tools/test --long installs it")
     module.initialize()
     module.option.setNumber("General.Terminal", 0)
     yield module

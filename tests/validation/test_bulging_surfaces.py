@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.geometry import frame
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from tests.frames import motion
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def sequential_against_mesh(seed: int) -> None:
     ways[:, 2] = np.abs(ways[:, 2]) * np.where(draw.random(RAYS) < 0.5, 0.2, 2.0)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     points[:, 2] += world.tables.lens.surfaces["vertex_z"][0]
-    move = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    move = motion(world, "camera", "world")
     rays = frame.points(move, points - 40.0 * ways), frame.directions(move, ways)
     by_order, by_mesh = (lf.trace(world, *rays, split="transmit", engine=engine) for engine in ("sequential", "mesh"))
     assert by_mesh.ledger.lost_share == 0.0
@@ -128,7 +128,7 @@ def test_rays_that_all_but_touch_a_bulge_meet_it_or_pass_it(kind: str, seed: int
     met = (behind & (inside < 0.99 * SEMI)).any(axis=1)
     beside = (behind & (inside >= 0.99 * SEMI)).any(axis=1)
     vertex = np.array([0.0, 0.0, world.tables.lens.surfaces["vertex_z"][0]])
-    move = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    move = motion(world, "camera", "world")
     starts = frame.points(move, points + vertex - 30.0 * ways)
     paths = lf.trace(world, starts, frame.directions(move, ways), split="transmit", max_events=1)
     assert paths.ledger.lost_share == 0.0

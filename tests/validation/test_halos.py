@@ -3,6 +3,7 @@
 The packets that are sent past lamps are also left out, which scattered packets must make up for.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -182,17 +183,30 @@ BOTH_WAYS: dict[str, dict[str, Any]] = {
 }
 
 
-def image_of(case: str, samples: int) -> tuple[float, float]:
-    """Return the whole light of an adjoint image and its standard error, W."""
-    transport = {"samples": samples, "replicates": 16, "seed": 12}
-    image = lf.render(lf.Scene(camera=camera_without_array(pixels=8), transport=transport, **BOTH_WAYS[case]))  # type: ignore[arg-type]
+FORWARD = {"a target beside the lamp": 8192, "a point lamp in fog that scatters forwards": 8192,
+           "a spot of more than half a turn": 4096, "many lamps and media": 4096,
+           "glass beside the lamp": 1024}  # fmt: skip
+"""Samples of the forward method where 2048 leave an error of more than 5 %, or are more than it takes."""
+
+
+def image_of(case: str, samples: int, **transport: Any) -> tuple[float, float]:
+    """Return the whole light of an image and its standard error, W."""
+    settings = {"samples": samples, "replicates": 16, "seed": 12} | transport
+    image = lf.render(lf.Scene(camera=camera_without_array(pixels=8), transport=settings, **BOTH_WAYS[case]))  # type: ignore[arg-type]
+    assert abs(image.ledger.imbalance) < 1e-11
     return float(image.mean.sum()), float(np.sqrt((image.stderr**2).sum()))
+
+
+@cache
+def adjoint(case: str) -> tuple[float, float]:
+    """Return the light of a case's adjoint image and its error, for both tests."""
+    return image_of(case, 512)
 
 
 @pytest.mark.parametrize("case", BOTH_WAYS)
 def test_packets_past_lamps_add_no_light_and_leave_none_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole light with them and by scattered packets alone: z-tests at 3.5 sigma, for eleven scenes 0.5 %."""
-    (one, error), often = image_of(case, 1024), halo_tables
+    (one, error), often = adjoint(case), halo_tables
 
     def never(*given: Any) -> Any:
         tables = often(*given)
@@ -200,7 +214,7 @@ def test_packets_past_lamps_add_no_light_and_leave_none_out(case: str, monkeypat
         return tables._replace(scattering=np.zeros_like(tables.scattering))
 
     monkeypatch.setattr(objects, "halo_tables", never)
-    other, its_error = image_of(case, 2048)
+    other, its_error = image_of(case, 1024)
     assert max(error, its_error) < 0.05 * one
     assert its_error != error
     assert abs(one - other) < 3.5 * np.hypot(error, its_error), (one, error, other, its_error)
@@ -209,13 +223,6 @@ def test_packets_past_lamps_add_no_light_and_leave_none_out(case: str, monkeypat
 @pytest.mark.parametrize("case", BOTH_WAYS)
 def test_forward_equals_adjoint_with_lamps_in_fog(case: str) -> None:
     """A z-test of the whole light at 3.5 sigma, for eleven scenes a level of 0.5 %."""
-    images = []
-    for method, count in (("adjoint", 512), ("forward", 8192)):
-        transport = {"method": method, "samples": count, "replicates": 16, "seed": 11}
-        scene = lf.Scene(camera=camera_without_array(pixels=8), transport=transport, **BOTH_WAYS[case])  # type: ignore[arg-type]
-        images.append(lf.render(scene))
-        assert abs(images[-1].ledger.imbalance) < 1e-11
-    a, f = (image.mean.sum() for image in images)
-    errors = [np.sqrt((image.stderr**2).sum()) for image in images]
-    assert max(errors) < 0.1 * a
-    assert abs(a - f) < 3.5 * np.hypot(*errors), (a, f, errors)
+    (a, error), (f, its_error) = adjoint(case), image_of(case, FORWARD.get(case, 2048), method="forward", seed=11)
+    assert max(error, its_error) < 0.1 * a
+    assert abs(a - f) < 3.5 * np.hypot(error, its_error), (a, f, error, its_error)

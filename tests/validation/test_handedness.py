@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 import lfmesh as lf
+from tests.processor_time import HANGS_S
 
 Array = NDArray[np.float64]
 
@@ -758,10 +759,15 @@ def test_a_page_shows_what_is_projected_by_hand(
     page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
     try:
         page.goto((tmp_path / "page.html").as_uri())
+        page.set_default_timeout(1000.0 * HANGS_S)
         page.wait_for_selector("canvas")
         page.evaluate("document.querySelectorAll('.words').forEach(words => words.remove())")
         page.wait_for_timeout(3000)
-        picture = PIL.Image.open(io.BytesIO(page.screenshot()))
+        shown, before = page.screenshot(), b""
+        while shown != before:
+            page.wait_for_timeout(500)
+            shown, before = page.screenshot(), shown
+        picture = PIL.Image.open(io.BytesIO(shown))
     finally:
         page.close()
     # vtk.js has its own angle from the bottom to the top of a picture.

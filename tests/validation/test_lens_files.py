@@ -1,4 +1,4 @@
-"""The lens files that ray-optics ships, against that program; needs it installed: pip install lfmesh[lensfiles].
+"""The lens files that ray-optics ships, against that program; `tools/test --long` installs it.
 
 Those in scope have its focal lengths and its real rays; the others are refused with the right reason. ray-optics is a
 program of its own, with readers, glass data and a tracer of its own.
@@ -17,12 +17,14 @@ from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.scene import Paraxial, load_lens
 
 SPEC = find_spec("rayoptics")
-pytestmark = pytest.mark.skipif(SPEC is None, reason="needs ray-optics")
+pytestmark = pytest.mark.skipif(SPEC is None, reason="ray-optics is not there; tools/test --long installs it")
 SAMPLES = Path(SPEC.origin).parent if SPEC is not None and SPEC.origin else Path()
 
 IN_SCOPE = [
     "codev/tests/CODV_32327.seq",
+    "codev/tests/CODV_49664.seq",
     "codev/tests/CODV_65564.seq",
+    "codev/tests/CODV_65988_noDOE.seq",
     "codev/tests/ag_dblgauss.seq",
     "codev/tests/asp46.seq",
     "codev/tests/landscape_lens.seq",
@@ -32,9 +34,7 @@ IN_SCOPE = [
 ]
 MIRRORS, TILTS = "mirrors are not supported", "tilted and decentred surfaces are not supported"
 REFUSED = {
-    "codev/tests/CODV_49664.seq": "glass given by nd = 1.517, Vd = 52 alone",
     "codev/tests/CODV_65988.seq": "diffractive surfaces are not supported",
-    "codev/tests/CODV_65988_noDOE.seq": "glass 'E48': not in the catalogue",
     "codev/tests/achroMangin.seq": MIRRORS,
     "codev/tests/achroMangin_ok.seq": MIRRORS,
     "codev/tests/dar_test.seq": TILTS,
@@ -55,10 +55,10 @@ REFUSED = {
     "codev/tests/tilt_test.seq": TILTS,
     "zemax/models/PhotoPrime/US05331467-1.zmx": "a central obscuration is not supported",
     "zemax/tests/354710-C-Zemax(ZMX).zmx": "glass 'D-ZK3M': not in the catalogue; close to it are CDGM/D-ZK3",
-    "zemax/tests/ASL5040-UV-Zemax(ZMX).zmx": "Forbes (Q-type) aspheres are not supported",
+    "zemax/tests/ASL5040-UV-Zemax(ZMX).zmx": "Forbes (Q-type) aspheres are not read",
     "zemax/tests/HoO-V2C18Ex03.zmx": MIRRORS,
     "zemax/tests/HoO-V2C18Ex27.zmx": MIRRORS,
-    "zemax/tests/HoO-V2C18Ex46.zmx": "toroids are not supported",
+    "zemax/tests/HoO-V2C18Ex46.zmx": MIRRORS,
     "zemax/tests/HoO-V2C18Ex66.zmx": "decentred and folded axes are not supported",
     "zemax/tests/HoO-V2C18Ex66NEW.zmx": "decentred and folded axes are not supported",
     "zemax/tests/US05831776-1.zmx": "surfaces 14 and 15 cross inside their clear aperture",

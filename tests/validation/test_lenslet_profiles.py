@@ -13,7 +13,6 @@ import pytest
 from scipy.optimize import brentq
 
 import lfmesh as lf
-from lfmesh.transport.packets.packet import Status
 from tests.validation.test_folded_array import (
     Whole,
     array_frame,
@@ -235,7 +234,7 @@ def test_rays_land_where_an_independent_trace_lands_them(number):
     weight = np.array([e[1] for e in expected if not isinstance(e, str)])
     for engine in ("mesh", "sequential"):
         paths = lf.trace(world, o, d, split="transmit", engine=engine)
-        on = paths.status == Status.SENSOR
+        on = paths.status == lf.Status.SENSOR
         found, weights = np.full((count, 3), np.nan), np.full(count, np.nan)
         found[paths.source[on]], weights[paths.source[on]] = paths.position[on], paths.weight[on]
         np.testing.assert_allclose(found[plain], truth, rtol=0, atol=POSITION_MM)
@@ -320,7 +319,7 @@ def test_hyperbolic_lenslets_focus_axial_light_from_their_glass_to_a_point(index
     world = focused("sensor", index, 0.3, radius, radius / (index - 1.0), layout=layout, conic=(-(index**2),))
     o, d, centre = collimated(world, 27, layout, np.random.default_rng(3), 200)
     paths = lf.trace(world, o, d, split="transmit", engine=engine)
-    assert (paths.status == Status.SENSOR).all()
+    assert (paths.status == lf.Status.SENSOR).all()
     assert len(paths) == 200
     np.testing.assert_allclose(paths.position[:, :2], np.broadcast_to(centre, (200, 2)), rtol=0, atol=2e-14)
     sphere = focused("sensor", index, 0.3, radius, radius / (index - 1.0), layout=layout)

@@ -11,6 +11,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
+from tests.renders import by_seed
 
 FAR: dict[str, Any] = {
     "shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 30.0},
@@ -42,7 +43,18 @@ def plane(x_mm: float, y_mm: float, distance_mm: float, size_mm: float, tilt_deg
 def parts(of: lf.Scene, method: str, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the light on the sensor and on its quarters, W, and the standard errors, (5,)."""
     changes = {"transport.method": method, "transport.samples": samples, "transport.seed": seed}
-    image = lf.render(of.changed(changes))
+    return sums(lf.render(of.changed(changes)))
+
+
+def forward_by_seed(of: lf.Scene, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light on the sensor by forward images of many seeds, W, and the standard errors, (SEEDS,)."""
+    images = by_seed(of.changed({"transport.method": "forward", "transport.samples": samples}), range(SEEDS))
+    light, error = np.array([[each[0] for each in sums(image)] for image in images]).T
+    return light, error
+
+
+def sums(image: lf.Image) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light on the sensor and on its quarters, W, and the standard errors, (5,)."""
 
     def summed(values: np.ndarray) -> np.ndarray:
         quarters = values[..., 0].reshape(2, 6, 2, 6).sum(axis=(1, 3)).ravel()
@@ -88,7 +100,7 @@ def test_light_that_the_lens_reflects_is_not_missed_with_a_single_target() -> No
     What the lens reflects back to the target is 4.5 % of the light.
     """
     of = scene("double_gauss_50mm", 9.0, plane(8.0, 4.0, 0.9, 10.0), split="both")
-    found = np.array([parts(of, "forward", 4096, seed)[0][0] for seed in range(SEEDS)])
+    found, _ = forward_by_seed(of, 4096)
     one, its = parts(of, "adjoint", 32768, 4)
     assert abs(found.mean() - one[0]) < 3.5 * np.hypot(its[0], found.std(ddof=1) / np.sqrt(SEEDS))
     assert its[0] < 1e-3 * one[0]
@@ -97,8 +109,7 @@ def test_light_that_the_lens_reflects_is_not_missed_with_a_single_target() -> No
 def test_the_error_of_near_targets_is_their_spread_over_seeds() -> None:
     """Reported against true variance, a chi-squared test: 12 seeds at a level of 1e-3 on each side."""
     of = scene("double_gauss_50mm", 9.0, plane(8.0, 4.0, 0.2, 10.0), FAR, split="transmit")
-    found = [parts(of, "forward", 512, seed) for seed in range(SEEDS)]
-    light, error = np.array([f[0][0] for f in found]), np.array([f[1][0] for f in found])
+    light, error = forward_by_seed(of, 512)
     ratio = (SEEDS - 1) * light.var(ddof=1) / (error**2).mean()
     # Quantiles of chi squared with 11 degrees of freedom.
     assert 1.48 < ratio < 31.3

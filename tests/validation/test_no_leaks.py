@@ -10,7 +10,6 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.trace import Event
 
 SHARES = (0.1, 0.5, 0.9)
 """Where along the way between two crossings the medium is looked up."""
@@ -100,7 +99,7 @@ def segments(lens, paths, packets):
                 continue
             assert space in (k, k + 1), f"{here.surface} met from space {space}"
             other = 2 * k + 1 - space
-            into = other if here.event == Event.TRANSMITTED else space
+            into = other if here.event.name == "TRANSMITTED" else space
             if after is not None:
                 onward = after.position - here.position
                 lengths = np.linalg.norm(way), np.linalg.norm(onward)

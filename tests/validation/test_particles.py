@@ -6,9 +6,9 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.geometry import frame
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.parts import parts_of
 from tests.cameras import bench_camera
+from tests.frames import motion
 from tests.renders import by_seed
 
 PLACES = [(3.0, -2.0, -455.0), (-6.5, 4.0, -520.0), (0.7, 7.1, -610.0)]
@@ -69,7 +69,7 @@ def traced(scene, place, intensity, x, y, area):
     # dω = cos dA / distance²
     power = intensity * area * -place[2] / length**3
     fell = paths.status == lf.Status.SENSOR
-    at = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position[fell])
+    at = frame.points(motion(world, "world", "sensor"), paths.position[fell])
     pitch = scene.camera.sensor.pixel_mm
     columns, rows = (np.floor(at[:, axis] / pitch + 0.5 * PIXELS).astype(int) for axis in (0, 1))
     image = np.zeros((2, PIXELS, PIXELS))

@@ -11,7 +11,7 @@ from scipy.stats import qmc
 import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.geometry.frame import rotation
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.frames import motion
 from tests.validation.test_particles import PIXELS, micro_images, scene_of
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def truth_of(scene: lf.Scene, point: Array, intensity: float, tilt_deg: float, a
     air = lf.build(scene.changed({"tanks": (), "particles": ()}))
     paths = lf.trace(air, p, out, split="transmit")
     fell = paths.status == lf.Status.SENSOR
-    at = frame.points(air.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position[fell])
+    at = frame.points(motion(air, "world", "sensor"), paths.position[fell])
     columns, rows = (np.floor(at[:, axis] / scene.camera.sensor.pixel_mm + 0.5 * PIXELS).astype(int) for axis in (0, 1))
     watts = (paths.weight * power[paths.source])[fell]
     image = np.zeros((2, PIXELS, PIXELS))

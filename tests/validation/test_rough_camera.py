@@ -13,7 +13,6 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import SceneError
-from lfmesh.transport.choice import engine_of
 from tests.cameras import SQUARE_ARRAY, biconvex
 
 LEVEL = 1e-3
@@ -204,11 +203,12 @@ def test_lamps_on_a_rough_lens_are_said_and_a_polished_one_shows_none() -> None:
 
 def test_the_mesh_engine_is_taken_and_says_why() -> None:
     given = scene({"camera.mla.flat_finish": "diffuse"})
-    assert engine_of(given) == ("mesh", "camera.mla, its flat face is diffuse")
+    few = {"transport.samples": 1, "transport.replicates": 2}
+    assert lf.render(given.changed(few)).engine == "mesh: camera.mla, its flat face is diffuse"
     with pytest.raises(SceneError, match='its flat face is diffuse; use "mesh" or "auto"'):
-        engine_of(given.changed({"transport.engine": "sequential"}))
+        lf.render(given.changed({"transport.engine": "sequential"}))
     for polished in ("polished", {"kind": "ground", "roughness": 0.0}):
-        assert engine_of(scene({"camera.mla.flat_finish": polished}))[0] == "both"
+        assert lf.render(scene({"camera.mla.flat_finish": polished}).changed(few)).engine.startswith("both: ")
 
 
 def test_rough_faces_of_curved_facets_are_refused() -> None:

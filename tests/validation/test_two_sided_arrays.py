@@ -13,7 +13,6 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.accuracy.analytic import Camera
-from lfmesh.transport.packets.packet import Status
 from tests.validation.test_lenslet_profiles import PITCH_MM, SENSOR_MM, Face, bent, cell_samples, scene_of
 
 POSITION_MM = 1e-9
@@ -153,7 +152,7 @@ def test_rays_land_where_an_independent_trace_lands_them(number):
         ends = ("wall", "beside") if engine == "mesh" else ("wall", "beside", "total", "turned", "again")
         lost = np.array([e in ends for e in expected])
         paths = lf.trace(world, o + at, d, split="transmit", engine=engine)
-        on = paths.status == Status.SENSOR
+        on = paths.status == lf.Status.SENSOR
         found, weights = np.full((COUNT, 3), np.nan), np.full(COUNT, np.nan)
         found[paths.source[on]], weights[paths.source[on]] = paths.position[on], paths.weight[on]
         np.testing.assert_allclose(found[arrives], truth, rtol=0, atol=POSITION_MM)
@@ -181,7 +180,7 @@ def test_steep_faces_that_nearly_touch_at_their_corners(layout, steep):
     world = lf.build(scene, aimed=False)
     for engine in ("mesh", "sequential"):
         paths = lf.trace(world, o + at, d, split="transmit", engine=engine)
-        on = paths.status == Status.SENSOR
+        on = paths.status == lf.Status.SENSOR
         found = np.full((COUNT, 3), np.nan)
         found[paths.source[on]] = paths.position[on]
         np.testing.assert_allclose(found[arrives], truth, rtol=0, atol=POSITION_MM)
@@ -241,7 +240,7 @@ def test_collimated_light_crosses_the_axis_where_the_thick_lens_formula_says(axe
     off, centre = 1e-5 * PITCH_MM, 0.5 * PITCH_MM
     o = np.array([[centre + off, centre, z - 0.1], [centre, centre + off, z - 0.1]])
     paths = lf.trace(world, o, np.array([[0.0, 0.0, 1.0]] * 2), split="transmit", engine=engine)
-    assert (paths.status == Status.SENSOR).all()
+    assert (paths.status == lf.Status.SENSOR).all()
     for number, section in enumerate("xy"):
         bends = [np.inf if axis == section else radius for axis, radius in zip(axes, radii, strict=True)]
         first, second = bends if looks == "lens" else bends[::-1]
@@ -297,7 +296,7 @@ def test_a_face_that_becomes_flat_gives_the_picture_of_the_flat_one():
         world = lf.build(scene, aimed=False)
         for engine in ("mesh", "sequential"):
             paths = lf.trace(world, at - 0.5 * d + [0.0, 0.0, z], d, split="transmit", engine=engine)
-            on = paths.status == Status.SENSOR
+            on = paths.status == lf.Status.SENSOR
             order = np.argsort(paths.source[on], kind="stable")
             found.append((paths.source[on][order], paths.position[on][order], paths.weight[on][order]))
     for source, position, weight in found[1:]:
@@ -376,7 +375,7 @@ def test_the_truth_of_the_accuracy_command_is_the_same(number):
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     truth = Camera.of(scene, 587.6).land(o, d)
     paths = lf.trace(world, o, d, split="transmit", engine="sequential")
-    on = paths.status == Status.SENSOR
+    on = paths.status == lf.Status.SENSOR
     both = truth.arrives[paths.source[on]]
     assert both.sum() > 60
     np.testing.assert_allclose(

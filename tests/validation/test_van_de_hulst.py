@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.transport.world import build
 from tests.cameras import camera_without_array
 from tests.validation.test_media import slab_radiance
 
@@ -32,7 +31,7 @@ def fluxes(rays: int, thickness: float, scene: lf.Scene) -> tuple[np.ndarray, np
     The beam is divided into a hundred parts, whose spread gives the errors.
     """
     origins = np.tile([AWAY_MM, 0.0, -100.0 + 0.5 * thickness + 5.0], (rays, 1))
-    paths = lf.trace(build(scene), origins, np.tile([0.0, 0.0, -1.0], (rays, 1)))
+    paths = lf.trace(lf.build(scene), origins, np.tile([0.0, 0.0, -1.0], (rays, 1)))
     up = paths.direction[:, 2] > 0.0
     out = paths.status != lf.Status.DEPTH
     shares = np.array(

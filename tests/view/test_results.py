@@ -15,7 +15,6 @@ import pytest
 import lfmesh as lf
 from lfmesh import notebook
 from lfmesh.lightfield.views.upright import Upright
-from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.view import progress, results
 
 BRIGHT = (slice(10, 40), slice(90, 120))
@@ -25,7 +24,7 @@ BRIGHT = (slice(10, 40), slice(90, 120))
 def image_of(scene: lf.Scene, channels: int = 1) -> lf.Image:
     mean = np.full((100, 120, channels), 1e-12)
     mean[BRIGHT] = 1e-9
-    ledger = Ledger(unit="m² sr", emitted=2.0, sensor=0.5, absorbed={"stop": 1.0}, escaped=0.5, packets=1200)
+    ledger = lf.Ledger(unit="m² sr", emitted=2.0, sensor=0.5, absorbed={"stop": 1.0}, escaped=0.5, packets=1200)
     return lf.Image(mean, 0.01 * mean, scene, ledger, 1.5, scene.transport.replicates, 64.0, "by hand")
 
 

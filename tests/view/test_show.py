@@ -26,6 +26,7 @@ from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import LaunchOptions, first_look, launched, subject_of, together
 from lfmesh.view.scene3d.gl import MISSING, Probe
 from lfmesh.view.scene3d.plotter import Drawing
+from tests.processor_time import HANGS_S
 from tests.view.conftest import SCENE
 
 QUICK = ["--size", "320x200", "--count", "6"]
@@ -135,7 +136,7 @@ def test_with_missing_libraries_the_command_says_so_in_one_line(scene_file: Path
     out = tmp_path / "out.png"
     child = subprocess.run(
         [sys.executable, "-m", "lfmesh", "view", str(scene_file), "--rays", "none", "--screenshot", str(out)],
-        capture_output=True, text=True, timeout=120,
+        capture_output=True, text=True, timeout=HANGS_S,
         env={**hidden(tmp_path, "libegl1"), "PYTHONPATH": str(Path(lfmesh.__file__).parents[1])},
     )  # fmt: skip
     assert child.returncode == 2

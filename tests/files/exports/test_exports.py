@@ -19,7 +19,6 @@ from lfmesh.cli import main
 from lfmesh.files import exr
 from lfmesh.files.exports.hci import CameraArray
 from lfmesh.scene import Scene, first_order, loads, solved
-from lfmesh.transport.packets.ledger import Ledger
 
 Array = NDArray[Any]
 
@@ -45,7 +44,7 @@ def scene_of(layout: str = "square", wavelengths: tuple[float, ...] = (587.6,)) 
 def image_of(scene: Scene, seed: int = 1) -> lf.Image:
     shape = (*scene.camera.sensor.pixels[::-1], scene.channels)
     mean = np.random.default_rng(seed).uniform(1.0, 2.0, shape) * 1e-12
-    return lf.Image(mean, 0.1 * mean, scene, Ledger(unit="W", emitted=1.0, escaped=1.0), 1.0, 2, 8.0, "by hand")
+    return lf.Image(mean, 0.1 * mean, scene, lf.Ledger(unit="W", emitted=1.0, escaped=1.0), 1.0, 2, 8.0, "by hand")
 
 
 @pytest.fixture(scope="module")

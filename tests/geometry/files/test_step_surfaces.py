@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from lfmesh.geometry.files.mesh_file import load_mesh
 from lfmesh.geometry.files.step_surfaces import surfaces_of
 from lfmesh.geometry.files.swept import curve_in_box, net_in_box
 from tests.peak_memory import PRINT_PEAK, SAYS_PEAK
+from tests.processor_time import processor_seconds
 
 SOLIDS = Path(__file__).resolve().parents[3] / "tests" / "solids"
 RUN_FILE = """
@@ -173,10 +173,10 @@ def refusal(path):
 
 
 @pytest.mark.skipif(find_spec("cascadio") is None, reason="cascadio, of the extra cad, is not there")
-def test_a_hostile_file_is_read_or_refused_in_one_line_within_half_a_minute(tmp_path):
+def test_a_hostile_file_is_read_or_refused_in_one_line_within_half_a_minute_of_processor_time(tmp_path):
     program = RUN_FILE + (PRINT_PEAK if SAYS_PEAK else "")
     for path in hostile(tmp_path):
-        begun = time.monotonic()
+        begun = processor_seconds()
         refused = refusal(path)
         assert refused is None or (refused.startswith(str(path)) and "\n" not in refused), path.name
         out = tmp_path / "out.json"
@@ -187,6 +187,6 @@ def test_a_hostile_file_is_read_or_refused_in_one_line_within_half_a_minute(tmp_
         )  # fmt: skip
         assert child.returncode == 0, (path.name, child.stderr)
         assert isinstance(json.loads(out.read_text()), list)
-        assert time.monotonic() - begun < 30.0, path.name
+        assert processor_seconds() - begun < 30.0, path.name
         if SAYS_PEAK:
             assert int(child.stdout) < 2 * 2**20, path.name

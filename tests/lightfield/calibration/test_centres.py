@@ -9,7 +9,6 @@ import lfmesh as lf
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.calibration.centres import estimate_centres
 from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
 
 RADIUS = 4.4
 
@@ -38,7 +37,7 @@ def lattice_px(scene: Scene, *, pitch: float, turn: float, shift: tuple[float, f
 
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_a_lattice_that_is_shifted_turned_and_stretched_is_found(
-    camera: Callable[..., Scene], image_of: Callable[..., Image], layout: str
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image], layout: str
 ) -> None:
     scene = camera(layout)
     true = lattice_px(scene, pitch=10.12, turn=0.004, shift=(2.3, -3.1))
@@ -52,7 +51,7 @@ def test_a_lattice_that_is_shifted_turned_and_stretched_is_found(
 
 
 def test_lenslets_that_stand_beside_the_lattice_are_found_one_by_one(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera()
     true = lattice_px(scene, pitch=10.08, turn=0.0, shift=(0.0, 0.0))
@@ -63,7 +62,7 @@ def test_lenslets_that_stand_beside_the_lattice_are_found_one_by_one(
 
 
 def test_noise_alone_does_not_make_a_perfect_array_look_a_bad_one(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera()
     true = lattice_px(scene, pitch=10.08, turn=0.0, shift=(0.0, 0.0))
@@ -74,7 +73,7 @@ def test_noise_alone_does_not_make_a_perfect_array_look_a_bad_one(
 
 
 def test_a_dark_micro_image_is_continued_from_the_others(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera()
     true = lattice_px(scene, pitch=10.08, turn=0.0, shift=(0.0, 0.0))
@@ -86,7 +85,7 @@ def test_a_dark_micro_image_is_continued_from_the_others(
 
 @pytest.mark.parametrize(("level", "words"), [(0.0, "it is black"), (1.0, "they touch without dark")])
 def test_an_image_without_micro_images_is_refused(
-    camera: Callable[..., Scene], image_of: Callable[..., Image], level: float, words: str
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image], level: float, words: str
 ) -> None:
     scene = camera()
     with pytest.raises(lf.LfmeshError, match=words):

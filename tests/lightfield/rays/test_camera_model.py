@@ -16,7 +16,7 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.rays.pixel_bundles import cell_points
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.frames import motion
 
 COVER = {"thickness_mm": 0.04, "gap_mm": 0.02, "glass": "SCHOTT/N-SF5", "coating": "none"}
 SMALL = {"camera.mla.count": (8, 6), "camera.sensor.pixels": (84, 64)}
@@ -33,7 +33,7 @@ def distance_px(scene: Scene, origin: np.ndarray, direction: np.ndarray, which: 
     paths = lf.trace(world, origin[which] + direction[which], -direction[which], split="transmit")
     assert (paths.status == lf.Status.SENSOR).all()
     assert len(paths.source) == which.sum()
-    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[:, :2]
+    landed = frame.points(motion(world, "world", "sensor"), paths.position)[:, :2]
     sensor = scene.camera.sensor
     row, column = np.nonzero(which)
     at = landed[np.argsort(paths.source)] / sensor.pixel_mm + 0.5 * (np.asarray(sensor.pixels) - 1.0)

@@ -9,7 +9,7 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.lightfield.rays.chief_rays import chief_rays
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.frames import motion
 
 BUILT_BADLY = {
     "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},
@@ -35,7 +35,7 @@ def test_the_whole_camera_traced_ends_where_the_chief_ray_lands(
     direction = frame.directions(to_world, rays.direction.reshape(-1, 3))
     paths = lf.trace(world, start, direction, split="transmit")
     assert (paths.status == lf.Status.SENSOR).all()
-    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[:, :2]
+    landed = frame.points(motion(world, "world", "sensor"), paths.position)[:, :2]
     np.testing.assert_allclose(landed, rays.landing.reshape(-1, 2)[paths.source], rtol=0, atol=1e-12)
 
 

@@ -9,7 +9,7 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.lightfield.rays.object_rays import object_rays
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
+from tests.frames import motion
 
 BUILT_BADLY = {
     "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},
@@ -36,7 +36,7 @@ def test_light_along_the_ray_of_a_pixel_lands_on_it(
     world = lf.build(scene)
     paths = lf.trace(world, rays.origin + rays.direction, -rays.direction, split="transmit")
     assert (paths.status == lf.Status.SENSOR).all()
-    landed = frame.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], paths.position)[:, :2]
+    landed = frame.points(motion(world, "world", "sensor"), paths.position)[:, :2]
     expected = (pixels - 0.5 * (np.asarray(scene.camera.sensor.pixels) - 1.0)) * scene.camera.sensor.pixel_mm
     np.testing.assert_allclose(landed, expected[paths.source], rtol=0, atol=1e-10)
 

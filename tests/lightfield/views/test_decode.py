@@ -10,7 +10,6 @@ from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.views.decode import decode
 from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
 
 BADLY_MOUNTED = {"camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.0], "tilt_deg": [0.0, 0.0, 0.8]}}
 
@@ -34,7 +33,7 @@ def lenslet_ramp(calibration: Calibration, along_x: float, along_y: float) -> np
 
 
 def test_a_sample_is_the_raw_image_at_its_pixels_from_the_true_centre_turned_upright(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera().changed(BADLY_MOUNTED)
     calibration = calibrate(scene)
@@ -49,7 +48,7 @@ def test_a_sample_is_the_raw_image_at_its_pixels_from_the_true_centre_turned_upr
         assert field.data[v, u, t, s, 0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_axes_say_where_a_sample_lies(camera: Callable[..., Scene], image_of: Callable[..., Image]) -> None:
+def test_axes_say_where_a_sample_lies(camera: Callable[..., Scene], image_of: Callable[..., lf.Image]) -> None:
     scene = camera()
     field = decode(image_of(scene, ramp(scene, 1.0, 1.0)))
     assert np.diff(field.s_mm) == pytest.approx(0.125)
@@ -60,7 +59,7 @@ def test_axes_say_where_a_sample_lies(camera: Callable[..., Scene], image_of: Ca
 
 
 def test_a_hexagonal_array_is_resampled_to_a_square_grid(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     """What is linear on the array is linear in the grid: nothing is sheared, stretched or shifted."""
     scene = camera("hexagonal")
@@ -76,7 +75,7 @@ def test_a_hexagonal_array_is_resampled_to_a_square_grid(
 
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_standard_errors_are_those_of_the_interpolation(
-    camera: Callable[..., Scene], image_of: Callable[..., Image], layout: str
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image], layout: str
 ) -> None:
     """Against many images with independent noise of the standard errors given: chi-squared a sample.
 
@@ -99,7 +98,7 @@ def test_standard_errors_are_those_of_the_interpolation(
 
 
 def test_divided_by_white_the_field_is_the_radiance_and_dark_is_unknown(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera()
     calibration = calibrate(scene)
@@ -118,7 +117,7 @@ def test_divided_by_white_the_field_is_the_radiance_and_dark_is_unknown(
     assert lit[2:8, 2:8].all()
 
 
-def test_beyond_the_sensor_nothing_is_known(camera: Callable[..., Scene], image_of: Callable[..., Image]) -> None:
+def test_beyond_the_sensor_nothing_is_known(camera: Callable[..., Scene], image_of: Callable[..., lf.Image]) -> None:
     scene = camera(columns=16)
     field = decode(image_of(scene, ramp(scene, 0.0, 0.0)))
     assert np.isnan(field.data[:, :, :, 0]).any()
@@ -126,7 +125,7 @@ def test_beyond_the_sensor_nothing_is_known(camera: Callable[..., Scene], image_
 
 
 def test_view_epi_and_mosaic_show_the_same_samples(
-    camera: Callable[..., Scene], image_of: Callable[..., Image]
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera()
     field = decode(image_of(scene, np.random.default_rng(0).random(scene.camera.sensor.pixels[::-1])))
@@ -137,7 +136,9 @@ def test_view_epi_and_mosaic_show_the_same_samples(
     np.testing.assert_array_equal(mosaic[2 * height : 3 * height, 7 * width : 8 * width], field.view(2, 7))
 
 
-def test_to_xarray_keeps_samples_axes_and_units(camera: Callable[..., Scene], image_of: Callable[..., Image]) -> None:
+def test_to_xarray_keeps_samples_axes_and_units(
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
+) -> None:
     pytest.importorskip("xarray")
     scene = camera()
     field = decode(image_of(scene, ramp(scene, 1.0, 2.0)))
@@ -148,7 +149,7 @@ def test_to_xarray_keeps_samples_axes_and_units(camera: Callable[..., Scene], im
     assert data["data"].attrs["unit"] == "W per pixel"
 
 
-def test_faults_are_told_in_one_line(camera: Callable[..., Scene], image_of: Callable[..., Image]) -> None:
+def test_faults_are_told_in_one_line(camera: Callable[..., Scene], image_of: Callable[..., lf.Image]) -> None:
     scene = camera()
     image = image_of(scene, ramp(scene, 0.0, 0.0))
     conventional = scene.changed({"camera.mla": None})

@@ -15,8 +15,8 @@ from lfmesh.files import matrix as files
 from lfmesh.lightfield.volumes.projection import Projector, projection_matrix
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import close_up_camera
+from tests.frames import motion
 
 ROOT = Path(__file__).resolve().parents[3]
 MM2 = 1e-6
@@ -83,7 +83,7 @@ def test_every_entry_is_weight_times_chord_of_rays_that_end_on_its_pixel():
     world = projector.world
     paths = lf.trace(world, origin + 30.0 * direction, -direction, split="transmit")
     assert (paths.status == lf.Status.SENSOR).all()
-    turn = world.tables.frames[WORLD_FRAME, SENSOR_FRAME]
+    turn = motion(world, "world", "sensor")
     x, y = (paths.position @ turn[:, :3].T + turn[:, 3]).T[:2] / world.scene.camera.sensor.pixel_mm + 8.0
     column, row = pixel % 16, pixel // 16
     for place, low in ((x, column), (y, row)):

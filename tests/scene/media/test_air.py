@@ -11,7 +11,6 @@ from lfmesh.geometry.objects.tanks import tank_lines
 from lfmesh.optics.air import air_index
 from lfmesh.optics.glass import absorption_per_mm, refractive_index
 from lfmesh.scene.materials.glasses import glass_lines
-from lfmesh.transport.tables.media import MediumList
 
 LENS, ARRAY, COVER, WALL, OWN = "SCHOTT/SF11", "SCHOTT/N-BK7", "SCHOTT/N-SF5", "SCHOTT/N-LAK22", {"nd": 1.5, "vd": 60.0}
 PLAIN = 1.333
@@ -53,7 +52,7 @@ GLASSES = [LENS, OWN, ARRAY, COVER, WALL]
 
 @pytest.mark.parametrize("air", AIRS)
 def test_every_part_is_that_of_plain_indices_computed_by_hand(air: tuple[float, float]) -> None:
-    """First-order figures, media of the tables and rays of both engines."""
+    """First-order figures, and rays of both engines."""
     named = scene_of(GLASSES, {"temperature_c": air[0], "pressure_kpa": air[1]})
     plain = scene_of([by_hand(glass, *air) for glass in GLASSES])
     one, other = lf.first_order(named), lf.first_order(plain)
@@ -61,15 +60,13 @@ def test_every_part_is_that_of_plain_indices_computed_by_hand(air: tuple[float, 
     assert one.image_z_mm == pytest.approx(other.image_z_mm, rel=1e-12)
     for engine in ("mesh", "sequential"):
         worlds = [lf.build(each.changed({"transport.engine": engine})) for each in (named, plain)]
-        tables = [sorted(MediumList.of(world.scene).table((D_NM,), None, ()).indices[:, 0]) for world in worlds]
-        assert tables[0] == pytest.approx(tables[1], rel=1e-14)
         draw = np.random.default_rng(3)
         origins = np.column_stack([draw.uniform(-20.0, 20.0, (200, 2)), np.full(200, -500.0)])
         ways = np.column_stack([draw.uniform(-8.0, 8.0, (200, 2)), np.zeros(200)]) - origins
         ends = [lf.trace(world, origins, ways, split="transmit", wavelength_nm=D_NM) for world in worlds]
         assert (ends[0].status == lf.Status.SENSOR).sum() > 40
         np.testing.assert_array_equal(ends[0].status, ends[1].status)
-        np.testing.assert_allclose(ends[0].position, ends[1].position, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(ends[0].position, ends[1].position, rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(ends[0].weight, ends[1].weight, rtol=1e-12)
 
 

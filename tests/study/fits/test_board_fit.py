@@ -1,6 +1,7 @@
 """Focus and pose of a board come back from rendered pictures within the errors that the fit states."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -78,6 +79,22 @@ def deviations(found: lf.BoardFit, taken: Taken) -> tuple[NDArray[np.float64], N
     known = [[each.parameter.path for each in found.estimates].index(FOCUS), *range(count, count + 6)]
     beside = np.array([*pose.position_mm, *pose.rotation_deg]) - taken.pose
     return np.array([found[FOCUS].value - taken.truth[FOCUS], *beside]), found.covariance[np.ix_(known, known)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _maps_are_traced_once() -> Iterator[None]:
+    """Trace the rays of each camera once: all fits but one start from the same camera and its neighbours."""
+    traced, known = RayMap.of, dict[Any, RayMap]()
+
+    def of(scene: lf.Scene, decoded: lf.Calibration, reach: float, *, of_bundles: bool = False) -> RayMap:
+        key = scene, decoded.centres_px.tobytes(), decoded.known.tobytes(), reach, of_bundles
+        if key not in known:
+            known[key] = traced(scene, decoded, reach, of_bundles=of_bundles)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RayMap, "of", of)
+        yield
 
 
 @pytest.fixture(scope="module")

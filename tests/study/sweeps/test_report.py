@@ -9,6 +9,7 @@ from pyarrow import parquet
 
 import lfmesh as lf
 from tests.conftest import chromium
+from tests.processor_time import HANGS_S
 from tests.study.studies import SHIFT, shifted, small_scene
 
 
@@ -68,7 +69,7 @@ def test_a_browser_shows_the_page_without_errors(folder: Path, tmp_path: Path) -
     shot = tmp_path / "page.png"
     command = [program, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=900,600"]
     done = subprocess.run(
-        [*command, f"--screenshot={shot}", f"file://{folder / 'report.html'}"], capture_output=True, timeout=120
+        [*command, f"--screenshot={shot}", f"file://{folder / 'report.html'}"], capture_output=True, timeout=HANGS_S
     )
     assert done.returncode == 0
     assert shot.stat().st_size > 10_000

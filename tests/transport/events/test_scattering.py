@@ -4,6 +4,7 @@ Every model is put to the same tests. A new one is one line in MATERIALS.
 """
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 import pytest
@@ -47,7 +48,6 @@ FROM_FILES = {
 """As mesh files bring them; and after them emission, which no scene states."""
 
 NAMES = [*MATERIALS, *FROM_FILES, "emission"]
-TABLES = scattering_tables(list(MATERIALS.values()), (500.0, 600.0), from_files=list(FROM_FILES.values()))
 WAVE = 1
 TEXEL = 0.6
 NORMALS = [np.array([0.0, 0.0, 1.0]), np.array([0.48, -0.6, -0.64])]
@@ -60,6 +60,12 @@ LEVEL = 1e-3
 DRAWN = 20_000
 PARTS = 6
 """Intervals to each side of the direction that a mirror would reflect into, which crowd there."""
+
+
+@cache
+def all_models() -> ScatteringTables:
+    """Return the tables of all models, which take seconds to make: not while tests are collected."""
+    return scattering_tables(list(MATERIALS.values()), (500.0, 600.0), from_files=list(FROM_FILES.values()))
 
 
 def direction(normal: Array, cosine: float | Array, azimuth: float | Array) -> Array:
@@ -111,14 +117,14 @@ def tell_all(tables: ScatteringTables, point: Point, ways: Array, way: Array, bo
 
 def told(point: Point, way: Array, ways: Array) -> tuple[Array, Array]:
     both = np.empty((ways[..., 0].size, 2))
-    tell(TABLES, point, np.ascontiguousarray(ways.reshape(-1, 3)), way, both)
+    tell(all_models(), point, np.ascontiguousarray(ways.reshape(-1, 3)), way, both)
     return both[:, 0].reshape(ways.shape[:-1]), both[:, 1].reshape(ways.shape[:-1])
 
 
 def drawn(point: Point, way: Array, seed: int) -> tuple[Array, Array]:
     """Return DRAWN directions, and what each carries of what arrived."""
     rows = np.empty((DRAWN, 4))
-    draw(TABLES, point, way, np.random.default_rng(seed).random((DRAWN, 2)), rows)
+    draw(all_models(), point, way, np.random.default_rng(seed).random((DRAWN, 2)), rows)
     return rows[:, :3], rows[:, 3]
 
 
@@ -196,7 +202,9 @@ def test_the_albedo_is_the_share_of_light_that_all_directions_carry() -> None:
         ways, solid_angle = over_the_side(normal, way)
         scattered = (told(point, way, ways)[1] * (ways @ normal) * solid_angle).sum()
         error = 2.0 * MARGIN if "gloss" in repr(MATERIALS.get(NAMES[point.model], "gloss")) else 0.0
-        assert scattered == pytest.approx(albedo(TABLES, point, WAVE, *way), rel=1e-8, abs=max(error, 1e-300)), point
+        assert scattered == pytest.approx(albedo(all_models(), point, WAVE, *way), rel=1e-8, abs=max(error, 1e-300)), (
+            point
+        )
         assert scattered <= 1.0
 
 
@@ -279,22 +287,22 @@ def test_interpolated_normals_gain_no_light(name: str) -> None:
     for tilt in (0.1, 0.4, np.pi / 4):
         tilted = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
         toward, away = (smooth_point(name, normal, tilted, to_light) for to_light in (True, False))
-        white = albedo(TABLES, point_of(name, normal)._replace(texel=1.0), WAVE, 0.0, 0.0, -1.0)
+        white = albedo(all_models(), point_of(name, normal)._replace(texel=1.0), WAVE, 0.0, 0.0, -1.0)
         for azimuth in (0.0, 1.5, np.pi):
             for cosine in (1.0, 0.5, 0.05):
                 seen = direction(normal, cosine, azimuth)
                 ways, solid_angle = over_the_side(normal, -seen, 8, 6)
                 rows = ways.reshape(-1, 3)
                 both = np.empty((len(rows), 2))
-                tell_all(TABLES, toward, rows, -seen, both)
+                tell_all(all_models(), toward, rows, -seen, both)
                 total = (both[:, 1] * (rows @ normal) * solid_angle.ravel()).sum()
                 assert total > 0.02 * white
                 if name == "matt":
                     assert total <= 0.7 * TEXEL * 1.002
                 assert total <= 1.0
                 for row in rows[:: len(rows) // 7]:
-                    there = evaluate(TABLES, toward, WAVE, *map(float, -seen), *map(float, row))
-                    assert there == evaluate(TABLES, away, WAVE, *map(float, -row), *map(float, seen))
+                    there = evaluate(all_models(), toward, WAVE, *map(float, -seen), *map(float, row))
+                    assert there == evaluate(all_models(), away, WAVE, *map(float, -row), *map(float, seen))
 
 
 @pytest.mark.parametrize("name", ["matt", "lacquer", "glTF mixture"])
@@ -307,18 +315,27 @@ def test_what_is_drawn_at_an_interpolated_normal_carries_the_brdf(name: str, to_
     carried = 0
     for u, v in random.random((200, 2)):
         way = [float(x) for x in -direction(normal, 0.3, random.random() * 6.0)]
-        *out, share = sample(TABLES, point, WAVE, *way, u, v)
+        *out, share = sample(all_models(), point, WAVE, *way, u, v)
         cosine = float(normal @ out)
         if cosine > 0.0:
-            there = evaluate(TABLES, point, WAVE, *way, *out) * cosine / density(TABLES, point, WAVE, *way, *out)
+            there = (
+                evaluate(all_models(), point, WAVE, *way, *out)
+                * cosine
+                / density(all_models(), point, WAVE, *way, *out)
+            )
             assert share == pytest.approx(there, rel=1e-9, abs=1e-12)
             carried += share > 0.0
     assert carried > 50
 
 
-HOT = scattering_tables(
-    [each.model_copy(update={"temperature_k": 900.0}) for each in MATERIALS.values()], (500.0, 600.0)
-)
+@cache
+def hot_models() -> ScatteringTables:
+    """Return the tables of the materials at 900 K."""
+    return scattering_tables(
+        [each.model_copy(update={"temperature_k": 900.0}) for each in MATERIALS.values()], (500.0, 600.0)
+    )
+
+
 TILTS = (0.0, 0.1, 0.5)
 """Angles between the interpolated normal and the facet's, rad; 0: there is none."""
 
@@ -329,7 +346,8 @@ def test_a_hot_surface_emits_what_it_does_not_scatter(name: str) -> None:
 
     The albedo is the mean of what the BRDF's own samples carry. No sample of the emission is below 0.
     """
-    row, emits = NAMES.index(name), int(HOT.models["emission"][NAMES.index(name)])
+    hot = hot_models()
+    row, emits = NAMES.index(name), int(hot.models["emission"][NAMES.index(name)])
     numbers = np.random.default_rng(7).random((2, 4000, 2))
     z = []
     for tilt in TILTS:
@@ -338,10 +356,10 @@ def test_a_hot_surface_emits_what_it_does_not_scatter(name: str) -> None:
         for azimuth, cosine in ((0.0, 1.0), (0.5, 0.4), (np.pi, 0.1)):
             seen = direction(NORMALS[0], cosine, azimuth)
             rows = np.empty((len(numbers[0]), 4))
-            draw(HOT, point._replace(model=row), -seen, numbers[0], rows)
+            draw(hot, point._replace(model=row), -seen, numbers[0], rows)
             emitted = np.array(
                 [
-                    np.pi * evaluate(HOT, point._replace(model=emits, u=u, v=v), WAVE, 0.0, 0.0, 1.0, *map(float, seen))
+                    np.pi * evaluate(hot, point._replace(model=emits, u=u, v=v), WAVE, 0.0, 0.0, 1.0, *map(float, seen))
                     for u, v in (numbers[1] if tilt > 0.0 else numbers[1, :1])
                 ]
             )
@@ -356,12 +374,14 @@ def test_a_hot_surface_emits_what_it_does_not_scatter(name: str) -> None:
 def test_the_power_of_a_hot_surface_is_the_mean_of_its_emissivity(name: str) -> None:
     """Over the hemisphere, weighted by the cosine; and the table of light sources has the same."""
     model = NAMES.index(name)
-    point = point_of(name, NORMALS[1])._replace(model=int(HOT.models["emission"][model]))
+    point = point_of(name, NORMALS[1])._replace(model=int(hot_models().models["emission"][model]))
     rows = np.empty((4096, 4))
-    draw(HOT, point, -NORMALS[1], np.column_stack([(np.arange(4096) + 0.5) / 4096, np.full(4096, 0.3)]), rows)
-    assert rows[:, 3].mean() == pytest.approx(albedo(HOT, point, WAVE, 0.0, 0.0, 1.0), abs=2e-5)
-    alone, by_texture = mean_emission(HOT, model)
-    assert albedo(HOT, point, WAVE, 0.0, 0.0, 1.0) == pytest.approx(alone[WAVE] + TEXEL * by_texture[WAVE], rel=1e-12)
+    draw(hot_models(), point, -NORMALS[1], np.column_stack([(np.arange(4096) + 0.5) / 4096, np.full(4096, 0.3)]), rows)
+    assert rows[:, 3].mean() == pytest.approx(albedo(hot_models(), point, WAVE, 0.0, 0.0, 1.0), abs=2e-5)
+    alone, by_texture = mean_emission(hot_models(), model)
+    assert albedo(hot_models(), point, WAVE, 0.0, 0.0, 1.0) == pytest.approx(
+        alone[WAVE] + TEXEL * by_texture[WAVE], rel=1e-12
+    )
 
 
 def test_the_black_side_of_a_hot_sheet_is_a_black_body() -> None:
@@ -391,8 +411,8 @@ def test_light_goes_either_way_alike() -> None:
     random = np.random.default_rng(3)
     for point, normal, _ in cases():
         one, other = direction(normal, random.random(2), 2.0 * np.pi * random.random(2))
-        there = evaluate(TABLES, point, WAVE, *-one, *other)
-        assert there == pytest.approx(evaluate(TABLES, point, WAVE, *-other, *one), rel=1e-12), point
+        there = evaluate(all_models(), point, WAVE, *-one, *other)
+        assert there == pytest.approx(evaluate(all_models(), point, WAVE, *-other, *one), rel=1e-12), point
 
 
 def test_a_matt_target_scatters_by_lamberts_law() -> None:
@@ -401,9 +421,9 @@ def test_a_matt_target_scatters_by_lamberts_law() -> None:
     for name, reflectance in (("matt", 0.7), ("black", 0.0), ("emission", 1.0)):
         point = point_of(name, normal)
         for ways in (direction(normal, 0.9, 1.0), direction(normal, 0.1, 4.0)):
-            brdf = evaluate(TABLES, point, WAVE, *-ways, *direction(normal, 0.3, 2.0))
+            brdf = evaluate(all_models(), point, WAVE, *-ways, *direction(normal, 0.3, 2.0))
             assert brdf == pytest.approx(reflectance * TEXEL / np.pi, rel=1e-15)
 
 
 def test_what_is_black_is_known_to_be() -> None:
-    assert [name for name, black in zip(NAMES, TABLES.models["black"], strict=True) if black] == ["black"]
+    assert [name for name, black in zip(NAMES, all_models().models["black"], strict=True) if black] == ["black"]

@@ -7,8 +7,8 @@ from scipy.stats import norm
 import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.optics.glass import absorption_per_mm, refractive_index
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from tests.cameras import camera_without_array, close_up_camera
+from tests.frames import motion
 
 GLASS = 1.5
 COVER = {"thickness_mm": 0.5, "gap_mm": 0.3, "index": GLASS}
@@ -60,7 +60,7 @@ def test_rays_pass_the_cover_by_snells_law(seed):
     index = random.uniform(1.05, 4.0)
     camera["sensor"] |= {"pose": pose, "cover": cover | {"index": index}, "pixels": [400, 400]}
     world = lf.build(lf.Scene(camera=camera))
-    move = world.tables.frames[SENSOR_FRAME, WORLD_FRAME]
+    move = motion(world, "sensor", "world")
     normal = frame.directions(move, np.array([[0.0, 0.0, 1.0]]))[0]
     front, rear, pixels = (
         frame.points(move, np.array([[0.0, 0.0, -z]]))[0]
@@ -124,14 +124,14 @@ def test_recorded_vertices_name_the_faces():
     paths = lf.trace(world, [[0.0, 0.0, 4.0]], [[0.1, 0.0, 1.0]], split="transmit", record=True)
     path = paths.vertices(0)
     assert [vertex.surface for vertex in path] == ["start", "cover front face", "cover rear face", "sensor"]
-    sensor_z = world.tables.frames[SENSOR_FRAME, WORLD_FRAME][2, 3]
+    sensor_z = motion(world, "sensor", "world")[2, 3]
     assert [sensor_z - vertex.position[2] for vertex in path[1:]] == pytest.approx([0.8, 0.3, 0.0], abs=1e-12)
 
 
 def test_a_ray_that_starts_in_the_gap_meets_the_rear_face_first():
     """Upwards through both faces; downwards straight onto a pixel."""
     world = lf.build(before_nothing())
-    sensor_z = world.tables.frames[SENSOR_FRAME, WORLD_FRAME][2, 3]
+    sensor_z = motion(world, "sensor", "world")[2, 3]
     starts = [[0.0, 0.0, sensor_z - 0.1]] * 2
     paths = lf.trace(world, starts, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], split="transmit")
     weights = dict(zip(paths.source.tolist(), paths.weight.tolist(), strict=True))
@@ -218,11 +218,11 @@ def tilted(degrees, reflectance, array, engine):
 def test_light_that_runs_past_a_tilted_sensor_ends_on_the_housing(degrees):
     """It leaves the rim of the lens towards the sensor, as the lens sees it, and away from it, as the cover does."""
     world = lf.build(tilted(degrees, 0.0, array=False, engine="mesh"))
-    frames, rear = world.tables.frames, world.tables.lens.surfaces[-1]
+    rear = world.tables.lens.surfaces[-1]
     ways = np.array([[0.0, y, 0.5 * np.sin(np.deg2rad(degrees))] for y in (-1.0, 1.0)])
-    ways = ways[frame.directions(frames[CAMERA_FRAME, SENSOR_FRAME], ways)[:, 2] < 0.0]
+    ways = ways[frame.directions(motion(world, "camera", "sensor"), ways)[:, 2] < 0.0]
     start = np.array([0.0, 0.0, rear["vertex_z"] - 0.1]) + [0.0, 5.0, 0.0] * np.sign(ways)
-    move = frames[CAMERA_FRAME, WORLD_FRAME]
+    move = motion(world, "camera", "world")
     paths = lf.trace(world, frame.points(move, start), frame.directions(move, ways))
     assert paths.status.tolist() == [lf.Status.ABSORBED]
     assert paths.ledger.absorbed == {"housing": pytest.approx(1.0)}

@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.render.render import Renderer
 from tests.cameras import biconvex, close_up_camera
 from tests.renders import by_seed
 from tests.transport.render.test_blind_and_aimed import check
@@ -66,7 +65,5 @@ def test_energy_closes_and_nothing_is_lost() -> None:
 @pytest.mark.parametrize("engine", ["mesh", "sequential"])
 def test_the_image_does_not_depend_on_the_number_of_threads(engine: str) -> None:
     scene = posed_camera("transmit").changed({"transport.engine": engine})
-    one, two = (
-        Renderer(lf.build(scene.changed({"transport.threads": threads}))).image().mean.tobytes() for threads in (1, 2)
-    )
+    one, two = (lf.render(scene.changed({"transport.threads": threads})).mean.tobytes() for threads in (1, 2))
     assert one == two

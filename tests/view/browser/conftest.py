@@ -5,10 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene, loads, solved
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
 
 CAMERA = """
 schema_version = 1
@@ -48,12 +47,12 @@ def camera() -> Callable[..., Scene]:
 
 
 @pytest.fixture
-def image_of() -> Callable[[Scene, np.ndarray], Image]:
+def image_of() -> Callable[[Scene, np.ndarray], lf.Image]:
     """Build an image of a scene from its pixels, (H, W) or (H, W, wavelengths)."""
 
-    def build(scene: Scene, mean: np.ndarray) -> Image:
+    def build(scene: Scene, mean: np.ndarray) -> lf.Image:
         mean = mean.reshape(*mean.shape[:2], -1).astype(np.float64)
-        ledger = Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
-        return Image(mean, 0.0 * mean, scene, ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
+        ledger = lf.Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
+        return lf.Image(mean, 0.0 * mean, scene, ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
 
     return build

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.files import exr, run
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.field import save_field
 from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.field_views import FieldViews
 from lfmesh.view.pictures import UNKNOWN
 
 
 @pytest.fixture(params=["square", "hexagonal"])
 def views(
-    request: pytest.FixtureRequest, tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+    request: pytest.FixtureRequest, tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> FieldViews:
     """The light field of a raw image whose pixels hold their own place: the row in red, the column in blue."""
     scene = camera(request.param, (656.3, 486.1))
@@ -60,7 +60,7 @@ def test_the_slider_runs_through_the_range_of_sharp_refocusing(views: FieldViews
 
 
 def test_files_of_the_run_are_preferred_to_new_ones(
-    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera("square")
     columns, rows = scene.camera.sensor.pixels
@@ -78,7 +78,7 @@ def test_files_of_the_run_are_preferred_to_new_ones(
 
 
 def test_depth_is_shown_where_the_run_has_it(
-    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., Image]
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     scene = camera("square")
     columns, rows = scene.camera.sensor.pixels

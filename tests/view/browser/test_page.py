@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,6 +22,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.view.browser import sessions
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
+from tests.processor_time import HANGS_S
 
 pytestmark = [pytest.mark.drawing, pytest.mark.browser]
 
@@ -94,12 +96,12 @@ class Server:
         """Press Ctrl-C; return the exit code and what was written to standard error."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        _, errors = self.process.communicate(timeout=60)
+        _, errors = self.process.communicate(timeout=HANGS_S)
         return self.process.returncode, errors
 
     def answer(self, path: str = "/index.html", **headers: str) -> http.client.HTTPResponse:
         """Ask for something as no browser would, with any headers."""
-        connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=HANGS_S)
         connection.putrequest("GET", path, skip_host=True)
         for name, value in ({"Host": f"{self.host}:{self.port}", "Cookie": self.cookie} | headers).items():
             connection.putheader(name, value)
@@ -156,6 +158,7 @@ class Page:
         self.faults: list[str] = []
         self.first: dict[str, str] = {}
         self.tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        self.tab.set_default_timeout(1000.0 * HANGS_S)
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
         self.tab.on("pageerror", lambda fault: self.faults.append(str(fault)))
@@ -166,7 +169,7 @@ class Page:
 
     def wait(self, condition: str, argument: Any = None) -> None:
         """Wait until a condition in JavaScript holds; `old` is its argument."""
-        self.tab.wait_for_function(f"old => {condition}", arg=argument, timeout=120_000)
+        self.tab.wait_for_function(f"old => {condition}", arg=argument)
 
     def text(self, selector: str) -> str:
         return str(self.tab.inner_text(selector))
@@ -208,7 +211,8 @@ class Page:
 
     def rays_seen(self, least: int, most: int) -> np.ndarray:
         """Wait until so many pixels of the 3D view show rays; return where they are."""
-        for _ in range(40):
+        until = time.monotonic() + HANGS_S
+        while time.monotonic() < until:
             if least <= len(places := self.where_rays_are()) <= most:
                 return places
             self.tab.wait_for_timeout(100)
@@ -408,8 +412,10 @@ def test_the_mouse_on_the_raw_image_chooses_the_view_and_a_click_the_epi(page: P
     views = set()
     for i in range(12):
         page.tab.mouse.move(x + i, y)
-        page.tab.wait_for_timeout(80)
+        page.settle()
         views.add(page.text("#view-note"))
+        if len(views) > 1:
+            break
     assert len(views) > 1, "neighbouring pixels belong to different views"
     words, before = page.text("#epi-note"), page.tab.get_attribute("#epi", "src")
     page.tab.mouse.click(x, y)
@@ -441,11 +447,10 @@ def test_parallax_goes_through_the_views_until_it_is_stopped(page: Page) -> None
     still = page.tab.get_attribute("#view", "src")
     page.tab.click("#parallax")
     page.wait("document.querySelector('#view').src !== old", still)
-    shown = set()
-    for _ in range(12):
+    shown = {still}
+    while len(shown) < 5:
+        page.wait("!old.includes(document.querySelector('#view').src)", sorted(shown))
         shown.add(page.tab.get_attribute("#view", "src"))
-        page.tab.wait_for_timeout(90)
-    assert len(shown) > 4
     page.tab.click("#parallax")
     page.wait("document.querySelector('#view').src === old", still)
 
@@ -545,6 +550,7 @@ def test_pages_are_limited_and_those_that_are_left_make_room(page: Page, browser
     for answer in held[sessions.MOST_PAGES + 2 :]:
         answer.close()
     late = browser.new_page()
+    late.set_default_timeout(1000.0 * HANGS_S)
     try:
         late.goto(server.url)
         late.wait_for_selector("#fault")
@@ -635,7 +641,7 @@ def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> Non
     assert len(first.line.splitlines()) == 1
     second = subprocess.run(
         [*LFMESH, "view", str(run / "scene.toml"), "--browser", "--port", str(first.port)],
-        capture_output=True, text=True, timeout=300, cwd=Path(lf.__file__).parents[1],
+        capture_output=True, text=True, timeout=HANGS_S, cwd=Path(lf.__file__).parents[1],
     )  # fmt: skip
     assert second.returncode == 2
     assert second.stdout == ""
@@ -684,16 +690,17 @@ def test_the_written_page_draws_without_a_network(browser: Any, run: Path, tmp_p
     written = tmp_path / "page.html"
     subprocess.run(
         [*LFMESH, "view", str(run), "--html", str(written)],
-        check=True, capture_output=True, timeout=300, cwd=Path(lf.__file__).parents[1],
+        check=True, capture_output=True, timeout=HANGS_S, cwd=Path(lf.__file__).parents[1],
     )  # fmt: skip
     context = browser.new_context(offline=True, viewport={"width": 640, "height": 480})
     try:
         tab = context.new_page()
+        tab.set_default_timeout(1000.0 * HANGS_S)
         asked: list[str] = []
         tab.on("request", lambda request: asked.append(request.url))
         tab.goto(written.as_uri())
         tab.wait_for_selector("canvas")
-        assert any(not_blank(tab) or tab.wait_for_timeout(250) for _ in range(40))
+        assert any(not_blank(tab) or tab.wait_for_timeout(250) for _ in range(int(4 * HANGS_S)))
         assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
     finally:
         context.close()

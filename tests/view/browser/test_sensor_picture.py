@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
 from lfmesh.view.browser.sensor_picture import SensorPicture
 
 COLUMNS, ROWS = 150, 130
@@ -47,7 +47,7 @@ def as_near_as_it_goes(picture: SensorPicture) -> None:
 @pytest.mark.parametrize("look", [whole, enlarged, moved, as_near_as_it_goes])
 def test_a_place_is_the_pixel_that_is_seen_there(
     upright: Upright, bright: tuple[int, int], look: Callable[[SensorPicture], None], camera: Callable[[], Scene],
-    image_of: Callable[..., Image],
+    image_of: Callable[..., lf.Image],
 ) -> None:  # fmt: skip
     light = np.zeros((ROWS, COLUMNS))
     light[bright] = 1.0
@@ -107,7 +107,7 @@ def test_marks_lie_on_the_centres_of_the_micro_images(upright: Upright, camera: 
         assert off.min() <= 0.5 + 1e-9, "in the pixel that holds the centre"
 
 
-def test_at_first_the_part_that_is_lit_is_shown(camera: Callable[[], Scene], image_of: Callable[..., Image]) -> None:
+def test_at_first_the_part_that_is_lit_is_shown(camera: Callable[[], Scene], image_of: Callable[..., lf.Image]) -> None:
     scene, mean = camera(), np.full((ROWS, COLUMNS), 1e-15)
     mean[90:110, 20:50] = 1e-12
     picture = SensorPicture(COLUMNS, ROWS, INVERTED, image_of(scene, mean))
@@ -126,7 +126,7 @@ def test_at_first_the_part_that_is_lit_is_shown(camera: Callable[[], Scene], ima
 
 @pytest.mark.parametrize("level", [0.0, 1e-12])
 def test_a_sensor_lit_everywhere_or_nowhere_is_shown_whole(
-    level: float, camera: Callable[[], Scene], image_of: Callable[..., Image]
+    level: float, camera: Callable[[], Scene], image_of: Callable[..., lf.Image]
 ) -> None:
     picture = SensorPicture(COLUMNS, ROWS, INVERTED, image_of(camera(), np.full((ROWS, COLUMNS), level)))
     picture.lit()

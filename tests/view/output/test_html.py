@@ -11,6 +11,7 @@ import pytest
 
 import lfmesh
 from lfmesh.view.output.html import captioned
+from tests.processor_time import HANGS_S
 
 PAGE = """<!DOCTYPE html><html><head><title>PyVista</title><style>
     </style>
@@ -69,7 +70,7 @@ def test_a_page_is_written_without_a_network(scene_file: Path, tmp_path: Path) -
     command = ["view", str(scene_file), "--rays", "field 0,0,-190", "--count", "4", "--html", str(page)]
     done = subprocess.run(
         [sys.executable, "-c", OFFLINE, *command],
-        capture_output=True, text=True, timeout=300, cwd=Path(lfmesh.__file__).parents[1],
+        capture_output=True, text=True, timeout=HANGS_S, cwd=Path(lfmesh.__file__).parents[1],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "asked for" not in done.stdout

@@ -7,9 +7,10 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, WORLD_FRAME, Event
+from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.launch import as_in_run, from_field_point, from_pixels
 from lfmesh.view.rays.names import aliases, label, lens_names
+from tests.frames import motion
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def world():
 @pytest.fixture(scope="module")
 def point(world):
     """A point near the axis of the camera, which stands askew in the world."""
-    return frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[4.0, 3.0, -500.0]])[0]
+    return frames.points(motion(world, "camera", "world"), [[4.0, 3.0, -500.0]])[0]
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +132,7 @@ def test_pixels_are_those_under_the_ends(world, rays):
 def test_lenslets_are_those_whose_cell_holds_the_vertex(world, rays):
     curved = rays.surface == rays.surfaces.index("mla.curved")
     centres = world.tables.mla.lenslets.lattice.centres().reshape(-1, 2)
-    p = frames.points(world.tables.frames[WORLD_FRAME, MLA_FRAME], rays.position[curved])[:, :2]
+    p = frames.points(motion(world, "world", "array"), rays.position[curved])[:, :2]
     distance = np.linalg.norm(p[:, None] - centres, axis=2)
     np.testing.assert_allclose(distance[np.arange(len(p)), rays.lenslet[curved]], distance.min(axis=1), atol=1e-9)
     assert (rays.lenslet[~curved] == -1).all()

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.output.window import clicked
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.plotter import View
+from tests.frames import motion
 from tests.view.conftest import SIZE
 
 pytestmark = pytest.mark.drawing
@@ -22,7 +22,7 @@ def pixel_corner(world: World, row: float, column: float) -> np.ndarray:
     sensor = world.scene.camera.sensor
     x = (column - (sensor.pixels[0] - 1) / 2) * sensor.pixel_mm
     y = (row - (sensor.pixels[1] - 1) / 2) * sensor.pixel_mm
-    move = world.tables.frames[SENSOR_FRAME, WORLD_FRAME]
+    move = motion(world, "sensor", "world")
     return np.asarray(move[:, :3] @ [x, y, 0.0] + move[:, 3])
 
 

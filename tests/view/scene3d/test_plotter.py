@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import loads
-from lfmesh.transport.packets.packet import MLA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
@@ -16,6 +15,7 @@ from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.array_shape import MOST_LENSLETS, PATCH, all_cells, caps, cells_near
 from lfmesh.view.scene3d.colours import tint
 from lfmesh.view.scene3d.plotter import View
+from tests.frames import motion
 from tests.view.conftest import SCENE, SIZE, shot
 
 from .test_pick import pixel_corner
@@ -169,7 +169,7 @@ def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(vi
     view = views(world, near_mm=near)
     assert sum(mesh.n_cells for part, mesh in view.meshes() if part.kind == "array") < 200_000
     view.look("array")
-    looked_at = frames.points(world.tables.frames[MLA_FRAME, WORLD_FRAME], [[*near, 0.0]])
+    looked_at = frames.points(motion(world, "array", "world"), [[*near, 0.0]])
     from_middle = pick.to_picture(view, looked_at)[0] - np.array(SIZE) / 2
     assert (np.abs(from_middle) < 0.2 * np.array(SIZE)).all()
     view.near((0.0, 0.0))
@@ -191,7 +191,7 @@ def test_drawn_lenslets_are_those_of_the_whole_mesh(layout: str, form: str) -> N
     world = build(loads(text.replace("focal_length_mm = 3.0", "focal_length_mm = [3.0, 2.5]")))
     of = world.tables.mla.lenslets
     drawn = caps(of, *all_cells(of.lattice))
-    to_array = world.tables.frames[WORLD_FRAME, MLA_FRAME]
+    to_array = motion(world, "world", "array")
     traced = frames.points(to_array, world.mesh("mla").vertices)
     curved = traced[traced[:, 2] < of.valley + 1e-9]
     assert len(curved) > 12 * 10 * 16

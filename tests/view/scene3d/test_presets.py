@@ -9,13 +9,13 @@ import pytest
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World, build
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.overlay import in_words
 from lfmesh.view.scene3d.parts import round_length
 from lfmesh.view.scene3d.plotter import View
 from lfmesh.view.scene3d.presets import ANGLE_DEG, MARGIN, PRESETS, Viewpoint, fitted, viewpoint
+from tests.frames import motion
 from tests.view.conftest import SCENE, SIZE, shot
 
 ASPECT = 1.6
@@ -85,14 +85,14 @@ def test_y_is_up_and_x_to_the_right_seen_from_behind_the_camera(
 ) -> None:
     """From before it, x is to the left; from beside, the sensor is right of the objects. All in the camera's frame."""
     world = build(scene.changed({"camera.pose": pose}))
-    frame = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    frame = motion(world, "camera", "world")
     seen = viewpoint(world, preset, ASPECT)
     ends = np.concatenate([frames.directions(frame, np.eye(3)), np.zeros((1, 3))]) + seen.focus
     place = in_picture(seen, ends)
     x, y, z = place[:3] - place[3]
     assert y[1] > 0.5 * np.linalg.norm(y)
     assert abs(y[0]) < 1e-6
-    ahead = frames.directions(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], (seen.focus - seen.eye)[None])[0]
+    ahead = frames.directions(motion(world, "world", "camera"), (seen.focus - seen.eye)[None])[0]
     if preset != "side":
         assert np.sign(x[0]) == -np.sign(ahead[2])
     if preset in ("whole", "side", "object", "lens", "array"):

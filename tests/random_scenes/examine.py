@@ -12,7 +12,7 @@ IN_SUITE = 12
 """Numbers of each kind that the suite examines; they have no features that compile kernels of their own."""
 
 LONGEST_S = 600.0
-"""A judgement that has not ended by then is slow, or does not end; compiling may take minutes."""
+"""A judgement that has not ended after so much of a processor is slow, or does not end; compiling may take minutes."""
 
 FEWER = 32
 """A judgement that took too long is made once more with the samples over this number."""

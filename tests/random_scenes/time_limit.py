@@ -1,11 +1,20 @@
-"""Calls in a process of their own that is ended when it takes too long: a render that never ends is reported."""
+"""Calls in a process of their own that is ended when it takes too long: a render that never ends is reported.
+
+Processor time counts, so that a busy machine does not decide.
+"""
 
 import atexit
+import math
 import multiprocessing
+import resource
+import signal
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
+
+WAITS = 50.0
+"""How many times as long a call may take by the clock as of a processor: what waits for ever hangs as well."""
 
 
 class TookTooLongError(Exception):
@@ -37,6 +46,7 @@ def within(seconds: float, function: Callable[..., Any], *arguments: Any) -> Any
     Parameters
     ----------
     seconds : float
+        Of a processor.
     function : callable
     *arguments : object
 
@@ -50,13 +60,19 @@ def within(seconds: float, function: Callable[..., Any], *arguments: Any) -> Any
     if not _workers:
         _workers.append(_Worker())
     worker = _workers[0]
-    worker.pipe.send((function, arguments))
+    worker.pipe.send((seconds, function, arguments))
     try:
-        if not worker.pipe.poll(seconds):
-            raise TookTooLongError(f"{function.__name__}{arguments} has not ended after {seconds:g} s")
+        if not worker.pipe.poll(WAITS * seconds):
+            raise EOFError
         result, error = worker.pipe.recv()
-    except (TookTooLongError, EOFError):
+    except EOFError:
+        worker.process.join(1.0)
+        late = worker.process.exitcode in (None, -signal.SIGXCPU)
         _end()
+        if late:
+            raise TookTooLongError(
+                f"{function.__name__}{arguments} has not ended after {seconds:g} s of a processor"
+            ) from None
         raise
     if error is not None:
         raise RuntimeError(error)
@@ -72,9 +88,13 @@ def _end() -> None:
 def _serve(pipe: Connection) -> None:
     while True:
         try:
-            function, arguments = pipe.recv()
+            seconds, function, arguments = pipe.recv()
         except EOFError:
             return
+        spent = resource.getrusage(resource.RUSAGE_SELF)
+        # Whole seconds; the signal of the limit ends the process.
+        allowed = math.ceil(spent.ru_utime + spent.ru_stime + seconds)
+        resource.setrlimit(resource.RLIMIT_CPU, (allowed, resource.RLIM_INFINITY))
         try:
             answer = (function(*arguments), None)
         except Exception:

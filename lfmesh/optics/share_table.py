@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined
+from lfmesh.kernels.vector import select
 
 Array = NDArray[np.float64]
 
@@ -132,8 +133,10 @@ def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float)
     u : float
         The variable, 0 to 1.
     """
-    place = u * pieces
-    piece = min(int(place), pieces - 1)
+    # As everywhere below without branches, so that loops over many rays become vector instructions; a u that is no
+    # number reads the first piece.
+    place = select(u > 0.0, select(u < 1.0, u, 1.0), 0.0) * pieces
+    piece = min(int(np.int32(place)), pieces - 1)
     x = place - piece - 0.5
     at = first + TERMS * piece
     share = parameters[at + 5, colour]
@@ -142,7 +145,7 @@ def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float)
     share = parameters[at + 2, colour] + x * share
     share = parameters[at + 1, colour] + x * share
     share = parameters[at, colour] + x * share
-    return min(max(share, 0.0), 1.0)
+    return select(share > 0.0, select(share < 1.0, share, 1.0), 0.0)
 
 
 @inlined
@@ -170,16 +173,17 @@ def coated_shares(
         medium.
     """
     size = TERMS * pieces
-    if total:
-        if not absorbs:
-            return 1.0, 0.0
-        s2 = min(cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t)), 1.0)
-        u = np.sqrt(s2) / (1.0 + np.sqrt(1.0 - s2))
-        return looked_up(parameters, first + TOTAL * size, pieces, colour, u), 0.0
-    u = np.sqrt(min(max(min(cos_i, cos_t), 0.0), 1.0))
+    u = np.sqrt(select(cos_i < cos_t, cos_i, cos_t))
     if not absorbs:
-        reflectance = looked_up(parameters, first, pieces, colour, u)
+        reflectance = select(total, 1.0, looked_up(parameters, first, pieces, colour, u))
         return reflectance, 1.0 - reflectance
+    # Where reflection is total, n_i is the larger one.
+    s2 = cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t))
+    s2 = select(s2 < 1.0, s2, 1.0)
     side = FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
-    reflectance = looked_up(parameters, first + side * size, pieces, colour, u)
-    return reflectance, min(looked_up(parameters, first + PASSED * size, pieces, colour, u), 1.0 - reflectance)
+    reflectance = looked_up(
+        parameters, first + (TOTAL if total else side) * size, pieces, colour,
+        select(total, np.sqrt(s2) / (1.0 + np.sqrt(1.0 - s2)), u),
+    )  # fmt: skip
+    passed, left = looked_up(parameters, first + PASSED * size, pieces, colour, u), 1.0 - reflectance
+    return reflectance, select(total, 0.0, select(passed < left, passed, left))

@@ -102,8 +102,8 @@ def _reflections(ghosts: GhostTables) -> NDArray[np.int64]:
     """Return after how many faces each sequence has been reflected once and twice, (sequences, 2)."""
     turns = []
     for number, length in enumerate(ghosts.lengths):
-        legs = ghosts.legs[ghosts.first[number] : ghosts.first[number + 1]]
-        reflected = np.concatenate([ghosts.reflected[leg[1] : leg[2]] for leg in legs])
+        legs = ghosts.route.legs[ghosts.first[number] : ghosts.first[number + 1]]
+        reflected = ghosts.route.steps[legs[0, 1] : legs[-1, 2], 1]
         turns.append(1 + np.flatnonzero(reflected) + length - len(reflected))
     return np.array(turns)
 

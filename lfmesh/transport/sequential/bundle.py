@@ -26,15 +26,17 @@ WEIGHT, LEFT_BEHIND, MET, ENDED_ON = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
 # ray goes no further than that; 0 where it meets the interface.
 AT_X, AT_Y, AT_Z, NX, NY, NZ = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK, 13 * BLOCK, 14 * BLOCK, 15 * BLOCK
 FATE = 16 * BLOCK
-# The interface: shares of the power, cosine of refraction, and the power that it absorbs.
+# The interface: shares of the power, cosine of refraction, and the power that it absorbs. Of a coating's table: the
+# piece, the distance from its middle, and the first of the rows of its coefficients.
 REFLECTED, TRANSMITTED, COS_T, TAKEN = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK
+PIECE, WITHIN, COEFFICIENTS = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK
 # Distance at which a surface of the lens is met, mm; −1: nowhere. Distance at which the last one is met again.
-T, AGAIN = 21 * BLOCK, 22 * BLOCK
+T, AGAIN = 29 * BLOCK, 30 * BLOCK
 # Factor by which thin lenses have changed importance since `begin_etendue`.
-ETENDUE = 23 * BLOCK
-SCRATCH = 24 * BLOCK
-"""First of the rows that modules use as working memory."""
-ROWS = 34
+ETENDUE = 31 * BLOCK
+SCRATCH = 32 * BLOCK
+"""First of the rows that the modules for shapes use as working memory."""
+ROWS = 40
 
 DROPPED = -1.0
 """In place of slot + 1: the ray has left the path that is followed, and all its power was left behind."""

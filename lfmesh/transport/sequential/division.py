@@ -9,8 +9,15 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
-from lfmesh.optics.fresnel import amplitude_sums, fresnel, transmittance
-from lfmesh.optics.share_table import coated_shares
+from lfmesh.optics.fresnel import amplitude_sums, fresnel, refraction, transmittance
+from lfmesh.optics.share_table import (
+    PASSED,
+    TERMS,
+    TOTAL,
+    place_in_table,
+    side_of_table,
+    variable_under_total_reflection,
+)
 from lfmesh.transport.events.interface import through_thin_lens
 from lfmesh.transport.packets.book import THIN_LENSES
 from lfmesh.transport.sequential.bundle import (
@@ -18,6 +25,7 @@ from lfmesh.transport.sequential.bundle import (
     AT_Y,
     AT_Z,
     BLOCK,
+    COEFFICIENTS,
     COS_T,
     DROPPED,
     DX,
@@ -31,10 +39,12 @@ from lfmesh.transport.sequential.bundle import (
     NX,
     NY,
     NZ,
+    PIECE,
     REFLECTED,
     TAKEN,
     TRANSMITTED,
     WEIGHT,
+    WITHIN,
     X,
     Y,
     Z,
@@ -42,6 +52,10 @@ from lfmesh.transport.sequential.bundle import (
 from lfmesh.transport.tables.tables import ABSORBING, BARE, THIN_LENS, Interfaces
 
 Array = NDArray[np.float64]
+
+# The coefficients of a piece of a coating's table, as many as `TERMS`.
+_C0, _C1, _C2 = COEFFICIENTS, COEFFICIENTS + BLOCK, COEFFICIENTS + 2 * BLOCK
+_C3, _C4, _C5 = COEFFICIENTS + 3 * BLOCK, COEFFICIENTS + 4 * BLOCK, COEFFICIENTS + 5 * BLOCK
 
 
 @kernel
@@ -167,16 +181,87 @@ def _find_bare_shares(bundle: Array, indices: tuple[float, float]) -> None:
 def _find_coated_shares(
     bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float], outward: bool
 ) -> None:
-    n_i, n_t = indices
+    """Find the shares as `coated_shares` does; only the reading of a table's coefficients is no vector code."""
     row, parameters = interfaces.rows[number], interfaces.parameters
-    first, pieces, absorbs = row.first, row.pieces, row.kind == ABSORBING
+    first, size, absorbs = row.first, TERMS * row.pieces, row.kind == ABSORBING
+    _find_places(bundle, indices, row.pieces)
+    if not absorbs:
+        _read(bundle, parameters, first, first, colour)
+        _share_all(bundle)
+        return
+    if indices[0] > indices[1]:
+        _find_places_under_total_reflection(bundle, indices, row.pieces)
+    _read(bundle, parameters, first + PASSED * size, first + PASSED * size, colour)
+    _keep_passed(bundle)
+    first += side_of_table(indices[0], indices[1], outward) * size
+    _read(bundle, parameters, first, row.first + TOTAL * size, colour)
+    _share_rest(bundle)
+
+
+@kernel
+def _find_places(bundle: Array, indices: tuple[float, float], pieces: int) -> None:
+    """Find the places of rays in a coating's table; leaves a transmittance of 0 where reflection is total, or of 1."""
+    n_i, n_t = indices
     for i in range(BLOCK):
         cos_i = _incidence(bundle, i)
-        _, passed, cos_t = fresnel(n_i, n_t, cos_i)
-        reflectance, passed = coated_shares(
-            parameters, first, pieces, absorbs, colour, n_i, n_t, cos_i, cos_t, passed == 0.0, outward
-        )
-        bundle[REFLECTED + i], bundle[TRANSMITTED + i], bundle[COS_T + i] = reflectance, passed, cos_t
+        total, cos_t = refraction(n_i, n_t, cos_i)
+        u = np.sqrt(select(cos_i < cos_t, cos_i, cos_t))
+        bundle[PIECE + i], bundle[WITHIN + i] = place_in_table(u, pieces)
+        bundle[TRANSMITTED + i], bundle[COS_T + i] = select(total, 0.0, 1.0), cos_t
+
+
+@kernel
+def _find_places_under_total_reflection(bundle: Array, indices: tuple[float, float], pieces: int) -> None:
+    n_i, n_t = indices
+    for i in range(BLOCK):
+        piece, within = place_in_table(variable_under_total_reflection(n_i, n_t, _incidence(bundle, i)), pieces)
+        total = bundle[TRANSMITTED + i] == 0.0
+        bundle[PIECE + i] = select(total, piece, bundle[PIECE + i])
+        bundle[WITHIN + i] = select(total, within, bundle[WITHIN + i])
+
+
+@kernel
+def _read(bundle: Array, parameters: Array, first: int, if_total: int, colour: int) -> None:
+    """Read the coefficients of a quantity, which begin in other rows if reflection is total."""
+    for i in range(BLOCK):
+        at = (if_total if bundle[TRANSMITTED + i] == 0.0 else first) + TERMS * int(bundle[PIECE + i])
+        bundle[_C0 + i], bundle[_C1 + i] = parameters[at, colour], parameters[at + 1, colour]
+        bundle[_C2 + i], bundle[_C3 + i] = parameters[at + 2, colour], parameters[at + 3, colour]
+        bundle[_C4 + i], bundle[_C5 + i] = parameters[at + 4, colour], parameters[at + 5, colour]
+
+
+@pasted
+def _looked_up(bundle: Array, i: int) -> float:
+    """Return a share from the coefficients that have been read."""
+    x = bundle[WITHIN + i]
+    share = bundle[_C4 + i] + x * bundle[_C5 + i]
+    share = bundle[_C2 + i] + x * (bundle[_C3 + i] + x * share)
+    share = bundle[_C0 + i] + x * (bundle[_C1 + i] + x * share)
+    return select(share > 0.0, select(share < 1.0, share, 1.0), 0.0)
+
+
+@kernel
+def _share_all(bundle: Array) -> None:
+    """Enter the shares at a coating that absorbs nothing."""
+    for i in range(BLOCK):
+        reflectance = select(bundle[TRANSMITTED + i] == 0.0, 1.0, _looked_up(bundle, i))
+        bundle[REFLECTED + i], bundle[TRANSMITTED + i] = reflectance, 1.0 - reflectance
+
+
+@kernel
+def _keep_passed(bundle: Array) -> None:
+    for i in range(BLOCK):
+        bundle[TAKEN + i] = _looked_up(bundle, i)
+
+
+@kernel
+def _share_rest(bundle: Array) -> None:
+    """Enter the shares at a coating that absorbs, of which the transmittance has been found."""
+    for i in range(BLOCK):
+        reflectance, passed = _looked_up(bundle, i), bundle[TAKEN + i]
+        left, total = 1.0 - reflectance, bundle[TRANSMITTED + i] == 0.0
+        bundle[REFLECTED + i] = reflectance
+        bundle[TRANSMITTED + i] = select(total, 0.0, select(passed < left, passed, left))
 
 
 @kernel

@@ -52,8 +52,8 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
-from lfmesh.transport.sequential.bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
-from lfmesh.transport.sequential.follower import ARRAY_AGAIN, IN_LENS, Route, follow_legs, image_route_of
+from lfmesh.transport.sequences.bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_LENS, Route, follow_legs, image_route_of
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher

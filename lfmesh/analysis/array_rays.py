@@ -17,8 +17,8 @@ from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.rays.chief_rays import Plate, plate_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ray_tables import follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World

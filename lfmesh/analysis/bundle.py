@@ -19,8 +19,8 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.aiming.ray_aiming import aim_rays
-from lfmesh.transport.sequential.ray_tables import Arrived, follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 

@@ -9,8 +9,8 @@ from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.analysis.quadrature import integral
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene.first_order.paraxial import Paraxial
-from lfmesh.transport.sequential.ray_tables import follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 
 Array = NDArray[np.float64]

@@ -59,10 +59,10 @@ from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_pl
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.regions.stuck import lose_stuck
-from lfmesh.transport.sequential.bundle import BLOCK, empty_bundle
-from lfmesh.transport.sequential.follower import image_route_of
-from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
-from lfmesh.transport.sequential.image_path import follow_image_path
+from lfmesh.transport.sequences.bundle import BLOCK, empty_bundle
+from lfmesh.transport.sequences.follower import image_route_of
+from lfmesh.transport.sequences.ghosts import GhostRoom, follow_ghosts, ghost_room
+from lfmesh.transport.sequences.image_path import follow_image_path
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.threads import stop_if_unwanted

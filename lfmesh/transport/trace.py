@@ -40,7 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.regions.glass_round import glass_round
-from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
+from lfmesh.transport.sequences.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource

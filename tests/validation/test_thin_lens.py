@@ -14,8 +14,8 @@ from lfmesh.imports.lens_file import read_lens_file, write_lens_file
 from lfmesh.scene import Scene
 from lfmesh.scene.first_order.meridional import heights_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
-from lfmesh.transport.sequential.ray_tables import etendue_factors, follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import etendue_factors, follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.view.layout.content import layout
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
 

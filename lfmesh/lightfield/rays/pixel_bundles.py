@@ -17,8 +17,8 @@ from lfmesh.lightfield.rays.chief_rays import Plate
 from lfmesh.lightfield.rays.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.rays.view_rays import image_path_engine
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.ray_tables import etendue_factors, faces_of, follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary
+from lfmesh.transport.sequences.ray_tables import etendue_factors, faces_of, follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.trace import Status, at_wavelength, trace
 from lfmesh.transport.world import World
 

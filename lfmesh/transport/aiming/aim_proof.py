@@ -36,7 +36,7 @@ from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aiming.near_points import NearViewpoints, near_disk, wide_open
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     BLOCK,
     DROPPED,
     DX,
@@ -53,9 +53,9 @@ from lfmesh.transport.sequential.bundle import (
     normalise,
     pad,
 )
-from lfmesh.transport.sequential.follower import ARRAY_AGAIN, IN_ARRAY, Route, follow_legs, image_route
-from lfmesh.transport.sequential.lens_surfaces import at_surface
-from lfmesh.transport.sequential.ray_tables import unread_book
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, Route, follow_legs, image_route
+from lfmesh.transport.sequences.lens_surfaces import at_surface
+from lfmesh.transport.sequences.ray_tables import unread_book
 from lfmesh.transport.tables.tables import (
     AimTables,
     Camera,

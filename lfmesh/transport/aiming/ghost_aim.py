@@ -15,16 +15,16 @@ from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.follower import RAY_ENDED, RAY_WEIGHT, route_of
-from lfmesh.transport.sequential.ghosts import (
+from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
+from lfmesh.transport.sequences.ghosts import (
     ANGLES,
     HEIGHTS,
     RADII,
     SINES,
     GhostTables,
 )
-from lfmesh.transport.sequential.ray_tables import faces_of, follow_route
-from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
+from lfmesh.transport.sequences.ray_tables import faces_of, follow_route
+from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from lfmesh.transport.aiming.near_points import (
     near_opening,
     no_near_points,
 )
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     BLOCK,
     DROPPED,
     DX,
@@ -34,8 +34,8 @@ from lfmesh.transport.sequential.bundle import (
     load,
     pad,
 )
-from lfmesh.transport.sequential.lens_surfaces import at_surface
-from lfmesh.transport.sequential.ray_tables import unread_book
+from lfmesh.transport.sequences.lens_surfaces import at_surface
+from lfmesh.transport.sequences.ray_tables import unread_book
 from lfmesh.transport.tables.tables import LensTables, NearOpening, Opening
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
-from lfmesh.transport.sequential.lens_surfaces import conic_distance, conic_normal
+from lfmesh.transport.sequences.lens_surfaces import conic_distance, conic_normal
 
 Array = NDArray[np.float64]
 

@@ -47,7 +47,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.paths.automaton import GHOSTS
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     DROPPED,
     DX,
     DY,
@@ -61,8 +61,8 @@ from lfmesh.transport.sequential.bundle import (
     move_bundle,
     pad,
 )
-from lfmesh.transport.sequential.follower import Route, image_route_of
-from lfmesh.transport.sequential.image_path import follow_block
+from lfmesh.transport.sequences.follower import Route, image_route_of
+from lfmesh.transport.sequences.image_path import follow_block
 from lfmesh.transport.sources.ghost_pixels import launch_to_cells
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source

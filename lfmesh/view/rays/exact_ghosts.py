@@ -20,8 +20,8 @@ from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.ray_tables import Arrived, faces_of, follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary
+from lfmesh.transport.sequences.ray_tables import Arrived, faces_of, follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.tables import THIN_LENS, Tables
 from lfmesh.transport.trace import at_wavelength

@@ -14,7 +14,7 @@ from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums, transmittance
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     AGAIN,
     AT_X,
     AT_Y,
@@ -37,7 +37,7 @@ from lfmesh.transport.sequential.bundle import (
     absorb,
     move_bundle,
 )
-from lfmesh.transport.sequential.division import divide, go_on
+from lfmesh.transport.sequences.division import divide, go_on
 from lfmesh.transport.tables.tables import BARE, LensTables
 
 Array = NDArray[np.float64]

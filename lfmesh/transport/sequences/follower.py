@@ -17,7 +17,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import HOUSING, STOP
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     AGAIN,
     AT_Z,
     BESIDE,
@@ -42,11 +42,11 @@ from lfmesh.transport.sequential.bundle import (
     pad,
     set_fate,
 )
-from lfmesh.transport.sequential.division import begin_etendue
-from lfmesh.transport.sequential.lens_surfaces import at_surface, find_return
-from lfmesh.transport.sequential.lenslets import at_lenslets, at_other_face
-from lfmesh.transport.sequential.planes import at_plane
-from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Leg
+from lfmesh.transport.sequences.division import begin_etendue
+from lfmesh.transport.sequences.lens_surfaces import at_surface, find_return
+from lfmesh.transport.sequences.lenslets import at_lenslets, at_other_face
+from lfmesh.transport.sequences.planes import at_plane
+from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Leg
 from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
 
 Array = NDArray[np.float64]

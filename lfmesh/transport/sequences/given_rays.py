@@ -26,7 +26,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     BESIDE,
     BLOCK,
     DROPPED,
@@ -46,7 +46,7 @@ from lfmesh.transport.sequential.bundle import (
     normalise,
     pad,
 )
-from lfmesh.transport.sequential.follower import (
+from lfmesh.transport.sequences.follower import (
     ARRAY_AGAIN,
     IN_ARRAY,
     IN_LENS,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     AT_Z,
     BLOCK,
     DROPPED,
@@ -25,8 +25,8 @@ from lfmesh.transport.sequential.bundle import (
     set_fate,
     set_normal,
 )
-from lfmesh.transport.sequential.division import divide, go_on
-from lfmesh.transport.sequential.lens_surfaces import NEAR
+from lfmesh.transport.sequences.division import divide, go_on
+from lfmesh.transport.sequences.lens_surfaces import NEAR
 from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
 from lfmesh.transport.tables.tables import AIR, SensorTables
 

@@ -27,7 +27,7 @@ from lfmesh.transport.packets.packet import (
     Options,
     put,
 )
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     BESIDE,
     BLOCK,
     DROPPED,
@@ -46,8 +46,8 @@ from lfmesh.transport.sequential.bundle import (
     normalise,
     pad,
 )
-from lfmesh.transport.sequential.division import take_etendue
-from lfmesh.transport.sequential.follower import ARRAY_AGAIN, IN_ARRAY, IN_LENS, LENS_AGAIN, Route, follow_legs
+from lfmesh.transport.sequences.division import take_etendue
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, IN_LENS, LENS_AGAIN, Route, follow_legs
 from lfmesh.transport.tables.tables import Camera, LensTables
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport.packets.packet import Event
-from lfmesh.transport.sequential.ray_tables import follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary, reflected_twice_at, two_reflections
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary, reflected_twice_at, two_reflections
 from lfmesh.view.rays.launch import from_field_point
 
 POSITION_MM = 1e-9

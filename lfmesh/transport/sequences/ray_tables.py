@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.packets.book import STOP
-from lfmesh.transport.sequential.bundle import DROPPED, empty_bundle
-from lfmesh.transport.sequential.follower import (
+from lfmesh.transport.sequences.bundle import DROPPED, empty_bundle
+from lfmesh.transport.sequences.follower import (
     END_ROWS,
     RAY_ENDED,
     RAY_ETENDUE,
@@ -17,7 +17,7 @@ from lfmesh.transport.sequential.follower import (
     follow_rays,
     route_of,
 )
-from lfmesh.transport.sequential.sequences import Faces, Itinerary, image_path
+from lfmesh.transport.sequences.sequences import Faces, Itinerary, image_path
 from lfmesh.transport.tables.cover import CoverTables
 from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
 

@@ -38,8 +38,8 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.paths.automaton import REFLECTED_TWICE
-from lfmesh.transport.sequential.bundle import empty_bundle
-from lfmesh.transport.sequential.follower import (
+from lfmesh.transport.sequences.bundle import empty_bundle
+from lfmesh.transport.sequences.follower import (
     END_ROWS,
     RAY_ENDED,
     RAY_MET,

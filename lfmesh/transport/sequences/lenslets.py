@@ -27,7 +27,7 @@ from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     AT_X,
     AT_Y,
     AT_Z,
@@ -49,8 +49,8 @@ from lfmesh.transport.sequential.bundle import (
     set_fate,
     set_normal,
 )
-from lfmesh.transport.sequential.division import divide
-from lfmesh.transport.sequential.lens_surfaces import sphere_crossing
+from lfmesh.transport.sequences.division import divide
+from lfmesh.transport.sequences.lens_surfaces import sphere_crossing
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 
 Array = NDArray[np.float64]

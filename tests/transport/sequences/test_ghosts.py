@@ -21,7 +21,7 @@ from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Film
-from lfmesh.transport.sequential.ghosts import kind_of_ray
+from lfmesh.transport.sequences.ghosts import kind_of_ray
 from lfmesh.transport.sources.pixels import PixelSource
 
 LEVEL = 1e-3

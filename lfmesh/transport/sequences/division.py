@@ -20,7 +20,7 @@ from lfmesh.optics.share_table import (
 )
 from lfmesh.transport.events.interface import through_thin_lens
 from lfmesh.transport.packets.book import THIN_LENSES
-from lfmesh.transport.sequential.bundle import (
+from lfmesh.transport.sequences.bundle import (
     AT_X,
     AT_Y,
     AT_Z,

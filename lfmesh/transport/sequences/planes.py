@@ -80,8 +80,8 @@ def _meet_plane(bundle: Array, z: float, sense: float) -> None:
         t = (z - bundle[Z + i]) / bundle[DZ + i]
         ahead = t >= -NEAR * (abs(bundle[X + i]) + abs(bundle[Y + i]) + abs(bundle[Z + i]))
         holds = both(ahead, sense * bundle[DZ + i] > 0.0)
-        set_fate(bundle, i, t, select(holds, 0.0, DROPPED))
-        bundle[AT_Z + i] = z
+        set_fate(bundle, i, select(holds, t, 0.0), select(holds, 0.0, DROPPED))
+        bundle[AT_Z + i] = select(holds, z, bundle[AT_Z + i])
         set_normal(bundle, i, 0.0, 0.0, sense)
 
 

@@ -149,7 +149,13 @@ def variable_under_total_reflection(n_i: float, n_t: float, cos_i: float) -> flo
 
 @inlined
 def side_of_table(n_i: float, n_t: float, outward: bool) -> int:
-    """Return the quantity of a table that is the reflectance from a side, see `coated_shares`."""
+    """Return the quantity of a table that is the reflectance from a side.
+
+    Parameters
+    ----------
+    n_i, n_t, outward
+        As for `coated_shares`.
+    """
     return FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
 
 

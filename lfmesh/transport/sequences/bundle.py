@@ -131,7 +131,15 @@ def set_fate(bundle: Array, i: int, t: float, fate: float) -> None:
 
 @pasted
 def set_normal(bundle: Array, i: int, nx: float, ny: float, nz: float) -> None:
-    """Enter the unit normal, along the ray, where a ray meets its face."""
+    """Enter the unit normal, along the ray, where a ray meets its face.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    nx, ny, nz : float
+    """
     bundle[NX + i], bundle[NY + i], bundle[NZ + i] = nx, ny, nz
 
 

@@ -53,7 +53,7 @@ DIMENSIONLESS = {
     "transport/events/polarisation.py": {"NORMAL2"},
     "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
-    "transport/sequential/reflections.py": {"NEAR"},
+    "transport/sequences/lens_surfaces.py": {"NEAR"},
     "transport/aiming/lenslet_aim.py": {"EXACT"},
     "transport/aiming/near_points.py": {"BEYOND", "NEAREST"},
     "transport/aiming/pupil.py": {"BEYOND"},

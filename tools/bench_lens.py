@@ -52,12 +52,12 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
-from lfmesh.transport.sequential.image_path import through_lens
-from lfmesh.transport.sequential.lens_bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
+from lfmesh.transport.sequences.bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_LENS, Route, follow_legs, image_route_of
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
-from lfmesh.transport.tables.tables import LensTables
+from lfmesh.transport.tables.tables import Camera
 
 Array = NDArray[np.float64]
 
@@ -323,9 +323,9 @@ class Blocks:
 
     def run(self, _: Any) -> None:
         """Take all blocks through the lens."""
-        lens = self.world.tables.lens
-        book = np.zeros(len(self.world.slots))
-        list(self.pool.map(lambda part: through_blocks(part, lens, book), np.array_split(self.blocks, self.threads)))
+        camera, route = self.world.tables.camera, image_route_of(self.world.tables)
+        book, parts = np.zeros(len(self.world.slots)), np.array_split(self.blocks, self.threads)
+        list(self.pool.map(lambda part: through_blocks(part, camera, route, book), parts))
 
     def landing(self) -> tuple[Array, Array]:
         """Return where the rays meet the sensor's plane, and their weights."""
@@ -337,10 +337,10 @@ class Blocks:
 
 
 @kernel
-def through_blocks(blocks: Array, lens: LensTables, book: Array) -> None:
+def through_blocks(blocks: Array, camera: Camera, route: Route, book: Array) -> None:
     # To numba a block by its number is contiguous, one that it iterates over is not, and its loops are no vectors.
     for i in range(len(blocks)):
-        through_lens(blocks[i], lens, 0, True, book)
+        follow_legs(blocks[i], camera, route, IN_LENS, ARRAY_AGAIN, 0, book)
 
 
 def alone(level: str) -> str:

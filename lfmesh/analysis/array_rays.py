@@ -17,7 +17,8 @@ from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.rays.chief_rays import Plate, plate_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.reflections import Arrived, follow_through_mla
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
@@ -185,8 +186,8 @@ class ArrayRays:
         start = np.column_stack([place, np.full(len(place), self.image_z_mm)])
         start += (self._start_z - self.image_z_mm) * ahead
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        rays = Arrived(start.copy(), ahead.copy(), weight.copy())
-        follow_through_mla(rays, tables.mla, tables.frames)
+        first = len(tables.lens.surfaces)
+        rays = follow_sequence(tables, Itinerary((first, first + 1), (False, False)), start, ahead, weight)
         ok = rays.weight > 0.0
         to_sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
         p, d = _points(to_sensor, rays.position[ok]), _directions(to_sensor, rays.direction[ok])

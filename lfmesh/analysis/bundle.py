@@ -19,8 +19,8 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.transport.aiming.aim_table import widest_disk
 from lfmesh.transport.aiming.ray_aiming import aim_rays
-from lfmesh.transport.sequential.reflections import Arrived, follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 
@@ -129,9 +129,9 @@ class LensRays:
         return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 
     def _followed(self, slope: Array, entry: Array, wavelength_nm: float, faces: int | None = None) -> Arrived:
-        lens = at_wavelength(self.world, wavelength_nm).lens
-        path = image_path(len(lens.surfaces))
-        return follow_sequence(lens, path if faces is None else path.until(faces), *self.starts(slope, entry))
+        tables = at_wavelength(self.world, wavelength_nm)
+        path = image_path(len(tables.lens.surfaces))
+        return follow_sequence(tables, path if faces is None else path.until(faces), *self.starts(slope, entry))
 
     def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
         """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm; NaN where they do not come.

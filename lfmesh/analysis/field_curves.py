@@ -9,8 +9,8 @@ from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.analysis.quadrature import integral
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene.first_order.paraxial import Paraxial
-from lfmesh.transport.sequential.reflections import follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 
 Array = NDArray[np.float64]
@@ -118,8 +118,8 @@ def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array, chief_mm:
 
 def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
     """Return what the lens passes of the light of a piece of a Lambertian plane, in arbitrary units."""
-    lens = at_wavelength(rays.world, wavelength_nm).lens
-    path, slope = image_path(len(lens.surfaces)), np.array([0.0, slope_y])
+    tables = at_wavelength(rays.world, wavelength_nm)
+    path, slope = image_path(len(tables.lens.surfaces)), np.array([0.0, slope_y])
     # Only what comes to the stop can pass.
     entries = rays.bundle(slope_y, pupil_grid(BEAM, rim=True), wavelength_nm).entry
     entries = entries[np.isfinite(entries).all(axis=1)]
@@ -131,7 +131,7 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
     def irradiance(off: Array) -> Array:
         start, ahead = rays.starts(np.broadcast_to(slope, off.shape), middle + off)
         cosine = ahead[:, 2] if rays.object_mm == np.inf else ahead[:, 2] ** 4
-        return np.asarray(follow_sequence(lens, path, start, ahead).weight * cosine)
+        return np.asarray(follow_sequence(tables, path, start, ahead).weight * cosine)
 
     return integral(irradiance, radius).value
 

@@ -43,6 +43,25 @@ def transmittance(n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, 
     return 2.0 * n_i * n_t * (cos_i * cos_t) * fused(s, s, p * p) * (over * over)
 
 
+@pasted
+def refraction(n_i: float, n_t: float, cos_i: float) -> tuple[bool, float]:
+    """Return whether reflection is total, and the cosine of refraction, which then is 0.
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Refractive index before and after the interface.
+    cos_i : float
+        Cosine of the angle of incidence, 0 to 1.
+    """
+    # Matched indices are asked for first: at grazing incidence sin² rounds to 1, which would be total reflection.
+    matched = n_i == n_t
+    eta = n_i / n_t
+    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
+    cos_t = np.sqrt(0.0 if sin2_t >= 1.0 else 1.0 - sin2_t)
+    return sin2_t >= 1.0 and not matched, cos_i if matched else cos_t
+
+
 @inlined
 def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     """Return reflectance, transmittance and the cosine of refraction.
@@ -59,13 +78,9 @@ def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     R, T, cos_t : float
         Under total reflection 1, 0, 0. Matched indices reflect nothing, at grazing incidence too.
     """
-    # Without branches, so that loops over many packets become vector instructions. Matched indices are asked for first:
-    # at grazing incidence sin² rounds to 1, which would be total reflection.
+    # Without branches, so that loops over many packets become vector instructions.
     matched = n_i == n_t
-    eta = n_i / n_t
-    sin2_t = eta * eta * (1.0 - cos_i) * (1.0 + cos_i)
-    total = sin2_t >= 1.0 and not matched
-    cos_t = np.sqrt(0.0 if sin2_t >= 1.0 else 1.0 - sin2_t)
+    total, cos_t = refraction(n_i, n_t, cos_i)
     s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
     over = 1.0 / (s * p)
     r_s, r_p = (n_i * cos_i - n_t * cos_t) * (p * over), (n_t * cos_i - n_i * cos_t) * (s * over)
@@ -73,4 +88,4 @@ def fresnel(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
     T = transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
     R = 0.0 if matched else (1.0 if total else R)
     T = 1.0 if matched else (0.0 if total else T)
-    return R, T, cos_i if matched else cos_t
+    return R, T, cos_t

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernels.decorators import inlined
+from lfmesh.kernels.decorators import inlined, pasted
+from lfmesh.kernels.vector import select
 
 Array = NDArray[np.float64]
 
@@ -118,6 +119,46 @@ def _fitted(shares: Callable[[Array], Array], pieces: int) -> tuple[Array, float
     return coefficients, float(np.abs(found - truth).max())
 
 
+@pasted
+def place_in_table(u: float, pieces: int) -> tuple[float, float]:
+    """Return the number of the piece that holds a value of a table's variable, and the distance from its middle.
+
+    Without branches, so that loops over many rays become vector instructions; what is no number is in the first piece.
+    """
+    place = select(u > 0.0, select(u < 1.0, u, 1.0), 0.0) * pieces
+    piece = np.floor(place)
+    piece = select(piece < pieces - 1.0, piece, pieces - 1.0)
+    return piece, place - piece - 0.5
+
+
+@pasted
+def variable_under_total_reflection(n_i: float, n_t: float, cos_i: float) -> float:
+    """Return the variable u of `TOTAL`.
+
+    Parameters
+    ----------
+    n_i, n_t : float
+        Index before and behind the coating, the second one smaller.
+    cos_i : float
+        Cosine of the angle of incidence.
+    """
+    s2 = cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t))
+    s2 = select(s2 < 1.0, s2, 1.0)
+    return np.sqrt(s2) / (1.0 + np.sqrt(1.0 - s2))
+
+
+@inlined
+def side_of_table(n_i: float, n_t: float, outward: bool) -> int:
+    """Return the quantity of a table that is the reflectance from a side.
+
+    Parameters
+    ----------
+    n_i, n_t, outward
+        As for `coated_shares`.
+    """
+    return FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
+
+
 @inlined
 def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float) -> float:
     """Return a share, 0 to 1, from the polynomials of one quantity.
@@ -132,10 +173,8 @@ def looked_up(parameters: Array, first: int, pieces: int, colour: int, u: float)
     u : float
         The variable, 0 to 1.
     """
-    place = u * pieces
-    piece = min(int(place), pieces - 1)
-    x = place - piece - 0.5
-    at = first + TERMS * piece
+    piece, x = place_in_table(u, pieces)
+    at = first + TERMS * int(piece)
     share = parameters[at + 5, colour]
     share = parameters[at + 4, colour] + x * share
     share = parameters[at + 3, colour] + x * share
@@ -173,13 +212,11 @@ def coated_shares(
     if total:
         if not absorbs:
             return 1.0, 0.0
-        s2 = min(cos_i * cos_i * n_i * n_i / ((n_i - n_t) * (n_i + n_t)), 1.0)
-        u = np.sqrt(s2) / (1.0 + np.sqrt(1.0 - s2))
+        u = variable_under_total_reflection(n_i, n_t, cos_i)
         return looked_up(parameters, first + TOTAL * size, pieces, colour, u), 0.0
-    u = np.sqrt(min(max(min(cos_i, cos_t), 0.0), 1.0))
+    u = np.sqrt(min(cos_i, cos_t))
     if not absorbs:
         reflectance = looked_up(parameters, first, pieces, colour, u)
         return reflectance, 1.0 - reflectance
-    side = FROM_DENSE if n_i > n_t or (n_i == n_t and outward) else FROM_THIN
-    reflectance = looked_up(parameters, first + side * size, pieces, colour, u)
+    reflectance = looked_up(parameters, first + side_of_table(n_i, n_t, outward) * size, pieces, colour, u)
     return reflectance, min(looked_up(parameters, first + PASSED * size, pieces, colour, u), 1.0 - reflectance)

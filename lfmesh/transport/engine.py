@@ -59,9 +59,10 @@ from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_pl
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.regions.stuck import lose_stuck
-from lfmesh.transport.sequential.ghosts import GhostRoom, follow_ghosts, ghost_room
-from lfmesh.transport.sequential.image_path import follow_image_path
-from lfmesh.transport.sequential.lens_bundle import BLOCK, empty_bundle
+from lfmesh.transport.sequences.bundle import BLOCK, empty_bundle
+from lfmesh.transport.sequences.follower import image_route_of
+from lfmesh.transport.sequences.ghosts import GhostRoom, follow_ghosts, ghost_room
+from lfmesh.transport.sequences.image_path import follow_image_path
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.threads import stop_if_unwanted
@@ -254,12 +255,12 @@ class Workspace:
         wave = self._take(station, count)
         if options.paths == GHOSTS and station in (LENS, PLATE, SENSOR):
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
-            camera = lens, mla, tables.sensor, tables.cover
             for some in self._by_colour(wave):
-                follow_ghosts(some, camera, tables.ghosts, frames, options, flow, room)
+                follow_ghosts(some, tables.camera, tables.ghosts, options, flow, room)
         elif options.sequential and station in (LENS, PLATE):
             for some in self._by_colour(wave):
-                follow_image_path(some, station, lens, mla, frames, self.bundle, self.numbers, options, flow)
+                camera, route = tables.camera, image_route_of(tables)
+                follow_image_path(some, station, camera, route, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
             wave = wave[:count]

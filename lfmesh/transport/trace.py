@@ -40,7 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.regions.glass_round import glass_round
-from lfmesh.transport.sequential.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
+from lfmesh.transport.sequences.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
 from lfmesh.transport.sources.face_starts import before_faces
 from lfmesh.transport.sources.rays import RaySource
@@ -50,7 +50,7 @@ from lfmesh.transport.tables.interfaces import interface_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
-from lfmesh.transport.tables.tables import Media, Records, Tables
+from lfmesh.transport.tables.tables import ABSORBING, Media, Records, Tables
 from lfmesh.transport.tables.volumes import volumes_at
 from lfmesh.transport.world import World
 
@@ -541,7 +541,8 @@ class _Call(NamedTuple):
 
 def _absorbs(tables: Tables) -> bool:
     """Tell whether lens or array absorb, in which the power of a ray that is traced twice would be entered twice."""
-    return tables.lens.media.absorption is not None or tables.mla.media.absorption is not None
+    parts = tables.lens, tables.mla
+    return any(part.media.absorption is not None or (part.interfaces.rows["kind"] == ABSORBING).any() for part in parts)
 
 
 def _as_packets(call: _Call, p: NDArray[np.float64], d: NDArray[np.float64]) -> Paths:

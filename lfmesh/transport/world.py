@@ -44,7 +44,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
-from lfmesh.transport.sequential.ghosts import GhostTables
+from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables

@@ -14,8 +14,8 @@ from lfmesh.imports.lens_file import read_lens_file, write_lens_file
 from lfmesh.scene import Scene
 from lfmesh.scene.first_order.meridional import heights_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
-from lfmesh.transport.sequential.reflections import etendue_factors, follow_sequence
-from lfmesh.transport.sequential.sequences import image_path
+from lfmesh.transport.sequences.ray_tables import etendue_factors, follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.view.layout.content import layout
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
 
@@ -275,17 +275,17 @@ def test_the_camera_model_weighs_pixels_by_the_power_that_they_gather() -> None:
 
 def test_etendue_factors_are_the_ratio_of_cosines_lens_by_lens() -> None:
     made = scene([thin(60.0, 12.0), thin(-45.0, 7.0), thin(50.0, stop=True)], 60.0)
-    lens = lf.build(made, aimed=False).tables.lens
+    tables = lf.build(made, aimed=False).tables
     draw = np.random.default_rng(9)
     p = np.column_stack([draw.uniform(-5.0, 5.0, (300, 2)), np.full(300, -1.0)])
     d = np.column_stack([draw.uniform(-0.5, 0.5, (300, 2)), np.ones(300)])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    out = follow_sequence(lens, image_path(3), p, d)
+    out = follow_sequence(tables, image_path(3), p, d)
     kept = out.weight > 0.0
     assert kept.sum() > 100
     # Parallel planes in air: what one lens leaves is what the next one meets.
     expected = (out.direction[kept, 2] / d[kept, 2]) ** 4
-    np.testing.assert_allclose(etendue_factors(lens, p, d)[kept], expected, rtol=1e-12)
+    np.testing.assert_allclose(etendue_factors(tables, p, d)[kept], expected, rtol=1e-12)
 
 
 def test_a_zemax_file_holds_thin_lenses_and_a_codev_file_refuses_them(tmp_path: Any) -> None:

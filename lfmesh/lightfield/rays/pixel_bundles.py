@@ -17,9 +17,8 @@ from lfmesh.lightfield.rays.chief_rays import Plate
 from lfmesh.lightfield.rays.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.rays.view_rays import image_path_engine
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.plane_faces import follow_plane_faces
-from lfmesh.transport.sequential.reflections import Arrived, etendue_factors
-from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
+from lfmesh.transport.sequences.ray_tables import etendue_factors, faces_of, follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.trace import Status, at_wavelength, trace
 from lfmesh.transport.world import World
 
@@ -139,9 +138,9 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
     # Light that comes the other way; its start is moved out of the lens.
-    lens = at_wavelength(world, scene.primary_nm).lens
-    away = float(np.linalg.norm(lens.box_high - lens.box_low))
-    weight /= etendue_factors(lens, p + away * d, -d)
+    tables = at_wavelength(world, scene.primary_nm)
+    away = float(np.linalg.norm(tables.lens.box_high - tables.lens.box_low))
+    weight /= etendue_factors(tables, p + away * d, -d)
     slopes = d[:, :2] / d[:, 2:]
     four = np.column_stack([p[:, :2] - p[:, 2:] * slopes, slopes])
     return _moments(count, of_pixel[rays], weight, four)
@@ -163,12 +162,15 @@ def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array,
     detected = np.full(len(places), 1.0 - world.tables.sensor.reflectance)
     if cover is None:
         return frames.points(moves[SENSOR_FRAME, MLA_FRAME], on_sensor), detected
-    rays = Arrived(
+    faces = faces_of(world.tables)
+    front = faces.of_lens + faces.of_array
+    rays = follow_sequence(
+        world.tables,
+        Itinerary((front + 1, front), (False, False), to_sensor=False),
         frames.points(moves[SENSOR_FRAME, CAMERA_FRAME], on_sensor),
         frames.directions(moves[MLA_FRAME, CAMERA_FRAME], direction),
         detected,
     )
-    follow_plane_faces(rays, world.tables, (REAR_ROW, FRONT_ROW), (False, False))
     return frames.points(moves[CAMERA_FRAME, MLA_FRAME], rays.position), rays.weight
 
 

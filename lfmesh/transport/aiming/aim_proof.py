@@ -36,9 +36,9 @@ from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aiming.near_points import NearViewpoints, near_disk, wide_open
 from lfmesh.transport.aiming.pupil import Viewpoints, opening_from, unknown_opening
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.image_path import through_mla
-from lfmesh.transport.sequential.lens_bundle import (
+from lfmesh.transport.sequences.bundle import (
     BLOCK,
+    DROPPED,
     DX,
     DY,
     DZ,
@@ -52,10 +52,13 @@ from lfmesh.transport.sequential.lens_bundle import (
     move_bundle,
     normalise,
     pad,
-    through_surface,
 )
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, Route, follow_legs, image_route
+from lfmesh.transport.sequences.lens_surfaces import at_surface
+from lfmesh.transport.sequences.ray_tables import unread_book
 from lfmesh.transport.tables.tables import (
     AimTables,
+    Camera,
     LensTables,
     MlaTables,
     NearOpening,
@@ -580,13 +583,14 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
+    camera = Camera(lens, through.mla, sensor, through.frames)
+    route, book = image_route(len(lens.surfaces), bool(through.mla.present)), unread_book(lens, through.mla)
     for number, colour in enumerate(colours):
         mine = slice(number, None, len(colours))
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
         _follow_both_ways(
-            x_, y_, tx_, ty_, z, start, space, pose, colour, lens, through.mla, through.frames, empty_bundle(),
-            one_way, other_way,
+            x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, one_way, other_way,
         )  # fmt: skip
         if through.cover is not None:
             _land_behind(one_way, through.cover, colour)
@@ -640,7 +644,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 @kernel
 def _follow_both_ways(
     x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
-    lens: LensTables, mla: MlaTables, frames: Array, bundle: Array, to_sensor: Array, to_objects: Array,
+    camera: Camera, route: Route, bundle: Array, book: Array, to_sensor: Array, to_objects: Array,
 ) -> None:  # fmt: skip
     """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
 
@@ -657,6 +661,7 @@ def _follow_both_ways(
     to_objects : (n, 7) float64
         Filled with point and direction in the camera's frame, and transmittance.
     """
+    lens, frames = camera.lens, camera.frames
     last = len(lens.surfaces)
     for first in range(0, len(x), BLOCK):
         count = min(BLOCK, len(x) - first)
@@ -675,15 +680,14 @@ def _follow_both_ways(
             while 0 <= here + (sense > 0.0) - 1 < last:
                 k = here if sense > 0.0 else here - 1
                 into = here + 1 if sense > 0.0 else here - 1
-                through_surface(bundle, lens, k, colour, sense, lens.surfaces[k].semi_diameter, -1.0, -1.0)
+                fates = (lens.surfaces[k].semi_diameter, DROPPED, DROPPED)
+                at_surface(bundle, lens, k, False, colour, sense, fates, False, book)
                 here = into
             if sense < 0.0:
                 normalise(bundle)
                 _keep_object_side(bundle, count, first, to_objects)
                 continue
-            if mla.present:
-                # Aimed at are clear media, of which nothing is entered in a book.
-                through_mla(bundle, count, mla, colour, frames, True, bundle)
+            follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, book)
             normalise(bundle)
             move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
             _keep_sensor_side(bundle, count, first, to_sensor)

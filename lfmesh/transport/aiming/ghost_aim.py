@@ -15,21 +15,16 @@ from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.transport.aiming.lenslet_view import with_wider_views
 from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequential.ghosts import (
+from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
+from lfmesh.transport.sequences.ghosts import (
     ANGLES,
-    END_ROWS,
     HEIGHTS,
     RADII,
-    RAY_ENDED,
-    RAY_WEIGHT,
     SINES,
     GhostTables,
-    follow_rays,
 )
-from lfmesh.transport.sequential.lens_bundle import empty_bundle
-from lfmesh.transport.sequential.plane_faces import count_faces
-from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, book_for
-from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
+from lfmesh.transport.sequences.ray_tables import faces_of, follow_route
+from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]
@@ -78,7 +73,7 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
     if not known.all() or lens.interfaces.thin or lens.interfaces.rough:
         return None
-    of = Faces(len(lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0)
+    of = faces_of(tables)
     image_path, *twice = of.paths()
     paths = [path.reverse for path in twice if len(path.faces) <= max_events]
     if not paths:
@@ -112,14 +107,11 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         from_pixel.append(not begins_in_lens)
         anew.append(not begins_in_lens and any(of.part(face) == ARRAY_LEG for face in path.mirrors))
         legs += own[len(to_lens) if begins_in_lens else 0 :]
-    steps = np.cumsum([0, *(len(leg.faces) for leg in legs)])
     from_z, height = _where_from(tables)
     opening = _opening(tables.aim)
     half = tables.mla.lenslets.lattice.half_extent if tables.mla.present else (0.0, 0.0)
     return GhostTables(
-        faces=np.array([face for leg in legs for face in leg.faces], np.int64),
-        reflected=np.array([mirrors for leg in legs for mirrors in leg.reflected], np.bool_),
-        legs=np.array([(leg.part, *steps[k : k + 2], leg.to_sensor) for k, leg in enumerate(legs)], np.int64),
+        route=route_of(legs, checked=True),
         to_lens=len(to_lens),
         first=np.array([*first, len(legs)], np.int64),
         from_pixel=np.array(from_pixel, np.bool_),
@@ -209,11 +201,10 @@ def _found(
     turning = ghosts.from_pixel & ~ghosts.anew & those
     as_given = np.arange(len(p)), _starts(p, d)
     turned = _turned_back_at_sensor(tables, ghosts, p, d) if turning.any() else as_given
-    ends, weights = np.empty((END_ROWS, len(p))), np.zeros((len(ghosts.lengths), len(p)))
+    weights = np.zeros((len(ghosts.lengths), len(p)))
     for sequence in np.flatnonzero(those):
         numbers, rays = turned if turning[sequence] else as_given
-        _follow(tables, ghosts, rays, ghosts.first[sequence : sequence + 2], ends)
-        found = ends[:, : len(numbers)]
+        found = _follow(tables, ghosts, rays, *ghosts.first[sequence : sequence + 2])
         weights[sequence, numbers] = np.where(found[RAY_ENDED] == 0.0, found[RAY_WEIGHT], 0.0)
     return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
 
@@ -221,9 +212,7 @@ def _found(
 def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Array) -> tuple[NDArray[np.int64], Array]:
     """Take rays that come to the lens back to their pixels; return which get there, and these as they leave again."""
     t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
-    legs = np.array([ghosts.to_lens, ghosts.first[0]])
-    ends = np.empty((END_ROWS, len(p)))
-    _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), legs, ends)
+    ends = _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), ghosts.to_lens, ghosts.first[0])
     passing = np.flatnonzero(ends[RAY_ENDED] == 0.0)
     x, along = ends[:3, passing].T, ends[3:6, passing].T
     move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
@@ -239,14 +228,10 @@ def _starts(p: Array, d: Array) -> Array:
     return rays
 
 
-def _follow(tables: Tables, ghosts: GhostTables, rays: Array, legs: NDArray[np.int64], ends: Array) -> None:
-    """Take rays along legs, as `follow_rays` does for a single group."""
-    camera = tables.lens, tables.mla, tables.sensor, tables.cover
-    media = [tables.lens.media, tables.mla.media, *([] if tables.cover is None else [tables.cover.media])]
-    book, bundle = max((book_for(each) for each in media), key=len), empty_bundle(BUNDLE_ROWS)
-    colour, order = tables.lens.media.indices.shape[1] // 2, np.arange(rays.shape[1])
-    group = np.array([0, len(order)])
-    follow_rays(rays, ends, order, group, legs, camera, ghosts, tables.frames, colour, book, bundle)
+def _follow(tables: Tables, ghosts: GhostTables, rays: Array, first: int, last: int) -> Array:
+    """Return the ends of rays along legs of the sequences, see `follow_rays`."""
+    colour = tables.lens.media.indices.shape[1] // 2
+    return follow_route(tables.camera, ghosts.route, rays, (first, last), colour)
 
 
 def _rays(ghosts: GhostTables) -> tuple[Array, Array]:

@@ -19,28 +19,29 @@ from lfmesh.transport.aiming.near_points import (
     near_opening,
     no_near_points,
 )
-from lfmesh.transport.sequential.lens_bundle import (
+from lfmesh.transport.sequences.bundle import (
     BLOCK,
     DROPPED,
     DX,
     DY,
     DZ,
     ENDED_ON,
-    SCRATCH,
+    ROWS,
     X,
     Y,
     Z,
     empty_bundle,
     load,
     pad,
-    through_surface,
 )
+from lfmesh.transport.sequences.lens_surfaces import at_surface
+from lfmesh.transport.sequences.ray_tables import unread_book
 from lfmesh.transport.tables.tables import LensTables, NearOpening, Opening
 
 Array = NDArray[np.float64]
 
-_OBSTRUCTION = SCRATCH + 15 * BLOCK
-"""Working row of the bundle, beyond those that aspheres use."""
+_OBSTRUCTION = ROWS * BLOCK
+"""Row beyond those of a bundle: how near a ray came to the edge of an aperture."""
 
 ANGLES = 33
 """Field angles at which the opening is measured, evenly spaced in their tangent."""
@@ -384,13 +385,13 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
     unbounded = lens.surfaces.copy()
     unbounded["semi_diameter"] = np.inf
     rims = np.ascontiguousarray(lens.surfaces["semi_diameter"])
-    room = empty_bundle()
+    room, book = empty_bundle(ROWS + 1), unread_book(lens)
     least = np.full(x.size, np.inf)
     colours = lens.media.indices.shape[1]
     for colour in sorted({0, colours // 2, colours - 1}):
         _trace_unbounded(
             heights, distances, np.ascontiguousarray(x).reshape(-1), np.ascontiguousarray(y).reshape(-1), seen.plane_z,
-            seen.to_sensor, lens._replace(surfaces=unbounded), rims, colour, room, least,
+            seen.to_sensor, lens._replace(surfaces=unbounded), rims, colour, room, book, least,
         )  # fmt: skip
     return least.reshape(x.shape)
 
@@ -398,7 +399,7 @@ def _obstruction(seen: Viewpoints, lens: LensTables, height: Array, distance: Ar
 @kernel
 def _trace_unbounded(
     height: Array, distance: Array, x: Array, y: Array, plane_z: float, to_sensor: bool, lens: LensTables,
-    rims: Array, colour: int, bundle: Array, least: Array,
+    rims: Array, colour: int, bundle: Array, book: Array, least: Array,
 ) -> None:  # fmt: skip
     """Trace rays from points (height, 0) at a distance through points (x, y) of a plane; lower their obstruction."""
     sense = 1.0 if to_sensor else -1.0
@@ -429,7 +430,7 @@ def _trace_unbounded(
             if step == last:
                 break
             k = space if to_sensor else space - 1
-            through_surface(bundle, lens, k, colour, sense, np.inf, DROPPED, DROPPED)
+            at_surface(bundle, lens, k, False, colour, sense, (np.inf, DROPPED, DROPPED), False, book)
             for i in range(BLOCK):
                 filled = (bundle[X + i] * bundle[X + i] + bundle[Y + i] * bundle[Y + i]) / (rims[k] * rims[k])
                 bundle[_OBSTRUCTION + i] = max(bundle[_OBSTRUCTION + i], filled)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.kernels.decorators import inlined, kernel, pasted
-from lfmesh.optics.fresnel import fresnel, transmittance
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.optics.share_table import coated_shares
 from lfmesh.transport.events.crossing import BOUNCE_U, CHOOSE, draw, draw_two, record_interface, split_shares
@@ -41,7 +41,7 @@ and the number of events itself for the other keys that a packet's key gives."""
 
 @inlined
 def shares(
-    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float
+    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool
 ) -> tuple[float, float, float]:
     """Return reflectance, transmittance and the cosine of refraction at an interface.
 
@@ -57,27 +57,13 @@ def shares(
         Refractive index before and after the interface.
     cos_i : float
         Cosine of the angle of incidence, 0 to 1.
+    outward : bool
+        Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
 
     Returns
     -------
     R, T, cos_t : float
         Shares of the power; under total reflection 1, 0, 0, but R below 1 if a coating absorbs.
-    """
-    return shares_from(interfaces, number, colour, n_i, n_t, cos_i, False)
-
-
-@inlined
-def shares_from(
-    interfaces: Interfaces, number: int, colour: int, n_i: float, n_t: float, cos_i: float, outward: bool
-) -> tuple[float, float, float]:
-    """Return what `shares` does for light from a stated side, which between equal indices only this tells.
-
-    Parameters
-    ----------
-    interfaces, number, colour, n_i, n_t, cos_i
-        As for `shares`.
-    outward : bool
-        Light comes from the side that the layers of a coating end with.
     """
     reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
     row = interfaces.rows[number]
@@ -87,18 +73,6 @@ def shares_from(
             transmittance == 0.0, outward,
         )  # fmt: skip
     return reflectance, transmittance, cos_t
-
-
-@inlined
-def bare_shares(n_i: float, n_t: float, cos_i: float) -> tuple[float, float, float]:
-    """Return what `shares` does for an interface without a coating, without branches, for blocks of packets.
-
-    Parameters
-    ----------
-    n_i, n_t, cos_i : float
-        As for `shares`.
-    """
-    return fresnel(n_i, n_t, cos_i)
 
 
 @inlined
@@ -118,10 +92,12 @@ def divided(
 
     Parameters
     ----------
-    outward : bool
-        Light comes from the side that the layers of a coating end with; between equal indices only this tells it.
+    interfaces, number, colour, n_i, n_t, cos_i, outward
+        As for `shares`.
+    packet : PACKET
+    book : (slots,) float64
     """
-    reflectance, transmittance, cos_t = shares_from(interfaces, number, colour, n_i, n_t, cos_i, outward)
+    reflectance, transmittance, cos_t = shares(interfaces, number, colour, n_i, n_t, cos_i, outward)
     row = interfaces.rows[number]
     if row.kind == ABSORBING:
         left = reflectance + transmittance
@@ -163,27 +139,6 @@ def through_thin_lens(
     scale2 = 1.0 / (ux * ux + uy * uy + dz * dz)
     scale = np.sqrt(scale2)
     return ux * scale, uy * scale, dz * scale, scale2 * scale2
-
-
-@pasted
-def transmitted_share(
-    interfaces: Interfaces, number: int, colour: int,
-    n_i: float, n_t: float, cos_i: float, cos_t: float, s: float, p: float, over: float,
-) -> float:  # fmt: skip
-    """Return the transmittance alone, from intermediate results of Fresnel's equations that a block of rays has ready.
-
-    Of bare interfaces; at coated ones a block goes ray by ray.
-
-    Parameters
-    ----------
-    interfaces, number, colour, n_i, n_t, cos_i
-        As for `shares`.
-    cos_t : float
-        Cosine of refraction.
-    s, p, over : float
-        See `optics.fresnel.transmittance`. Under total reflection the result is meaningless.
-    """
-    return transmittance(n_i, n_t, cos_i, cos_t, s, p, over)
 
 
 @inlined

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
+from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
-from lfmesh.transport.events.interface import bare_shares
-from lfmesh.transport.sequential.lens_bundle import conic_distance
+from lfmesh.transport.sequences.lens_surfaces import conic_distance, conic_normal
 
 Array = NDArray[np.float64]
 
@@ -128,9 +128,7 @@ def meet_conics(block: Array) -> None:
         x, y, z = block[X + i] + begin * dx, block[Y + i] + begin * dy, block[Z + i] - vertex_z + begin * dz
         meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
-        nx, ny, nz = -c * x, -c * y, 1.0 - c * q * z
-        scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
-        nx, ny, nz = nx * scale, ny * scale, nz * scale
+        nx, ny, nz = conic_normal(c, q, x, y, z, sense)
         along = block[FACET_X + i] * dx + block[FACET_Y + i] * dy + block[FACET_Z + i] * dz
         ahead = both(meets, begin + t > 0.0)
         crossed = both(sense * along > 0.0, nx * dx + ny * dy + nz * dz > 0.0)
@@ -222,13 +220,11 @@ def meet_in_order(block: Array) -> None:
         c, q, vertex_z = select(forward, d, c), select(forward, p, q), select(forward, next_z, vertex_z)
         aperture2 = select(forward, block[NEXT_APERTURE2 + i], block[APERTURE2 + i])
         x, y, z = x + t * dx, y + t * dy, z - vertex_z + t * dz
-        nx, ny, nz = -c * x, -c * y, 1.0 - c * q * z
-        scale = sense / np.sqrt(nx * nx + ny * ny + nz * nz)
         free2, r2 = block[FREE2 + i], x * x + y * y
         clear = both(r2 <= free2, sx * sx + sy * sy <= free2)
         held = both(both(block[SENSE + i] > 0.0, t < np.inf), both(clear, r2 <= aperture2))
         block[PX + i], block[PY + i], block[PZ + i] = x, y, z + vertex_z
-        block[NX + i], block[NY + i], block[NZ + i] = nx * scale, ny * scale, nz * scale
+        block[NX + i], block[NY + i], block[NZ + i] = conic_normal(c, q, x, y, z, sense)
         block[N_T + i] = select(forward, block[NEXT_N + i], block[N_T + i])
         block[NUMBER + i] = select(forward, block[NEXT_NUMBER + i], block[NUMBER + i])
         block[HELD + i], block[AT + i] = select(held, 1.0, 0.0), begin + t
@@ -394,7 +390,7 @@ def split_block(block: Array) -> None:
         n_i, n_t = block[N_I + i], block[N_T + i]
         cos_i = nx * dx + ny * dy + nz * dz
         cos_i = 1.0 if cos_i > 1.0 else cos_i
-        reflectance, transmittance, cos_t = bare_shares(n_i, n_t, cos_i)
+        reflectance, transmittance, cos_t = fresnel(n_i, n_t, cos_i)
         block[REFLECTANCE + i], block[TRANSMITTANCE + i] = reflectance, transmittance
         ux, uy, uz = reflected(dx, dy, dz, nx, ny, nz)
         set_child(block, REFLECTED + i, i, ux, uy, uz)

@@ -1,6 +1,6 @@
 """Proof of the ghosts: some of a run's own, followed along their sequences and traced through the meshes too.
 
-The meshes are the model, and sequences in blocks (`sequential.ghosts`) a shortcut. Each packet is traced from its pixel
+The meshes are the model, and sequences in blocks (`sequences.ghosts`) a shortcut. Each packet is traced from its pixel
 through the meshes, face by face; of the two children at a face the one that its sequence asks for goes on. Which that
 is, its state tells: so this proves, too, that the classes of paths are what the sequences are.
 """
@@ -13,7 +13,7 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS
 from lfmesh.transport.paths.automaton import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
 from lfmesh.transport.render.order_check import OrderCheck
-from lfmesh.transport.sequential.ghosts import GhostRoom, GhostTables, ghost_room
+from lfmesh.transport.sequences.ghosts import GhostRoom, GhostTables, ghost_room
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -102,8 +102,8 @@ def _reflections(ghosts: GhostTables) -> NDArray[np.int64]:
     """Return after how many faces each sequence has been reflected once and twice, (sequences, 2)."""
     turns = []
     for number, length in enumerate(ghosts.lengths):
-        legs = ghosts.legs[ghosts.first[number] : ghosts.first[number + 1]]
-        reflected = np.concatenate([ghosts.reflected[leg[1] : leg[2]] for leg in legs])
+        legs = ghosts.route.legs[ghosts.first[number] : ghosts.first[number + 1]]
+        reflected = ghosts.route.steps[legs[0, 1] : legs[-1, 2], 1]
         turns.append(1 + np.flatnonzero(reflected) + length - len(reflected))
     return np.array(turns)
 

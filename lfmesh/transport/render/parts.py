@@ -3,7 +3,7 @@
 Paths with reflections carry a few per cent of the light and cost ten times as much as the image path. So the adjoint
 method estimates the two independently and adds them: the image path with the sequential engine, and all other paths,
 for which fewer samples are enough, with the mesh engine. Most of those are ghosts of two reflections; where they can be
-followed by their sequences of surfaces (`sequential.ghosts`), they are a part of their own. How many fewer samples,
+followed by their sequences of surfaces (`sequences.ghosts`), they are a part of their own. How many fewer samples,
 `allocation` measures. If the scene has lamps and glass, light of lamps through glass is a further part, traced forward;
 so is, in both methods, light of lamps on a camera with rough surfaces. `paths.automaton` defines the classes; each path
 belongs to one of them and counts once. Particles are points, which no ray from the sensor meets: in both methods each

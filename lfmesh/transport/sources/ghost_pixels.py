@@ -16,7 +16,7 @@ from lfmesh.transport.aiming.mixture import disk_density, toward_disk
 from lfmesh.transport.aiming.pupil import opening_from
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import CAMERA_FRAME, LENS, SAMPLE_SHIFT, SENSOR_FRAME, Flow, put
-from lfmesh.transport.sequential.ghosts import (
+from lfmesh.transport.sequences.ghosts import (
     ANGLES,
     GhostTables,
     interval_of_angle,

@@ -11,7 +11,7 @@ from lfmesh.transport.aiming.lenslet_aim import DISCRETE, LISTED, most_listed
 from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
-from lfmesh.transport.sequential.lens_bundle import BLOCK
+from lfmesh.transport.sequences.bundle import BLOCK
 from lfmesh.transport.sources.wavelengths import Entries
 from lfmesh.transport.tables.tables import AimTables
 

@@ -47,8 +47,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.paths.automaton import GHOSTS
-from lfmesh.transport.sequential.image_path import follow_block
-from lfmesh.transport.sequential.lens_bundle import (
+from lfmesh.transport.sequences.bundle import (
     DROPPED,
     DX,
     DY,
@@ -62,6 +61,8 @@ from lfmesh.transport.sequential.lens_bundle import (
     move_bundle,
     pad,
 )
+from lfmesh.transport.sequences.follower import Route, image_route_of
+from lfmesh.transport.sequences.image_path import follow_block
 from lfmesh.transport.sources.ghost_pixels import launch_to_cells
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
@@ -69,7 +70,7 @@ from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
 from lfmesh.transport.tables.lines import FIRST, Nodes
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import AimTables, LensTables, MlaTables, SensorTables, Tables
+from lfmesh.transport.tables.tables import AimTables, Camera, MlaTables, SensorTables, Tables
 
 Array = NDArray[np.float64]
 
@@ -130,8 +131,8 @@ class PixelSource(Source):
         starts = starting_kernel(tables, options)
         if starts is launch_along_image_path:
             launch_along_image_path(
-                entries, self.samples, self.stratified, self.key, colour, tables.sensor, tables.lens, tables.mla,
-                tables.aim, tables.frames, work.bundle, work.numbers, options, work.flow(), room,
+                entries, self.samples, self.stratified, self.key, colour, tables.camera, image_route_of(tables),
+                tables.aim, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
         elif starts is launch_to_cells:
             launch_to_cells(
@@ -204,18 +205,21 @@ def launch_adjoint(
 
 @kernel
 def launch_along_image_path(
-    entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
-    lens: LensTables, mla: MlaTables, aim: AimTables, frames: Array, bundle: Array, numbers: NDArray[np.int64],
-    options: Options, flow: Flow, room: StartRoom,
+    entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, camera: Camera,
+    route: Route, aim: AimTables, bundle: Array, numbers: NDArray[np.int64], options: Options, flow: Flow,
+    room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets as `launch_adjoint` does, and take them through array and lens by the sequential engine at once.
 
     Parameters
     ----------
+    route : Route
+        See `follower.image_route`.
     bundle, numbers
         Working memory, see `image_path.follow_image_path`.
     """
-    begin_launch(room, colour, len(lens.surfaces))
+    sensor, mla, frames = camera.sensor, camera.mla, camera.frames
+    begin_launch(room, colour, len(camera.lens.surfaces))
     station = PLATE if mla.present else LENS
     for i in range(STARTS):
         numbers[i] = i
@@ -230,7 +234,7 @@ def launch_along_image_path(
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
-        follow_block(room.packets, station, False, count, lens, mla, frames, bundle, numbers, options, flow)
+        follow_block(room.packets, station, False, count, camera, route, bundle, numbers, options, flow)
 
 
 @kernel

@@ -45,19 +45,16 @@ class Kind(NamedTuple):
         Description in messages.
     is_smooth : bool
         Light continues along the reflected and the refracted direction only.
-    is_lossless : bool
-        What is not reflected is transmitted.
     """
 
     name: str
     is_smooth: bool
-    is_lossless: bool = True
 
 
 KINDS = (
     Kind("smooth and bare", is_smooth=True),
     Kind("coated", is_smooth=True),
-    Kind("coated with layers that absorb", is_smooth=True, is_lossless=False),
+    Kind("coated with layers that absorb", is_smooth=True),
     Kind("a thin lens", is_smooth=True),
     Kind("diffuse", is_smooth=False),
     Kind("ground", is_smooth=False),
@@ -223,7 +220,7 @@ def refused_in_order(scene: Scene) -> str | None:
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for face in faces:
         kind = KINDS[_kind_of(scene, face, wavelengths_nm)]
-        if not (kind.is_smooth and kind.is_lossless):
+        if not kind.is_smooth:
             return f"{face.where} is {kind.name}"
     return None
 

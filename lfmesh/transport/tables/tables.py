@@ -121,6 +121,17 @@ class SensorTables(NamedTuple):
     reflectance: float  # share of the light that is reflected; the rest is detected
 
 
+@by_address
+class Camera(NamedTuple):
+    """The parts of the camera that sequences of faces lead through."""
+
+    lens: LensTables
+    mla: MlaTables
+    sensor: SensorTables
+    frames: Array  # (6, 6, 3, 4): frames[a, b] moves from frame a into frame b
+    cover: Any = None  # CoverTables where the sensor has a cover
+
+
 BY_ALPHA = -1.0
 """`ObjectTables.opacity` of a target whose texture has it."""
 
@@ -277,6 +288,11 @@ class Tables(NamedTuple):
     # (6, 6, 3, 4) as `frames`, with the sensor where it appears to be through its cover, if it has one: for aiming
     apparent: Any = None
     ghosts: Any = None  # GhostTables where ghosts are estimated by themselves
+
+    @property
+    def camera(self) -> Camera:
+        """The parts of the camera."""
+        return Camera(self.lens, self.mla, self.sensor, self.frames, self.cover)
 
 
 NO_SLOT = -1

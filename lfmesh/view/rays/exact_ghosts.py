@@ -19,15 +19,9 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.aiming.aim_table import widest_disk
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
-from lfmesh.transport.sequential.array_faces import follow_array_faces
-from lfmesh.transport.sequential.plane_faces import (
-    count_faces,
-    detected,
-    follow_plane_faces,
-)
-from lfmesh.transport.sequential.reflections import Arrived, follow_sequence
-from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.sequences.ray_tables import Arrived, faces_of, follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.tables import THIN_LENS, Tables
 from lfmesh.transport.trace import at_wavelength
@@ -172,17 +166,10 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     return ExactGhosts(found[0], ghosts, float(plane or math.nan), with_array, mirrors)
 
 
-def _faces(tables: Tables) -> Faces:
-    """Return how many faces lens, array, cover and sensor have."""
-    return Faces(
-        len(tables.lens.surfaces), 2 * tables.mla.present, count_faces(tables), tables.sensor.reflectance > 0.0
-    )
-
-
 def _paths(tables: Tables, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
     """Return the image path and all with two reflections; a thin lens reflects nothing."""
     thin = frozenset(np.flatnonzero(tables.lens.interfaces.rows["kind"] == THIN_LENS).tolist())
-    return [path for path in _faces(tables).paths(hollow) if thin.isdisjoint(path.mirrors)]
+    return [path for path in faces_of(tables).paths(hollow) if thin.isdisjoint(path.mirrors)]
 
 
 def _mirrors_in_words(tables: Tables) -> str:
@@ -239,44 +226,37 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
     def irradiance(at: Floats) -> Floats:
         ray = np.column_stack([at, np.full(len(at), plane_z)]) - point
         length = np.linalg.norm(ray, axis=1)
-        arrived, ways = _follow(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
-        found = detected(arrived, tables)
-        light = INTENSITY_W_SR * found.weight * ray[:, 2] / length**3
-        return np.where(light > 0.0, light, -_darkness(arrived, ways, found.side))
+        arrived = follow_sequence(tables, path, np.broadcast_to(point, ray.shape), ray / length[:, None])
+        side = _side_of_sensor(arrived, tables)
+        found = np.where(side == 0, arrived.weight * (1.0 - tables.sensor.reflectance), 0.0)
+        light = INTENSITY_W_SR * found * ray[:, 2] / length**3
+        return np.where(light > 0.0, light, -_darkness(arrived, side))
 
     return integral(irradiance, radius)
 
 
-def _darkness(arrived: Arrived, ways: Floats, beside: NDArray[np.int64]) -> Floats:
+def _darkness(arrived: Arrived, beside: NDArray[np.int64]) -> Floats:
     """Return numbers that tell apart why rays bring no light: what they ended on, on which side, or beside the sensor.
 
     Light passes between two sides of an aperture or of the sensor, so that a border between two of the numbers may hide
     a narrow lit region.
     """
     side = 2 * (arrived.position[:, 0] > 0.0) + (arrived.position[:, 1] > 0.0)
-    return np.asarray(14.0 * ways + np.where(arrived.weight > 0.0, 4 + beside, side))
+    return np.asarray(14.0 * (1.0 + arrived.way) + np.where(arrived.weight > 0.0, 4 + beside, side))
 
 
-def _follow(tables: Tables, path: Itinerary, p: Floats, d: Floats) -> tuple[Arrived, Floats]:
-    """Follow rays (camera frame) along a path through lens, array, cover and sensor, part by part.
+def _side_of_sensor(rays: Arrived, tables: Tables) -> NDArray[np.int64]:
+    """Return on which of the pixels' eight sides rays (camera frame) pass the sensor's plane.
 
-    Also returns numbers that tell apart the parts, and the surfaces of the lens, at which rays leave the path.
+    0: on a pixel; 9: they fly away from there.
     """
-    rays = Arrived(np.array(p), np.array(d), np.ones(len(p)))
-    ways, way = np.zeros(len(p)), np.empty(len(p))
-    for leg in _faces(tables).legs(path):
-        passed = rays.weight > 0.0
-        way[:] = 0.0
-        if leg.part == LENS_LEG:
-            along = Itinerary(leg.faces, leg.reflected, leg.to_sensor)
-            through = follow_sequence(tables.lens, along, *rays[:2], ways=way)
-            rays = through._replace(weight=np.where(rays.weight > 0.0, rays.weight * through.weight, 0.0))
-        elif leg.part == ARRAY_LEG:
-            follow_array_faces(rays, tables.mla, tables.frames, leg.faces, leg.reflected)
-        else:
-            follow_plane_faces(rays, tables, leg.faces, leg.reflected)
-        ways[passed] += 1.0 + way[passed]
-    return rays, ways
+    move, sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME], tables.sensor
+    p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
+    half = 0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = p[:, :2] - (p[:, 2] / d[:, 2])[:, None] * d[:, :2]
+    side = np.where(np.abs(at) <= half, 0, np.where(at > 0.0, 1, 2)) @ [1, 3]
+    return np.where((d[:, 2] > 0.0) & (p[:, 2] <= 0.0), side, 9)
 
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:

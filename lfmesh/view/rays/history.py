@@ -126,7 +126,7 @@ def history(rays: Rays, path: int) -> list[Step]:
             row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
             incidence = None if cosine is None else float(np.degrees(np.arccos(cosine)))
             if cosine is not None and met.table is not None and event in (Event.TRANSMITTED, Event.REFLECTED):
-                reflectance, transmittance, _ = shares(met.table, row, 0, n_i, n_t, cosine)
+                reflectance, transmittance, _ = shares(met.table, row, 0, n_i, n_t, cosine, False)
                 left = steps[-1].power * (transmittance if event == Event.TRANSMITTED else reflectance)
             medium = other if event == Event.TRANSMITTED else medium
         name = rays.surfaces[rays.surface[vertex]]

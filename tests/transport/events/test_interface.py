@@ -11,11 +11,11 @@ import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.coatings import Stack, coated
-from lfmesh.optics.fresnel import fresnel
+from lfmesh.optics.fresnel import fresnel, transmittance
 from lfmesh.optics.reflectance_table import read_reflectance
 from lfmesh.optics.share_table import looked_up
 from lfmesh.transport import choice
-from lfmesh.transport.events.interface import shares, splitter, transmitted_share
+from lfmesh.transport.events.interface import shares, splitter
 from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     BOTH,
@@ -62,7 +62,7 @@ BARE = Interfaces(rows=np.zeros(3, INTERFACE), parameters=np.zeros((0, 2)))
 
 
 def bare(n_i, n_t, cos_i):
-    return shares(BARE, 1, 0, n_i, n_t, cos_i)
+    return shares(BARE, 1, 0, n_i, n_t, cos_i, False)
 
 
 @pytest.mark.parametrize("n_i", [1.0, 1.33, 1.5, 2.4, 4.0])
@@ -108,7 +108,7 @@ def test_matched_indices_pass_everything_at_every_angle():
 def of_blocks(n_i, n_t, cos_i, cos_t, T):
     for i in range(len(T)):
         s, p = n_i[i] * cos_i[i] + n_t[i] * cos_t[i], n_i[i] * cos_t[i] + n_t[i] * cos_i[i]
-        T[i] = transmitted_share(BARE, 1, 0, n_i[i], n_t[i], cos_i[i], cos_t[i], s, p, 1.0 / (s * p))
+        T[i] = transmittance(n_i[i], n_t[i], cos_i[i], cos_t[i], s, p, 1.0 / (s * p))
 
 
 def test_a_block_of_rays_passes_what_a_packet_does():
@@ -369,7 +369,7 @@ def test_a_coated_surface_has_the_shares_of_its_layers(name, side, wave):
     # The first surface meets its coating from the air, the second one from the glass: one name serves both.
     for table_, rows in ((found.lens, (0, 1)), (found.mla, (0, 1))):
         for row in rows:
-            shown = np.array([shares(table_, row, wave, n_i, n_t, c) for c in cosines])
+            shown = np.array([shares(table_, row, wave, n_i, n_t, c, False) for c in cosines])
             np.testing.assert_allclose(shown[:, 0], R, rtol=0.0, atol=1e-7)
             np.testing.assert_allclose(shown[:, 1], T, rtol=0.0, atol=1e-7)
             bends = [fresnel(n_i, n_t, c)[2] for c in cosines]
@@ -398,17 +398,17 @@ def test_a_coating_between_two_glasses_is_listed_from_the_object_to_the_sensor()
     stack = Stack((2.0 + 0.5j, 1.38 + 0j), (30.0, 90.0))
     for n_i, n_t, seen in ((1.7, 1.5, stack), (1.5, 1.7, stack.reversed)):
         R, T = coated(n_i, n_t, seen, 550.0, np.array([0.8]))
-        assert shares(found, 1, 0, n_i, n_t, 0.8)[:2] == pytest.approx((R[0], T[0]), abs=1e-7)
+        assert shares(found, 1, 0, n_i, n_t, 0.8, False)[:2] == pytest.approx((R[0], T[0]), abs=1e-7)
     wrong, _ = coated(1.7, 1.5, stack.reversed, 550.0, np.array([0.8]))
-    assert abs(shares(found, 1, 0, 1.7, 1.5, 0.8)[0] - wrong[0]) > 1e-3
+    assert abs(shares(found, 1, 0, 1.7, 1.5, 0.8, False)[0] - wrong[0]) > 1e-3
 
 
 def test_a_fixed_reflectance_holds_at_every_angle_up_to_total_reflection():
     found = interface_tables(coated_scene("half", half={"reflectance": 0.5}), (450.0, 650.0)).lens
     for cosine in (1.0, 0.6, 0.1):
-        assert shares(found, 0, 1, 1.0, 1.5, cosine)[:2] == (0.5, 0.5)
-    assert shares(found, 0, 1, 1.5, 1.0, 0.9)[:2] == (0.5, 0.5)
-    assert shares(found, 0, 1, 1.5, 1.0, 0.6) == (1.0, 0.0, 0.0)
+        assert shares(found, 0, 1, 1.0, 1.5, cosine, False)[:2] == (0.5, 0.5)
+    assert shares(found, 0, 1, 1.5, 1.0, 0.9, False)[:2] == (0.5, 0.5)
+    assert shares(found, 0, 1, 1.5, 1.0, 0.6, False) == (1.0, 0.0, 0.0)
 
 
 def random_coating(draw):
@@ -441,7 +441,7 @@ def largest_error(count, seed):
         cosines = draw.uniform(0.0, 1.0, 40) ** draw.integers(1, 4)
         for n_i, n_t, seen in ((1.0, n, stack), (n, 1.0, stack.reversed)):
             truth = np.transpose(coated(n_i, n_t, seen, wavelength, cosines))
-            shown = [shares(found, FLAT_ROW, 0, n_i, n_t, c)[:2] for c in cosines]
+            shown = [shares(found, FLAT_ROW, 0, n_i, n_t, c, False)[:2] for c in cosines]
             worst = max(worst, np.abs(shown - truth).max())
     return worst, stated
 
@@ -475,12 +475,14 @@ def test_a_measured_table_is_followed_and_refused_beyond_its_wavelengths(tmp_pat
     measured = read_reflectance(path)
     cosines = np.random.default_rng(1).uniform(0.0, 1.0, 200)
     for wave, wavelength in enumerate((450.0, 650.0)):
-        shown = [shares(found, 0, wave, 1.0, 1.5, c)[0] for c in cosines]
+        shown = [shares(found, 0, wave, 1.0, 1.5, c, False)[0] for c in cosines]
         np.testing.assert_allclose(shown, measured.at(wavelength, cosines), rtol=0.0, atol=1e-6)
     # From the glass, the angle in the air behind it counts.
     cos_i = 0.9
     cos_t = np.sqrt(1.0 - 2.25 * (1.0 - cos_i**2))
-    assert shares(found, 0, 0, 1.5, 1.0, cos_i)[0] == pytest.approx(measured.at(450.0, np.array([cos_t]))[0], abs=1e-6)
+    assert shares(found, 0, 0, 1.5, 1.0, cos_i, False)[0] == pytest.approx(
+        measured.at(450.0, np.array([cos_t]))[0], abs=1e-6
+    )
     with pytest.raises(SceneError, match=r"table: it reaches from 400 to 700 nm, and the scene has 750 nm"):
         interface_tables(scene, (750.0,))
 
@@ -491,14 +493,14 @@ def test_a_changed_file_is_read_again(tmp_path):
     for value in (0.1, 0.2):
         rows = [f"{w},{a},{1.0 if a == 90 else value}" for w in (400, 700) for a in (0, 85, 90)]
         path.write_text("\n".join(["wavelength_nm,angle_deg,reflectance", *rows]))
-        assert shares(interface_tables(scene, (500.0,)).lens, 0, 0, 1.0, 1.5, 1.0)[0] == pytest.approx(value, abs=1e-7)
+        assert shares(interface_tables(scene, (500.0,)).lens, 0, 0, 1.0, 1.5, 1.0, False)[0] == pytest.approx(
+            value, abs=1e-7
+        )
 
 
-def test_the_sequential_engine_takes_coatings_that_absorb_nothing_and_leaves_others_to_the_mesh_engine():
-    assert choice.engine_of(coated_scene("broad"))[0] == "sequential"
-    assert choice.engine_of(coated_scene("dark")) == (
-        "mesh", "camera.lens.surfaces[1] is coated with layers that absorb",
-    )  # fmt: skip
+@pytest.mark.parametrize("coating", ["broad", "dark"])
+def test_the_sequential_engine_takes_coatings_that_absorb_too(coating):
+    assert choice.engine_of(coated_scene(coating))[0] == "sequential"
 
 
 def measured_file(path, wavelengths, angles, values):

@@ -21,7 +21,7 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.regions import lens, mla, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
-from lfmesh.transport.sequential import ghosts, image_path
+from lfmesh.transport.sequences import ghosts, image_path
 from lfmesh.transport.world import build
 
 regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to_lens, lens.shade_lens,

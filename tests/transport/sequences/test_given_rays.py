@@ -12,7 +12,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.transport import trace as trace_module
-from lfmesh.transport.sequential import given_rays
+from lfmesh.transport.sequences import given_rays
 
 ROUNDING = 1e-12
 COLUMNS = ("position", "direction", "weight", "status", "source", "events")
@@ -323,7 +323,7 @@ def test_starts_inside_lens_and_array_are_refused_by_their_number():
 
 UNASKED = """
 import lfmesh as lf
-from lfmesh.transport.sequential.given_rays import follow_rays
+from lfmesh.transport.sequences.given_rays import follow_given_rays
 
 lens = lf.Lens(surfaces=(
     lf.Surface(radius_mm=30.0, thickness_mm=4.0, index=1.5, semi_diameter_mm=8.0, stop=True),
@@ -332,9 +332,9 @@ lens = lf.Lens(surfaces=(
 world = lf.build(lf.Scene(camera=lf.Camera(lens=lens, sensor=lf.Sensor(pixels=(9, 9), pixel_mm=1.0, distance_mm=9.0))))
 assert "surroundings" not in vars(world)
 lf.trace(world, [[0, 0, -9]], [[0, 0, 1]], split="transmit")
-print(len(follow_rays.signatures))
+print(len(follow_given_rays.signatures))
 lf.trace(world, [[0, 0, -9]], [[0, 0, 1]], split="transmit", engine="sequential")
-print(len(follow_rays.signatures))
+print(len(follow_given_rays.signatures))
 """
 
 

@@ -26,8 +26,7 @@ from lfmesh.transport.packets.packet import (
     SENSOR_FRAME,
     WORLD_FRAME,
 )
-from lfmesh.transport.sequential.image_path import through_lens, through_mla
-from lfmesh.transport.sequential.lens_bundle import (
+from lfmesh.transport.sequences.bundle import (
     BESIDE,
     BLOCK,
     DROPPED,
@@ -38,16 +37,26 @@ from lfmesh.transport.sequential.lens_bundle import (
     LEFT_BEHIND,
     MET,
     ROWS,
-    SCRATCH,
     WEIGHT,
     X,
     Y,
     Z,
     empty_bundle,
+    move_bundle,
     normalise,
+    pad,
+)
+from lfmesh.transport.sequences.follower import (
+    ARRAY_AGAIN,
+    IN_ARRAY,
+    IN_LENS,
+    LENS_AGAIN,
+    Route,
+    follow_legs,
+    image_route_of,
 )
 from lfmesh.transport.tables.surroundings import Surroundings
-from lfmesh.transport.tables.tables import Tables
+from lfmesh.transport.tables.tables import Camera, Tables
 
 Array = NDArray[np.float64]
 
@@ -57,10 +66,6 @@ _DX, _DY, _DZ = (ROWS + 3) * BLOCK, (ROWS + 4) * BLOCK, (ROWS + 5) * BLOCK
 _WAY = (ROWS + 6) * BLOCK
 RAY_ROWS = ROWS + 7
 """Rows of a bundle with the starts of its rays."""
-
-# Working rows: the ends, world frame.
-_END_X, _END_Y, _END_Z = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK
-_END_DX, _END_DY, _END_DZ = SCRATCH + 3 * BLOCK, SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK
 
 # Ways of a ray. The first three are none that is followed here.
 _REFUSED, _ABSENT, _UNSURE = -2, -1, 0
@@ -113,7 +118,7 @@ def followed(tables: Tables, around: Surroundings, slots: int, p: Array, d: Arra
     threads : int
         0: all processors. The result does not depend on it.
     """
-    rays = len(p)
+    rays, camera, route = len(p), tables.camera, image_route_of(tables)
     ends = Ends(
         np.empty((rays, 3)), np.empty((rays, 3)), np.empty(rays),
         np.empty(rays, np.int64), np.empty(rays, np.int64), np.empty(rays, np.int32), np.empty(rays, np.uint8),
@@ -127,7 +132,9 @@ def followed(tables: Tables, around: Surroundings, slots: int, p: Array, d: Arra
             ends.position[part], ends.direction[part], ends.weight[part], ends.status[part],
             ends.events[part], ends.slot[part], ends.fate[part],
         )  # fmt: skip
-        follow_rays(p[part], d[part], tables, around, empty_bundle(RAY_ROWS), some, books[number], counts[number])
+        follow_given_rays(
+            p[part], d[part], camera, route, around, empty_bundle(RAY_ROWS), some, books[number], counts[number]
+        )
 
     workers = min(threads or os.cpu_count() or 1, len(parts))
     if workers > 1:
@@ -140,9 +147,9 @@ def followed(tables: Tables, around: Surroundings, slots: int, p: Array, d: Arra
 
 
 @kernel
-def follow_rays(
-    origins: Array, directions: Array, tables: Tables, around: Surroundings, bundle: Array, ends: Ends, book: Array,
-    counts: NDArray[np.int64],
+def follow_given_rays(
+    origins: Array, directions: Array, camera: Camera, route: Route, around: Surroundings, bundle: Array, ends: Ends,
+    book: Array, counts: NDArray[np.int64],
 ) -> None:  # fmt: skip
     """Follow rays to their ends, block by block.
 
@@ -151,8 +158,10 @@ def follow_rays(
     origins : (n, 3) float64, mm, world frame
     directions : (n, 3) float64
         Of any length.
-    tables : Tables
+    camera : Camera
         With the media at the rays' wavelength as the first.
+    route : Route
+        See `follower.image_route`.
     around : Surroundings
     bundle : (RAY_ROWS · BLOCK,) float64
         Working memory.
@@ -165,8 +174,8 @@ def follow_rays(
     for first in range(0, len(origins), BLOCK):
         last = min(first + BLOCK, len(origins))
         count = last - first
-        _start(bundle, origins[first:last], directions[first:last], count, tables.frames[WORLD_FRAME, CAMERA_FRAME])
-        ways = _find_ways(bundle, count, tables, around)
+        _start(bundle, origins[first:last], directions[first:last], count, camera.frames[WORLD_FRAME, CAMERA_FRAME])
+        ways = _find_ways(bundle, count, camera, around)
         some = Ends(
             ends.position[first:last], ends.direction[first:last], ends.weight[first:last], ends.status[first:last],
             ends.events[first:last], ends.slot[first:last], ends.fate[first:last],
@@ -175,51 +184,42 @@ def follow_rays(
             _pass_over(bundle, count, some)
         for way in range(_FROM_OBJECTS, _WAYS):
             if ways & (1 << way) != 0:
-                _follow_way(bundle, count, way, tables, around, book)
-                _keep(bundle, count, way, tables.sensor.reflectance, some, book, counts)
+                _follow_way(bundle, way, camera, route, around, book)
+                _keep(bundle, count, way, camera.sensor.reflectance, some, book, counts)
 
 
 @kernel
 def _start(bundle: Array, origins: Array, directions: Array, count: int, to_camera: Array) -> None:
     """Write the rays in the camera frame, with unit directions; those that are no rays are refused."""
-    # Two loops, as only the second can use vector instructions.
     for i in range(count):
-        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = origins[i, 0], origins[i, 1], origins[i, 2]
-        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = directions[i, 0], directions[i, 1], directions[i, 2]
-    for i in range(count, BLOCK):
-        bundle[_X + i], bundle[_Y + i], bundle[_Z + i] = 0.0, 0.0, 0.0
-        bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i] = 0.0, 0.0, 1.0
-    _normalise_and_move(bundle, to_camera)
+        bundle[X + i], bundle[Y + i], bundle[Z + i] = origins[i, 0], origins[i, 1], origins[i, 2]
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = directions[i, 0], directions[i, 1], directions[i, 2]
+    pad(bundle, count)
+    _judge(bundle)
+    # Twice, as the first division leaves a rounding error.
+    normalise(bundle)
+    normalise(bundle)
+    move_bundle(bundle, to_camera)
+    for i in range(6 * BLOCK):
+        bundle[_X + i] = bundle[X + i]
     for i in range(count, BLOCK):
         bundle[_WAY + i] = _ABSENT
 
 
 @kernel
-def _normalise_and_move(bundle: Array, move: Array) -> None:
-    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
-    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
-    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
+def _judge(bundle: Array) -> None:
+    """Refuse what is no ray."""
     for i in range(BLOCK):
-        x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
-        dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         # Zero times a number that is not finite is not zero.
         is_ray = both(0.0 * x + 0.0 * y + 0.0 * z + 0.0 * length == 0.0, length > 0.0)
-        dx, dy, dz = dx / length, dy / length, dz / length
-        # Normalised twice, as the first division leaves a rounding error.
-        length = np.sqrt(dx * dx + dy * dy + dz * dz)
-        dx, dy, dz = dx / length, dy / length, dz / length
-        bundle[_X + i] = xx * x + xy * y + xz * z + x0
-        bundle[_Y + i] = yx * x + yy * y + yz * z + y0
-        bundle[_Z + i] = zx * x + zy * y + zz * z + z0
-        bundle[_DX + i] = xx * dx + xy * dy + xz * dz
-        bundle[_DY + i] = yx * dx + yy * dy + yz * dz
-        bundle[_DZ + i] = zx * dx + zy * dy + zz * dz
         bundle[_WAY + i] = select(is_ray, 1.0 * _UNSURE, 1.0 * _REFUSED)
 
 
 @kernel
-def _find_ways(bundle: Array, count: int, tables: Tables, around: Surroundings) -> int:
+def _find_ways(bundle: Array, count: int, camera: Camera, around: Surroundings) -> int:
     """Find the way of each ray; return a set of bits, one for each way, the first for rays that are not followed."""
     low, high = around.low, around.high
     _find_entries(
@@ -232,7 +232,7 @@ def _find_ways(bundle: Array, count: int, tables: Tables, around: Surroundings) 
     for i in range(count):
         way = int(bundle[_WAY + i])
         if way == _UNSURE and bundle[_Z + i] > around.behind:
-            way = _way_from_behind(bundle, i, tables, around)
+            way = _way_from_behind(bundle, i, camera, around)
             bundle[_WAY + i] = way
         ways |= 1 << max(way, _UNSURE)
     return ways
@@ -290,25 +290,25 @@ def _stop_at_box(
 
 
 @kernel
-def _way_from_behind(bundle: Array, i: int, tables: Tables, around: Surroundings) -> int:
+def _way_from_behind(bundle: Array, i: int, camera: Camera, around: Surroundings) -> int:
     """Return the way of a ray that starts behind the lens."""
     x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
     dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
     if not (z < around.end and x * x + y * y < around.outline * around.outline):
         return _UNSURE
-    if not tables.mla.present:
-        move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
+    if not camera.mla.present:
+        move = camera.frames[CAMERA_FRAME, SENSOR_FRAME]
         if move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz > 0.0:
             return _ON_SENSOR
         return _TO_OBJECTS if dz < 0.0 else _UNSURE
-    move, lenslets = tables.frames[CAMERA_FRAME, MLA_FRAME], tables.mla.lenslets
+    move, lenslets = camera.frames[CAMERA_FRAME, MLA_FRAME], camera.mla.lenslets
     at = move[2, 0] * x + move[2, 1] * y + move[2, 2] * z + move[2, 3]
     slope = move[2, 0] * dx + move[2, 1] * dy + move[2, 2] * dz
-    if not (at < lenslets.top or at > lenslets.thickness - _bulge(tables.mla.back)):
+    if not (at < lenslets.top or at > lenslets.thickness - _bulge(camera.mla.back)):
         return _UNSURE
     if (at < lenslets.top) == (slope > 0.0):
         return _TO_SENSOR if dz > 0.0 else _BACK
-    if (at < lenslets.top) != tables.mla.curved_to_lens:
+    if (at < lenslets.top) != camera.mla.curved_to_lens:
         return _ON_SENSOR
     return _TO_OBJECTS if dz < 0.0 else _UNSURE
 
@@ -330,98 +330,56 @@ def _pass_over(bundle: Array, count: int, ends: Ends) -> None:
 
 
 @kernel
-def _follow_way(bundle: Array, count: int, way: int, tables: Tables, around: Surroundings, book: Array) -> None:
+def _follow_way(bundle: Array, way: int, camera: Camera, route: Route, around: Surroundings, book: Array) -> None:
     """Take the rays of a block that have one way to its end."""
-    frames = tables.frames
+    frames = camera.frames
     _load_way(bundle, 1.0 * way)
     to_sensor = way <= _ON_SENSOR
     if way == _FROM_OBJECTS:
-        through_lens(bundle, tables.lens, 0, True, book)
-    if tables.mla.present and way in (_FROM_OBJECTS, _TO_SENSOR, _BACK):
-        through_mla(bundle, count, tables.mla, 0, frames, to_sensor, book)
-    if not to_sensor:
-        through_lens(bundle, tables.lens, 0, False, book)
+        follow_legs(bundle, camera, route, IN_LENS, ARRAY_AGAIN, 0, book)
+    elif way == _TO_SENSOR:
+        follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, 0, book)
+    elif not to_sensor:
+        follow_legs(bundle, camera, route, ARRAY_AGAIN if way == _BACK else LENS_AGAIN, LENS_AGAIN + 1, 0, book)
     if way != _ON_SENSOR:
         normalise(bundle)
     if to_sensor:
-        sensor = tables.sensor
-        _move_ends(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
-        _end_on_sensor(
-            bundle, frames[CAMERA_FRAME, SENSOR_FRAME], frames[SENSOR_FRAME, WORLD_FRAME],
-            sensor.pixel, 1.0 * sensor.columns, 1.0 * sensor.rows,
-        )  # fmt: skip
+        move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
+        _end_on_sensor(bundle, camera.sensor.pixel, 1.0 * camera.sensor.columns, 1.0 * camera.sensor.rows)
+        move_bundle(bundle, frames[SENSOR_FRAME, WORLD_FRAME])
         return
     for n in range(len(around.boxes)):
         low, high = around.boxes[n, 0], around.boxes[n, 1]
         _doubt_at_box(bundle, low[0], low[1], low[2], high[0], high[1], high[2])
     _escape(bundle, around.plate, around.opening)
-    _move_ends(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
+    move_bundle(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
 
 
 @kernel
 def _load_way(bundle: Array, way: float) -> None:
     """Put the rays of one way at their starts, and count the others as ended."""
+    for i in range(6 * BLOCK):
+        bundle[X + i] = bundle[_X + i]
     for i in range(BLOCK):
-        bundle[X + i], bundle[Y + i], bundle[Z + i] = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
-        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
         bundle[WEIGHT + i], bundle[LEFT_BEHIND + i], bundle[MET + i] = 1.0, 0.0, 0.0
         bundle[ENDED_ON + i] = select(bundle[_WAY + i] == way, 0.0, DROPPED)
 
 
 @kernel
-def _move_ends(bundle: Array, move: Array) -> None:
-    """Write the present state of all rays to the rows of the ends, moved."""
-    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
-    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
-    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
-    for i in range(BLOCK):
-        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
-        bundle[_END_X + i] = xx * x + xy * y + xz * z + x0
-        bundle[_END_Y + i] = yx * x + yy * y + yz * z + y0
-        bundle[_END_Z + i] = zx * x + zy * y + zz * z + z0
-        x, y, z = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        bundle[_END_DX + i] = xx * x + xy * y + xz * z
-        bundle[_END_DY + i] = yx * x + yy * y + yz * z
-        bundle[_END_DZ + i] = zx * x + zy * y + zz * z
-
-
-@kernel
-def _end_on_sensor(bundle: Array, move: Array, back: Array, pixel: float, columns: float, rows: float) -> None:
-    """End the rays that are still on their way in the plane of the sensor.
-
-    Parameters
-    ----------
-    move, back : (3, 4) float64
-        From the camera frame into the sensor's, and from there into the world frame.
-    pixel : float, mm
-    columns, rows : float
-    """
-    xx, xy, xz, x0 = move[0, 0], move[0, 1], move[0, 2], move[0, 3]
-    yx, yy, yz, y0 = move[1, 0], move[1, 1], move[1, 2], move[1, 3]
-    zx, zy, zz, z0 = move[2, 0], move[2, 1], move[2, 2], move[2, 3]
-    wxx, wxy, wxz, wx0 = back[0, 0], back[0, 1], back[0, 2], back[0, 3]
-    wyx, wyy, wyz, wy0 = back[1, 0], back[1, 1], back[1, 2], back[1, 3]
-    wzx, wzy, wzz, wz0 = back[2, 0], back[2, 1], back[2, 2], back[2, 3]
+def _end_on_sensor(bundle: Array, pixel: float, columns: float, rows: float) -> None:
+    """End the rays (sensor frame) that are still on their way in the plane of the sensor."""
     for i in range(BLOCK):
         ended = bundle[ENDED_ON + i]
-        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
-        px, py = xx * x + xy * y + xz * z + x0, yx * x + yy * y + yz * z + y0
-        pz = zx * x + zy * y + zz * z + z0
-        x, y, z = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        dx, dy, dz = xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
-        arrives = both(dz > 0.0, pz <= 0.0)
-        t = -pz / dz
-        px, py, pz = select(arrives, px + t * dx, px), select(arrives, py + t * dy, py), select(arrives, 0.0, pz)
-        column, row = np.floor(px / pixel + 0.5 * columns), np.floor(py / pixel + 0.5 * rows)
+        x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
+        arrives = both(dz > 0.0, z <= 0.0)
+        t = select(arrives, -z / dz, 0.0)
+        x, y = x + t * bundle[DX + i], y + t * bundle[DY + i]
+        column, row = np.floor(x / pixel + 0.5 * columns), np.floor(y / pixel + 0.5 * rows)
         on = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
         slot = select(arrives, select(on, ON_SENSOR + 1.0, BESIDE_SENSOR + 1.0), HOUSING + 1.0)
         live = ended == 0.0
-        bundle[_END_X + i] = select(live, wxx * px + wxy * py + wxz * pz + wx0, bundle[_END_X + i])
-        bundle[_END_Y + i] = select(live, wyx * px + wyy * py + wyz * pz + wy0, bundle[_END_Y + i])
-        bundle[_END_Z + i] = select(live, wzx * px + wzy * py + wzz * pz + wz0, bundle[_END_Z + i])
-        bundle[_END_DX + i] = select(live, wxx * dx + wxy * dy + wxz * dz, bundle[_END_DX + i])
-        bundle[_END_DY + i] = select(live, wyx * dx + wyy * dy + wyz * dz, bundle[_END_DY + i])
-        bundle[_END_DZ + i] = select(live, wzx * dx + wzy * dy + wzz * dz, bundle[_END_DZ + i])
+        bundle[X + i], bundle[Y + i] = select(live, x, bundle[X + i]), select(live, y, bundle[Y + i])
+        bundle[Z + i] = select(both(live, arrives), 0.0, z)
         bundle[ENDED_ON + i] = select(live, slot, ended)
 
 
@@ -479,10 +437,10 @@ def _keep(
             events += 1
         ends.fate[i] = ENDED
         ends.position[i, 0], ends.position[i, 1], ends.position[i, 2] = (
-            bundle[_END_X + i], bundle[_END_Y + i], bundle[_END_Z + i],
+            bundle[X + i], bundle[Y + i], bundle[Z + i],
         )  # fmt: skip
         ends.direction[i, 0], ends.direction[i, 1], ends.direction[i, 2] = (
-            bundle[_END_DX + i], bundle[_END_DY + i], bundle[_END_DZ + i],
+            bundle[DX + i], bundle[DY + i], bundle[DZ + i],
         )  # fmt: skip
         ends.weight[i], ends.slot[i], ends.events[i] = weight, slot, met
         if slot == ON_SENSOR:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lfmesh.transport.sequential.sequences import (
+from lfmesh.transport.sequences.sequences import (
     Itinerary,
     image_path,
     reflected_at,

@@ -7,8 +7,8 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport.packets.packet import Event
-from lfmesh.transport.sequential.reflections import follow_sequence
-from lfmesh.transport.sequential.sequences import Itinerary, reflected_twice_at, two_reflections
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import Itinerary, reflected_twice_at, two_reflections
 from lfmesh.view.rays.launch import from_field_point
 
 POSITION_MM = 1e-9
@@ -59,7 +59,7 @@ def test_paths_of_two_reflections_are_those_of_the_mesh_engine(name, change, poi
     world = world_of(name, change)
     # Nothing is left to the roulette down to three reflections of 4 %.
     rays = from_field_point(world, point, 200, aim="lens", weight_cutoff=1e-5)
-    lens = world.tables.lens
+    tables = world.tables
     count = len(world.lens_shape.surfaces)
     start = np.array(point)
     mirrored = rays.keep(rays.arrives & (rays.count_vertices(rays.reflected) == 2))
@@ -78,7 +78,7 @@ def test_paths_of_two_reflections_are_those_of_the_mesh_engine(name, change, poi
     z = float(world.scene.camera.lens.vertices_mm[-1] + world.scene.camera.sensor.distance_mm)
     compared = 0
     for path in expected:
-        got = follow_sequence(lens, path, np.tile(start, (len(launched), 1)), launched)
+        got = follow_sequence(tables, path, np.tile(start, (len(launched), 1)), launched)
         landed = got.position + ((z - got.position[:, 2]) / got.direction[:, 2])[:, None] * got.direction
         on_sensor = (np.abs(landed[:, :2]) < 40.0).all(axis=1) & (got.direction[:, 2] > 0.0)
         passed = set(source[(got.weight > 0.0) & on_sensor])
@@ -102,7 +102,7 @@ def test_light_runs_along_the_inside_of_a_ball():
     heights = np.linspace(3.0, 4.4, 800)
     p = np.column_stack([heights, np.zeros_like(heights), np.full_like(heights, -5.0)])
     got = follow_sequence(
-        world.tables.lens, reflected_twice_at(2, 1, from_behind=False), p, np.tile([0.0, 0.0, 1.0], (len(p), 1))
+        world.tables, reflected_twice_at(2, 1, from_behind=False), p, np.tile([0.0, 0.0, 1.0], (len(p), 1))
     )
     # A parallel ray of height h enters at the angle a, sin a = h/R, and every chord turns it by 2b, sin b = sin a / n.
     a = np.arcsin(heights / 5.0)
@@ -128,7 +128,7 @@ def along_deep_bowl(faces, reflected):
     world = lf.build(lf.Scene(camera=lf.Camera(lens=lf.Lens(surfaces=surfaces), sensor=sensor)))
     heights = np.linspace(0.5, 5.7, 400)
     p = np.column_stack([heights, np.zeros_like(heights), np.full_like(heights, -5.0)])
-    got = follow_sequence(world.tables.lens, Itinerary(faces, reflected), p, np.tile([0.0, 0.0, 1.0], (len(p), 1)))
+    got = follow_sequence(world.tables, Itinerary(faces, reflected), p, np.tile([0.0, 0.0, 1.0], (len(p), 1)))
     # Off the border between both fates, where the rim reaches a little beyond the aperture.
     angle = np.arcsin(heights / DEEP_MM)
     again = DEEP_MM * np.sin(3.0 * angle)
@@ -158,25 +158,25 @@ def test_the_half_of_a_sphere_beyond_its_equator_is_no_surface():
     sensor = lf.Sensor(pixels=(10, 10), pixel_mm=0.1, distance_mm=30.0)
     world = lf.build(lf.Scene(camera=lf.Camera(lens=lf.Lens(surfaces=(front, back)), sensor=sensor)))
     starts, ahead = [[2.0, 0.0, -5.0], [30.0, 0.0, 19.0]], [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]
-    got = follow_sequence(world.tables.lens, Itinerary((0,), (False,)), np.array(starts), np.array(ahead))
+    got = follow_sequence(world.tables, Itinerary((0,), (False,)), np.array(starts), np.array(ahead))
     assert (got.weight > 0.0).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(("name", "change", "point", "least"), CASES)
 def test_a_path_and_its_reverse_carry_the_same_share(name, change, point, least):
     world = world_of(name, change)
-    lens = world.tables.lens
+    tables = world.tables
     draw = np.random.default_rng(3)
-    rim = float(lens.surfaces[0]["semi_diameter"])
+    rim = float(tables.lens.surfaces[0]["semi_diameter"])
     to = np.column_stack([draw.uniform(-rim, rim, (400, 2)), np.zeros(400)]) - point
     d = to / np.linalg.norm(to, axis=1)[:, None]
     passed = 0
     for path in paths_of(world):
-        there = follow_sequence(lens, path, np.tile(np.array(point), (400, 1)), d)
+        there = follow_sequence(tables, path, np.tile(np.array(point), (400, 1)), d)
         through = there.weight > 0.0
         # From behind the lens, clear of its last surface.
         beyond = there.position[through] + 20.0 * there.direction[through]
-        back = follow_sequence(lens, path.reverse, beyond, -there.direction[through])
+        back = follow_sequence(tables, path.reverse, beyond, -there.direction[through])
         np.testing.assert_allclose(back.direction, -d[through], atol=1e-10)
         np.testing.assert_allclose(back.weight, there.weight[through], rtol=1e-8)
         passed += through.sum()

@@ -38,27 +38,17 @@ from lfmesh.transport.packets.packet import (
     put,
 )
 from lfmesh.transport.paths.automaton import REFLECTED_TWICE
-from lfmesh.transport.sequential.array_faces import along_array
-from lfmesh.transport.sequential.lens_bundle import (
-    BLOCK,
-    DX,
-    DY,
-    DZ,
-    ENDED_ON,
-    MET,
-    WEIGHT,
-    X,
-    Y,
-    Z,
-    empty_bundle,
-    load,
-    pad,
+from lfmesh.transport.sequences.bundle import empty_bundle
+from lfmesh.transport.sequences.follower import (
+    END_ROWS,
+    RAY_ENDED,
+    RAY_MET,
+    RAY_WEIGHT,
+    Route,
+    follow_rays,
 )
-from lfmesh.transport.sequential.plane_faces import along_planes
-from lfmesh.transport.sequential.reflections import BUNDLE_ROWS, along, drop_backward
-from lfmesh.transport.sequential.sequences import ARRAY_LEG, LENS_LEG
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import MlaTables
+from lfmesh.transport.tables.tables import Camera, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -72,9 +62,6 @@ RADII, HEIGHTS, ANGLES = 8, 8, 8
 SINES = 32
 """Equal intervals of the sine of the angle between the sensor's normal and a new direction."""
 
-RAY_WEIGHT, RAY_MET, RAY_ENDED, END_ROWS = 6, 7, 8, 9
-"""Rows of `GhostRoom.rays` and `ends`, after those of position and direction, and their number."""
-
 
 @by_address
 class GhostTables(NamedTuple):
@@ -86,11 +73,7 @@ class GhostTables(NamedTuple):
     the two points as seen from the axis.
     """
 
-    faces: NDArray[np.int64]  # (steps,) faces that each leg meets in turn, counted within its part
-    reflected: NDArray[np.bool_]  # (steps,) whether a ray is reflected there
-    # (legs, 4) part of the camera, first and last step (not included), whether it leads to the sensor; the legs from
-    # the sensor to the lens and back, on the image path, then those of the sequences
-    legs: NDArray[np.int64]
+    route: Route  # the legs from the sensor to the lens and back, on the image path, then those of the sequences
     to_lens: int  # number of legs from the sensor to the lens
     first: NDArray[np.int64]  # (sequences + 1,) first leg of each that packets follow
     from_pixel: NDArray[np.bool_]  # (sequences,) whether that is from the pixel on; else it is from behind the lens on
@@ -116,13 +99,13 @@ class GhostTables(NamedTuple):
 class GhostRoom(NamedTuple):
     """Working memory for a wave of packets."""
 
-    rays: Array  # (8, n) of each packet of the wave, where it begins to follow its sequence
-    ends: Array  # (9, n) see `follow_rays`
+    rays: Array  # (RAY_MET + 1, n) of each packet of the wave, where it begins to follow its sequence
+    ends: Array  # (END_ROWS, n) see `follow_rays`
     chance: Array  # (n,) of the sequence drawn for it
     sequence: NDArray[np.int64]  # (n,) drawn for it; −1: it has ended
     order: NDArray[np.int64]  # (n,) packets of the wave by their sequences
     first: NDArray[np.int64]  # (sequences + 1,) where those of each sequence begin
-    bundle: Array  # (BUNDLE_ROWS · BLOCK,)
+    bundle: Array  # (ROWS · BLOCK,)
 
 
 def ghost_room(packets: int, sequences: int) -> GhostRoom:
@@ -134,13 +117,12 @@ def ghost_room(packets: int, sequences: int) -> GhostRoom:
         np.zeros(packets, np.int64),
         np.zeros(packets, np.int64),
         np.zeros(sequences + 1, np.int64),
-        empty_bundle(BUNDLE_ROWS),
+        empty_bundle(),
     )
 
 
 def follow_ghosts(
-    wave: NDArray[np.void], camera: Any, ghosts: GhostTables, frames: Array, options: Options, flow: Flow,
-    room: GhostRoom,
+    wave: NDArray[np.void], camera: Camera, ghosts: GhostTables, options: Options, flow: Flow, room: GhostRoom
 ) -> None:  # fmt: skip
     """Take a wave of packets that have left their pixels through the camera, each along a sequence of its own.
 
@@ -150,29 +132,32 @@ def follow_ghosts(
     ----------
     wave : (n,) PACKET
         Of one wavelength.
-    camera : (LensTables, MlaTables, SensorTables, CoverTables or None)
+    camera : Camera
     """
     colour = int(wave["colour"][0]) if len(wave) > 0 else 0
-    count = _leave_pixels(wave, camera, ghosts, frames, options, flow, room)
-    to_lens = np.array([0, count]), np.array([0, ghosts.to_lens])
-    follow_rays(room.rays, room.ends, room.order, *to_lens, camera, ghosts, frames, colour, flow.book, room.bundle)
+
+    def follow(first: NDArray[np.int64], legs: NDArray[np.int64]) -> None:
+        follow_rays(
+            room.rays, room.ends, room.order, first, legs, camera, ghosts.route, colour, flow.book, room.bundle
+        )  # fmt: skip
+
+    count = _leave_pixels(wave, camera, ghosts, options, flow, room)
+    follow(np.array([0, count]), np.array([0, ghosts.to_lens]))
     _draw_sequences(wave, count, ghosts, options, room)
     _sort(len(wave), room)
-    along = room.first, ghosts.first
-    follow_rays(room.rays, room.ends, room.order, *along, camera, ghosts, frames, colour, flow.book, room.bundle)
-    _hand_on(wave, frames, flow, room)
+    follow(room.first, ghosts.first)
+    _hand_on(wave, camera.frames, flow, room)
 
 
 @kernel
 def _leave_pixels(
-    wave: NDArray[np.void], camera: Any, ghosts: GhostTables, frames: Array, options: Options, flow: Flow,
-    room: GhostRoom,
+    wave: NDArray[np.void], camera: Camera, ghosts: GhostTables, options: Options, flow: Flow, room: GhostRoom
 ) -> int:  # fmt: skip
     """Start the packets of a wave from the sensor: towards the lens, or in new directions; return how many to the lens.
 
     The first ones of `GhostRoom.order` are these.
     """
-    surfaces = len(camera[0].surfaces)
+    surfaces, frames = len(camera.lens.surfaces), camera.frames
     count = 0
     for i in range(len(wave)):
         packet = wave[i]
@@ -181,7 +166,7 @@ def _leave_pixels(
             flow.book[UNFOLLOWED] += packet.weight
             continue
         if ghosts.share_anew > 0.0 and draw_two(options, packet, SEQUENCE)[0] < ghosts.share_anew:
-            _start_anew(packet, i, camera, ghosts, frames, options, room)
+            _start_anew(packet, i, camera, ghosts, options, room)
             continue
         if packet.weight == 0.0:
             # It has left its pixel for new directions alone.
@@ -241,11 +226,9 @@ def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, opt
 
 
 @kernel
-def _start_anew(
-    packet: Any, n: int, camera: Any, ghosts: GhostTables, frames: Array, options: Options, room: GhostRoom
-) -> None:  # fmt: skip
+def _start_anew(packet: Any, n: int, camera: Camera, ghosts: GhostTables, options: Options, room: GhostRoom) -> None:
     """Draw one of the sequences whose packets leave the pixel in a new direction, and the direction."""
-    _, mla, sensor, _ = camera
+    mla, frames = camera.mla, camera.frames
     move_packet(frames, packet, SENSOR_FRAME)
     u, _ = draw_two(options, packet, SEQUENCE)
     sequence, chance = _drawn(ghosts.until_anew, u / ghosts.share_anew)
@@ -262,76 +245,8 @@ def _start_anew(
         move = frames[SENSOR_FRAME, CAMERA_FRAME]
         x, y, z = point_through(move, packet.x, packet.y, 0.0)
         dx, dy, dz = direction_through(move, dx, dy, dz)
-        weight = area_of_sample(sensor, options.samples) / (density * chance)
+        weight = area_of_sample(camera.sensor, options.samples) / (density * chance)
         _start_ray(room, n, x, y, z, dx, dy, dz, weight, 0.0)
-
-
-@kernel
-def follow_rays(
-    rays: Array, ends: Array, order: NDArray[np.int64], first: NDArray[np.int64], legs: NDArray[np.int64], camera: Any,
-    ghosts: GhostTables, frames: Array, colour: int, book: Array, bundle: Array,
-) -> None:  # fmt: skip
-    """Take rays along legs, each group of them along its own, in blocks.
-
-    Parameters
-    ----------
-    rays : (7 or more, n) float64
-        Position, mm, unit direction and weight of each, camera frame.
-    ends : (END_ROWS, n) float64
-        Filled for the rays in `order`: as `rays`, but for the length of the direction, to rounding; then the number of
-        interfaces that the ray has met, and whether it has ended: 0 if not.
-    order : (m,) int64
-        Rays of one group after those of another.
-    first : (groups + 1,) int64
-        Where each group begins in `order`.
-    legs : (groups + 1,) int64
-        The first leg of each group; it ends before that of the next.
-    camera : (LensTables, MlaTables, SensorTables, CoverTables or None)
-    ghosts : GhostTables
-    frames : (6, 6, 3, 4) float64
-    colour : int
-        Number of the wavelength.
-    book : (slots,) float64
-        For light that media absorb.
-    bundle : (BUNDLE_ROWS · BLOCK,) float64
-        Working memory.
-    """
-    for group in range(len(first) - 1):
-        for begin in range(first[group], first[group + 1], BLOCK):
-            count = min(BLOCK, first[group + 1] - begin)
-            for i in range(count):
-                n = order[begin + i]
-                load(
-                    bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n],
-                    rays[RAY_WEIGHT, n],
-                )  # fmt: skip
-            pad(bundle, count)
-            _follow_legs(bundle, count, legs[group], legs[group + 1], camera, ghosts, frames, colour, book)
-            for i in range(count):
-                n = order[begin + i]
-                ends[0, n], ends[1, n], ends[2, n] = bundle[X + i], bundle[Y + i], bundle[Z + i]
-                ends[3, n], ends[4, n], ends[5, n] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-                ends[RAY_WEIGHT, n], ends[RAY_MET, n] = bundle[WEIGHT + i], bundle[MET + i]
-                ends[RAY_ENDED, n] = bundle[ENDED_ON + i]
-
-
-@kernel
-def _follow_legs(
-    bundle: Array, count: int, first: int, last: int, camera: Any, ghosts: GhostTables, frames: Array, colour: int,
-    book: Array,
-) -> None:  # fmt: skip
-    """Take a bundle (camera frame) of `count` rays along the legs from `first` on, up to but not including `last`."""
-    lens, mla, sensor, cover = camera
-    for leg in range(first, last):
-        part, begin, end, to_sensor = ghosts.legs[leg]
-        faces, reflected = ghosts.faces[begin:end], ghosts.reflected[begin:end]
-        if part == LENS_LEG:
-            along(bundle, lens, faces, reflected, to_sensor != 0, colour, book)
-        elif part == ARRAY_LEG:
-            drop_backward(bundle, to_sensor != 0)
-            along_array(bundle, count, mla, faces, reflected, colour, frames, to_sensor != 0, book)
-        else:
-            along_planes(bundle, cover, sensor, faces, reflected, frames, colour)
 
 
 @inlined

@@ -40,8 +40,16 @@ def scene(surfaces, mla=None, **camera):
     return lf.Scene(
         camera=lf.Camera(
             lens=lf.Lens(surfaces=surfaces), mla=mla, sensor=lf.Sensor(**sensor, **camera.pop("sensor", {})), **camera
-        )
+        ),
+        coatings=COATINGS,
     )
+
+
+COATINGS = {
+    "hard": {"layers": [{"index": 1.38, "thickness_nm": 106.5}, {"index": 2.1, "thickness_nm": 60.0}]},
+    "sun": {"layers": [{"index": 1.46, "thickness_nm": 60.0}, {"index": 1.8, "extinction": 0.4, "thickness_nm": 45.0}]},
+    "dim": {"layers": [{"index": 1.9, "extinction": 1e-6, "thickness_nm": 70.0}]},
+}
 
 
 PLANE = lf.Target(
@@ -62,6 +70,15 @@ SCENES = {
     "hexagonal array of three types": scene(lens(), array(layout="hexagonal", focal_length_mm=(0.5, 0.45, 0.56))),
     "lenslets with form errors": scene(lens(), array(layout="hexagonal", form=ERRORS)),
     "diverging lenslets": scene(lens(), array(focal_length_mm=(-0.6,))),
+    "coatings": scene(lens(coating="hard"), array(curved_coating="hard", flat_coating="hard")),
+    "coatings that absorb": scene(
+        lens(coating="sun", conic=-1.7), array(layout="hexagonal", curved_coating="sun", flat_coating="dim")
+    ),
+    "coatings and glass that absorb": scene(
+        lens(coating="sun", index=None, glass="N-SF66"),
+        array(index=None, glass="N-SF66", flat_coating="sun"),
+        absorption=True,
+    ),
     "all tilted": scene(lens(), array(layout="hexagonal", pose=TILTED), sensor={"pose": TILTED}),
 }
 
@@ -109,6 +126,21 @@ def test_both_engines_take_a_ray_to_the_same_place(name, backwards):
     assert absorbed_elsewhere < 0.05 * RAYS
     assert len(np.unique(path.source)) > 0.99 * RAYS
     assert abs(path.ledger.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize("backwards", [False, True], ids=["to the sensor", "to object space"])
+@pytest.mark.parametrize("name", [name for name in SCENES if "absorb" in name])
+def test_both_engines_enter_what_coatings_absorb_under_the_same_names(name, backwards):
+    world = lf.build(SCENES[name])
+    origins, directions = rays(world, backwards)
+    mesh = lf.trace(world, origins, directions, split="transmit").ledger.absorbed
+    path = lf.trace(world, origins, directions, split="transmit", engine="sequential").ledger.absorbed
+    names = {name for name in mesh if name.startswith(("coating", "inside"))}
+    assert names == {name for name in path if name.startswith(("coating", "inside"))}
+    assert len(names) >= 2
+    for name in names:
+        assert path[name] == pytest.approx(mesh[name], rel=1e-3)
+        assert path[name] > 0.0
 
 
 @pytest.mark.parametrize("engine", ["mesh", "sequential"])

@@ -21,11 +21,11 @@ from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Film
-from lfmesh.transport.sequential.ghosts import kind_of_ray
+from lfmesh.transport.sequences.ghosts import kind_of_ray
 from lfmesh.transport.sources.pixels import PixelSource
 
 LEVEL = 1e-3
-COMPARISONS = 34
+COMPARISONS = 37
 REPLICATES = 16
 
 MLA = {"count": [12, 12], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
@@ -81,8 +81,15 @@ CAMERAS: dict[str, dict[str, Any]] = {
             "pose": {"tilt_deg": [1.5, -1.0, 4.0]},
         },
     },
+    "coatings that absorb, on lens, array and cover": {
+        "lens": with_first(lens(14), coating="sun"), "mla": MLA | {"curved_coating": "sun", "flat_coating": "sun"},
+        "cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.7, "coating": "sun"},
+    },
     "paths that end early": {"lens": lens(12), "reflectance": 0.2, "max_events": 12},
 }  # fmt: skip
+
+
+SUN = [{"index": 1.46, "thickness_nm": 60.0}, {"index": 1.8, "extinction": 0.4, "thickness_nm": 45.0}]
 
 
 def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
@@ -96,7 +103,7 @@ def scene(camera: dict[str, Any], **transport: Any) -> lf.Scene:
     parts = {key: camera[key] for key in ("lens", "mla", "absorption") if key in camera}
     return lf.Scene(
         camera={"focus_mm": 300.0, "sensor": sensor} | parts,
-        coatings={"ar": {"reflectance": 0.01}},
+        coatings={"ar": {"reflectance": 0.01}, "sun": {"layers": SUN}},
         targets=[
             {"shape": square, "position_mm": [20.0, 0.0, -300.0], "material": glow},
             {"shape": square, "position_mm": [-40.0, 0.0, -280.0], "rotation_deg": [0.0, 60.0, 0.0]}
@@ -165,7 +172,8 @@ def test_ghosts_counted_twice_would_be_seen() -> None:
     "name",
     [
         "one", "two", "a posed element", "a sensor that reflects, behind a cover",
-        "array, cover, and a sensor that reflects", "paths that end early",
+        "array, cover, and a sensor that reflects", "coatings that absorb, on lens, array and cover",
+        "paths that end early",
     ],
 )  # fmt: skip
 def test_the_image_is_that_of_the_mesh_engine(name: str) -> None:

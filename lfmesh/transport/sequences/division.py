@@ -1,0 +1,323 @@
+"""The division of light at an interface: a block of rays goes on refracted or reflected, with that share of its power.
+
+Bare, coated and absorbing interfaces and thin lenses, of all shapes: where rays meet a face, and the normal there,
+stand in the bundle. What a coating absorbs is entered in the book; the rest of the power is left behind.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernels.decorators import kernel, pasted
+from lfmesh.kernels.vector import both, fused, select
+from lfmesh.optics.fresnel import amplitude_sums, fresnel, refraction, transmittance
+from lfmesh.optics.share_table import (
+    PASSED,
+    TERMS,
+    TOTAL,
+    place_in_table,
+    side_of_table,
+    variable_under_total_reflection,
+)
+from lfmesh.transport.events.interface import through_thin_lens
+from lfmesh.transport.packets.book import THIN_LENSES
+from lfmesh.transport.sequences.bundle import (
+    AT_X,
+    AT_Y,
+    AT_Z,
+    BLOCK,
+    COEFFICIENTS,
+    COS_T,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    ETENDUE,
+    FATE,
+    LEFT_BEHIND,
+    MET,
+    NX,
+    NY,
+    NZ,
+    PIECE,
+    REFLECTED,
+    TAKEN,
+    TRANSMITTED,
+    WEIGHT,
+    WITHIN,
+    X,
+    Y,
+    Z,
+)
+from lfmesh.transport.tables.tables import ABSORBING, BARE, THIN_LENS, Interfaces
+
+Array = NDArray[np.float64]
+
+# The coefficients of a piece of a coating's table, as many as `TERMS`.
+_C0, _C1, _C2 = COEFFICIENTS, COEFFICIENTS + BLOCK, COEFFICIENTS + 2 * BLOCK
+_C3, _C4, _C5 = COEFFICIENTS + 3 * BLOCK, COEFFICIENTS + 4 * BLOCK, COEFFICIENTS + 5 * BLOCK
+
+
+@kernel
+def divide(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float], outward: bool,
+    mirrors: bool, book: Array,
+) -> None:  # fmt: skip
+    """Take the rays of a bundle through the face that they meet, or reflect them there.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    interfaces : Interfaces
+        Of the region.
+    number, colour : int
+        Row of the interface, and number of the wavelength.
+    indices : (2,) float
+        Refractive index before and after the interface.
+    outward : bool
+        Rays come from the side that the layers of a coating end with.
+    mirrors : bool
+        They are reflected; else refracted.
+    book : (slots,) float64
+        For light that a coating absorbs.
+    """
+    row = interfaces.rows[number]
+    if row.kind == THIN_LENS:
+        _through_thin_lens(bundle, interfaces, number, colour)
+    elif row.kind == BARE and not mirrors:
+        _refract(bundle, indices)
+    else:
+        if row.kind == BARE:
+            _find_bare_shares(bundle, indices)
+        else:
+            _find_coated_shares(bundle, interfaces, number, colour, indices, outward)
+        _turn(bundle, indices, mirrors, row.kind == ABSORBING)
+        if row.kind == ABSORBING:
+            taken = 0.0
+            for i in range(BLOCK):
+                taken += bundle[TAKEN + i]
+            book[row.slot] += taken
+
+
+@pasted
+def go_on(
+    bundle: Array, i: int, moves: bool, x: float, y: float, z: float, ux: float, uy: float, uz: float,
+    fate: float, share: float, taken: float,
+) -> None:  # fmt: skip
+    """Continue ray `i` from a point of a face, or end it there; a ray that has ended is left as it is.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    moves : bool
+        Whether the ray comes to the point; a ray that misses the face ends where it is.
+    x, y, z : float, mm
+    ux, uy, uz : float
+        Unit direction in which it goes on.
+    fate : float
+        What ends it, or 0, see `bundle.FATE`.
+    share : float
+        Share of its power that goes on; with 0 it is dropped.
+    taken : float
+        Power that the interface absorbs.
+    """
+    weight, ended = bundle[WEIGHT + i], bundle[ENDED_ON + i]
+    alive = ended == 0.0
+    arrives = both(alive, fate == 0.0)
+    goes = both(arrives, share > 0.0)
+    moves = both(alive, moves)
+    now = select(arrives, select(share > 0.0, 0.0, DROPPED), select(alive, fate, ended))
+    on = select(goes, weight * share, select(both(alive, now == DROPPED), 0.0, weight))
+    bundle[ENDED_ON + i] = now
+    bundle[MET + i] += select(arrives, 1.0, 0.0)
+    # Power that is neither passed on nor absorbed is reflected, under total reflection all of it.
+    bundle[LEFT_BEHIND + i] += weight - on - taken
+    bundle[WEIGHT + i] = on
+    bundle[X + i] = select(moves, x, bundle[X + i])
+    bundle[Y + i] = select(moves, y, bundle[Y + i])
+    bundle[Z + i] = select(moves, z, bundle[Z + i])
+    bundle[DX + i] = select(goes, ux, bundle[DX + i])
+    bundle[DY + i] = select(goes, uy, bundle[DY + i])
+    bundle[DZ + i] = select(goes, uz, bundle[DZ + i])
+
+
+@kernel
+def _refract(bundle: Array, indices: tuple[float, float]) -> None:
+    """Refract rays at a bare interface, by Snell's law and Fresnel's equations without branches."""
+    n_i, n_t = indices
+    eta = n_i / n_t
+    for i in range(BLOCK):
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        nx, ny, nz = bundle[NX + i], bundle[NY + i], bundle[NZ + i]
+        cos_i = nx * dx + ny * dy + nz * dz
+        cos2_t = fused(eta * eta * cos_i, cos_i, 1.0 - eta * eta)
+        cos_t = np.sqrt(cos2_t)
+        s, p = amplitude_sums(n_i, n_t, cos_i, cos_t)
+        share = select(cos2_t > 0.0, transmittance(n_i, n_t, cos_i, cos_t, s, p, 1.0 / (s * p)), 0.0)
+        g = fused(-eta, cos_i, cos_t)
+        ux, uy, uz = fused(eta, dx, g * nx), fused(eta, dy, g * ny), fused(eta, dz, g * nz)
+        x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+        go_on(bundle, i, True, x, y, z, ux, uy, uz, bundle[FATE + i], share, 0.0)
+
+
+@pasted
+def _incidence(bundle: Array, i: int) -> float:
+    """Return the cosine of the angle of incidence of a ray."""
+    cosine = bundle[NX + i] * bundle[DX + i] + bundle[NY + i] * bundle[DY + i] + bundle[NZ + i] * bundle[DZ + i]
+    return select(cosine < 1.0, cosine, 1.0)
+
+
+@kernel
+def _find_bare_shares(bundle: Array, indices: tuple[float, float]) -> None:
+    n_i, n_t = indices
+    for i in range(BLOCK):
+        reflectance, passed, cos_t = fresnel(n_i, n_t, _incidence(bundle, i))
+        bundle[REFLECTED + i], bundle[TRANSMITTED + i], bundle[COS_T + i] = reflectance, passed, cos_t
+
+
+@kernel
+def _find_coated_shares(
+    bundle: Array, interfaces: Interfaces, number: int, colour: int, indices: tuple[float, float], outward: bool
+) -> None:
+    """Find the shares as `coated_shares` does; only the reading of a table's coefficients is no vector code."""
+    row, parameters = interfaces.rows[number], interfaces.parameters
+    first, size, absorbs = row.first, TERMS * row.pieces, row.kind == ABSORBING
+    _find_places(bundle, indices, row.pieces)
+    if not absorbs:
+        _read(bundle, parameters, first, first, colour)
+        _share_all(bundle)
+        return
+    if indices[0] > indices[1]:
+        _find_places_under_total_reflection(bundle, indices, row.pieces)
+    _read(bundle, parameters, first + PASSED * size, first + PASSED * size, colour)
+    _keep_passed(bundle)
+    first += side_of_table(indices[0], indices[1], outward) * size
+    _read(bundle, parameters, first, row.first + TOTAL * size, colour)
+    _share_rest(bundle)
+
+
+@kernel
+def _find_places(bundle: Array, indices: tuple[float, float], pieces: int) -> None:
+    """Find the places of rays in a coating's table; leaves a transmittance of 0 where reflection is total, or of 1."""
+    n_i, n_t = indices
+    for i in range(BLOCK):
+        cos_i = _incidence(bundle, i)
+        total, cos_t = refraction(n_i, n_t, cos_i)
+        u = np.sqrt(select(cos_i < cos_t, cos_i, cos_t))
+        bundle[PIECE + i], bundle[WITHIN + i] = place_in_table(u, pieces)
+        bundle[TRANSMITTED + i], bundle[COS_T + i] = select(total, 0.0, 1.0), cos_t
+
+
+@kernel
+def _find_places_under_total_reflection(bundle: Array, indices: tuple[float, float], pieces: int) -> None:
+    n_i, n_t = indices
+    for i in range(BLOCK):
+        piece, within = place_in_table(variable_under_total_reflection(n_i, n_t, _incidence(bundle, i)), pieces)
+        total = bundle[TRANSMITTED + i] == 0.0
+        bundle[PIECE + i] = select(total, piece, bundle[PIECE + i])
+        bundle[WITHIN + i] = select(total, within, bundle[WITHIN + i])
+
+
+@kernel
+def _read(bundle: Array, parameters: Array, first: int, if_total: int, colour: int) -> None:
+    """Read the coefficients of a quantity, which begin in other rows if reflection is total."""
+    for i in range(BLOCK):
+        at = (if_total if bundle[TRANSMITTED + i] == 0.0 else first) + TERMS * int(bundle[PIECE + i])
+        bundle[_C0 + i], bundle[_C1 + i] = parameters[at, colour], parameters[at + 1, colour]
+        bundle[_C2 + i], bundle[_C3 + i] = parameters[at + 2, colour], parameters[at + 3, colour]
+        bundle[_C4 + i], bundle[_C5 + i] = parameters[at + 4, colour], parameters[at + 5, colour]
+
+
+@pasted
+def _looked_up(bundle: Array, i: int) -> float:
+    """Return a share from the coefficients that have been read."""
+    x = bundle[WITHIN + i]
+    share = bundle[_C4 + i] + x * bundle[_C5 + i]
+    share = bundle[_C2 + i] + x * (bundle[_C3 + i] + x * share)
+    share = bundle[_C0 + i] + x * (bundle[_C1 + i] + x * share)
+    return select(share > 0.0, select(share < 1.0, share, 1.0), 0.0)
+
+
+@kernel
+def _share_all(bundle: Array) -> None:
+    """Enter the shares at a coating that absorbs nothing."""
+    for i in range(BLOCK):
+        reflectance = select(bundle[TRANSMITTED + i] == 0.0, 1.0, _looked_up(bundle, i))
+        bundle[REFLECTED + i], bundle[TRANSMITTED + i] = reflectance, 1.0 - reflectance
+
+
+@kernel
+def _keep_passed(bundle: Array) -> None:
+    for i in range(BLOCK):
+        bundle[TAKEN + i] = _looked_up(bundle, i)
+
+
+@kernel
+def _share_rest(bundle: Array) -> None:
+    """Enter the shares at a coating that absorbs, of which the transmittance has been found."""
+    for i in range(BLOCK):
+        reflectance, passed = _looked_up(bundle, i), bundle[TAKEN + i]
+        left, total = 1.0 - reflectance, bundle[TRANSMITTED + i] == 0.0
+        bundle[REFLECTED + i] = reflectance
+        bundle[TRANSMITTED + i] = select(total, 0.0, select(passed < left, passed, left))
+
+
+@kernel
+def _turn(bundle: Array, indices: tuple[float, float], mirrors: bool, absorbs: bool) -> None:
+    """Refract or reflect rays by the shares in the bundle."""
+    eta = indices[0] / indices[1]
+    on = 1.0 if mirrors else eta
+    for i in range(BLOCK):
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        nx, ny, nz = bundle[NX + i], bundle[NY + i], bundle[NZ + i]
+        cos_i = _incidence(bundle, i)
+        reflectance, passed = bundle[REFLECTED + i], bundle[TRANSMITTED + i]
+        g = select(mirrors, -2.0 * cos_i, bundle[COS_T + i] - eta * cos_i)
+        share = select(mirrors, reflectance, passed)
+        fate = bundle[FATE + i]
+        divided = both(absorbs, both(bundle[ENDED_ON + i] == 0.0, fate == 0.0))
+        taken = select(divided, bundle[WEIGHT + i] * (1.0 - reflectance - passed), 0.0)
+        bundle[TAKEN + i] = taken
+        ux, uy, uz = on * dx + g * nx, on * dy + g * ny, on * dz + g * nz
+        x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+        go_on(bundle, i, True, x, y, z, ux, uy, uz, fate, share, taken)
+
+
+@kernel
+def _through_thin_lens(bundle: Array, interfaces: Interfaces, number: int, colour: int) -> None:
+    for i in range(BLOCK):
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+        ux, uy, uz, factor = through_thin_lens(interfaces, number, colour, x, y, dx, dy, dz)
+        ended = bundle[ENDED_ON + i]
+        go_on(bundle, i, True, x, y, z, ux, uy, uz, bundle[FATE + i], 1.0, 0.0)
+        passed = both(ended == 0.0, bundle[ENDED_ON + i] == 0.0)
+        bundle[ETENDUE + i] *= select(passed, factor, 1.0)
+
+
+@kernel
+def begin_etendue(interfaces: Interfaces, bundle: Array) -> None:
+    """Begin to count what thin lenses do to importance; nothing where the lens has none."""
+    if interfaces.thin:
+        for i in range(BLOCK):
+            bundle[ETENDUE + i] = 1.0
+
+
+@kernel
+def take_etendue(interfaces: Interfaces, bundle: Array, book: Array) -> None:
+    """Change the weights, of importance, by what thin lenses have done since `begin_etendue`, and enter it in the book.
+
+    Parameters
+    ----------
+    interfaces : Interfaces
+        Of the lens.
+    bundle : (ROWS · BLOCK,) float64
+    book : (slots,) float64
+    """
+    if interfaces.thin:
+        for i in range(BLOCK):
+            factor, weight = bundle[ETENDUE + i], bundle[WEIGHT + i]
+            book[THIN_LENSES] += weight * (1.0 - factor)
+            bundle[WEIGHT + i] = weight * factor

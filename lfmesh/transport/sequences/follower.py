@@ -1,0 +1,281 @@
+"""The follower of sequences: blocks of rays from face to face of the camera, refracted at some and reflected at others.
+
+A route is a list of faces, cut into legs in lens, array, and cover and sensor. It is all that tells the image path, a
+ghost and a user's ray apart. A ray leaves its route where it misses the next face, or meets another one before it: a
+neighbouring lenslet, or on a checked leg the surface that it comes from, on its hollow side.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.surfaces.tessellation import OVERREACH
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.vector import both, select
+from lfmesh.transport.packets.book import HOUSING, STOP
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.sequences.bundle import (
+    AGAIN,
+    AT_Z,
+    BESIDE,
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    ETENDUE,
+    LEFT_BEHIND,
+    MET,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    absorb,
+    drop,
+    end_by_fate,
+    load,
+    move_bundle,
+    pad,
+    set_fate,
+)
+from lfmesh.transport.sequences.division import begin_etendue
+from lfmesh.transport.sequences.lens_surfaces import at_surface, find_return
+from lfmesh.transport.sequences.lenslets import at_lenslets, at_other_face
+from lfmesh.transport.sequences.planes import at_plane
+from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Leg
+from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
+
+Array = NDArray[np.float64]
+
+
+@by_address
+class Route(NamedTuple):
+    """Faces that rays meet in turn, leg by leg; one route may hold the legs of many sequences."""
+
+    steps: NDArray[np.int64]  # (steps, 2) the face, counted within its part, and whether rays are reflected there
+    # (legs, 5) part of the camera, first and last step (not included), whether it begins towards the sensor, and
+    # whether rays are dropped that meet the surface which they leave before the next
+    legs: NDArray[np.int64]
+
+
+def route_of(legs: list[Leg], *, checked: bool) -> Route:
+    """Return the route along legs.
+
+    Parameters
+    ----------
+    legs : list of Leg
+    checked : bool
+        Drop rays that meet the surface which they leave before the next.
+    """
+    ends = np.cumsum([0, *(len(leg.faces) for leg in legs)])
+    steps = [met for leg in legs for met in zip(leg.faces, leg.reflected, strict=True)]
+    rows = [(leg.part, *ends[k : k + 2], leg.to_sensor, checked) for k, leg in enumerate(legs)]
+    return Route(np.array(steps, np.int64).reshape(-1, 2), np.array(rows, np.int64).reshape(-1, 5))
+
+
+IN_LENS, IN_ARRAY, ARRAY_AGAIN, LENS_AGAIN = range(4)
+"""Legs of `image_route`: through lens and array to the sensor; through array and lens to the objects."""
+
+
+@lru_cache(maxsize=64)
+def image_route(surfaces: int, has_array: bool) -> Route:
+    """Return the image path in both directions, with an empty leg where there is no array.
+
+    Parameters
+    ----------
+    surfaces : int
+        Number of refracting surfaces of the lens.
+    has_array : bool
+    """
+    lens, array = tuple(range(surfaces)), (0, 1) if has_array else ()
+    there = [(LENS_LEG, lens, True), (ARRAY_LEG, array, True)]
+    back = [(ARRAY_LEG, array[::-1], False), (LENS_LEG, lens[::-1], False)]
+    return route_of(
+        [Leg(part, faces, (False,) * len(faces), to_sensor) for part, faces, to_sensor in (*there, *back)],
+        checked=False,
+    )
+
+
+def image_route_of(tables: Tables) -> Route:
+    """Return the image path through a camera in both directions."""
+    return image_route(len(tables.lens.surfaces), bool(tables.mla.present))
+
+
+@kernel
+def follow_legs(bundle: Array, camera: Camera, route: Route, first: int, last: int, colour: int, book: Array) -> None:
+    """Take a bundle (camera frame) along the legs from `first` on, up to but not including `last`.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    camera : Camera
+    route : Route
+    first, last : int
+    colour : int
+        Number of the wavelength.
+    book : (slots,) float64
+        For light that media and coatings absorb.
+    """
+    for leg in range(first, last):
+        part, begin, end, to_sensor, checked = route.legs[leg]
+        steps = route.steps[begin:end]
+        if part == LENS_LEG:
+            _along_lens(bundle, camera.lens, steps, to_sensor != 0, checked != 0, colour, book)
+        elif len(steps) == 0:
+            continue
+        elif part == ARRAY_LEG:
+            if checked != 0:
+                _drop_backward(bundle, to_sensor != 0)
+            _along_array(bundle, camera.mla, steps, to_sensor != 0, colour, camera.frames, book)
+        else:
+            _along_planes(bundle, camera, steps, to_sensor != 0, colour, book)
+
+
+@kernel
+def _along_lens(
+    bundle: Array, lens: LensTables, steps: NDArray[np.int64], to_sensor: bool, checked: bool, colour: int, book: Array
+) -> None:
+    """Take a bundle along surfaces of the lens, and through its stop."""
+    space, last = 0 if to_sensor else len(lens.surfaces), -1
+    begin_etendue(lens.interfaces, bundle)
+    for step in range(len(steps) + 1):
+        ends = step == len(steps)
+        k = last if ends else steps[step, 0]
+        if lens.stop_space == space and (ends or k != last):
+            _through_stop(bundle, lens, colour, book)
+        if checked:
+            find_return(bundle, lens, last if ends or k != last else -1, 1.0 if space == last else -1.0)
+        if ends:
+            break
+        sense, mirrors = 1.0 if space == k else -1.0, steps[step, 1] != 0
+        beyond = lens.ring_slot[space] + 1.0
+        if step == 0:
+            beyond = BESIDE if to_sensor else HOUSING + 1.0
+        fates = (lens.surfaces[k].semi_diameter * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond)
+        at_surface(bundle, lens, k, mirrors, colour, sense, fates, checked, book)
+        if not mirrors:
+            space = k + 1 if sense > 0.0 else k
+        last = k
+    if checked:
+        for i in range(BLOCK):
+            if bundle[ENDED_ON + i] == 0.0 and bundle[AGAIN + i] < np.inf:
+                drop(bundle, i)
+
+
+@kernel
+def _through_stop(bundle: Array, lens: LensTables, colour: int, book: Array) -> None:
+    """End the rays that pass the plane of the stop outside its aperture."""
+    if lens.stop_posed:
+        move_bundle(bundle, lens.stop_unpose)
+    _meet_stop(bundle, lens.stop_z, lens.stop_radius * lens.stop_radius)
+    absorb(bundle, lens.media.absorption, lens.medium[lens.stop_space], colour, book)
+    end_by_fate(bundle)
+    if lens.stop_posed:
+        move_bundle(bundle, lens.stop_pose)
+
+
+@kernel
+def _meet_stop(bundle: Array, stop_z: float, limit: float) -> None:
+    for i in range(BLOCK):
+        t = (stop_z - bundle[Z + i]) / bundle[DZ + i]
+        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        passes = x * x + y * y <= limit
+        # A ray that passes stays where it is.
+        set_fate(bundle, i, select(passes, 0.0, t), select(passes, 0.0, STOP + 1.0))
+        bundle[AT_Z + i] = select(passes, bundle[Z + i], stop_z)
+
+
+@kernel
+def _drop_backward(bundle: Array, to_sensor: bool) -> None:
+    """Drop rays that do not travel in the direction in which their leg goes on."""
+    for i in range(BLOCK):
+        drops = both(bundle[ENDED_ON + i] == 0.0, (bundle[DZ + i] > 0.0) != to_sensor)
+        bundle[ENDED_ON + i] = select(drops, DROPPED, bundle[ENDED_ON + i])
+        bundle[LEFT_BEHIND + i] += select(drops, bundle[WEIGHT + i], 0.0)
+
+
+@kernel
+def _along_array(
+    bundle: Array, mla: MlaTables, steps: NDArray[np.int64], to_sensor: bool, colour: int, frames: Array, book: Array
+) -> None:
+    """Take a bundle along faces of the array: 0 is the one towards the lens, 1 the one towards the sensor."""
+    move_bundle(bundle, frames[CAMERA_FRAME, MLA_FRAME])
+    for step in range(len(steps)):
+        mirrors = steps[step, 1] != 0
+        # In the array's frame z runs from the curved face into the glass.
+        inward = to_sensor == mla.curved_to_lens
+        if (steps[step, 0] == 0) == mla.curved_to_lens:
+            at_lenslets(bundle, mla, inward, mirrors, colour, book)
+        else:
+            at_other_face(mla.back, bundle, mla, not inward, mirrors, colour, frames, book)
+        to_sensor = to_sensor != mirrors
+    move_bundle(bundle, frames[MLA_FRAME, CAMERA_FRAME])
+
+
+@kernel
+def _along_planes(
+    bundle: Array, camera: Camera, steps: NDArray[np.int64], to_sensor: bool, colour: int, book: Array
+) -> None:
+    """Take a bundle along faces of the cover, and the sensor."""
+    move_bundle(bundle, camera.frames[CAMERA_FRAME, SENSOR_FRAME])
+    for step in range(len(steps)):
+        mirrors = steps[step, 1] != 0
+        at_plane(bundle, camera.cover, camera.sensor, steps[step, 0], to_sensor, mirrors, colour, book)
+        to_sensor = to_sensor != mirrors
+    move_bundle(bundle, camera.frames[SENSOR_FRAME, CAMERA_FRAME])
+
+
+RAY_WEIGHT, RAY_MET, RAY_ENDED, RAY_ETENDUE, END_ROWS = 6, 7, 8, 9, 10
+"""Rows of tables of rays, see `follow_rays`, after those of position and direction, and their number."""
+
+
+@kernel
+def follow_rays(
+    rays: Array, ends: Array, order: NDArray[np.int64], first: NDArray[np.int64], legs: NDArray[np.int64],
+    camera: Camera, route: Route, colour: int, book: Array, bundle: Array,
+) -> None:  # fmt: skip
+    """Take rays along legs, each group of them along its own, in blocks.
+
+    Parameters
+    ----------
+    rays : (7 or more, n) float64
+        Position, mm, unit direction and weight of each, camera frame.
+    ends : (END_ROWS, n) float64
+        Filled for the rays in `order`: as `rays`, but for the length of the direction, to rounding; then the number of
+        interfaces that the ray has met, whether it has ended: 0 if not, and by what thin lenses divide its radiance.
+    order : (m,) int64
+        Rays of one group after those of another.
+    first : (groups + 1,) int64
+        Where each group begins in `order`.
+    legs : (groups + 1,) int64
+        The first leg of each group; it ends before that of the next.
+    camera : Camera
+    route : Route
+    colour : int
+        Number of the wavelength.
+    book : (slots,) float64
+        For light that media and coatings absorb.
+    bundle : (ROWS · BLOCK,) float64
+        Working memory.
+    """
+    for group in range(len(first) - 1):
+        for begin in range(first[group], first[group + 1], BLOCK):
+            count = min(BLOCK, first[group + 1] - begin)
+            for i in range(count):
+                n = order[begin + i]
+                load(
+                    bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n],
+                    rays[RAY_WEIGHT, n],
+                )  # fmt: skip
+            pad(bundle, count)
+            follow_legs(bundle, camera, route, legs[group], legs[group + 1], colour, book)
+            for i in range(count):
+                n = order[begin + i]
+                ends[0, n], ends[1, n], ends[2, n] = bundle[X + i], bundle[Y + i], bundle[Z + i]
+                ends[3, n], ends[4, n], ends[5, n] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+                ends[RAY_WEIGHT, n], ends[RAY_MET, n] = bundle[WEIGHT + i], bundle[MET + i]
+                ends[RAY_ENDED, n], ends[RAY_ETENDUE, n] = bundle[ENDED_ON + i], bundle[ETENDUE + i]

@@ -1,0 +1,421 @@
+"""The two faces of the microlens array as blocks of rays meet them, and the way out of the layer of lenslets.
+
+Most rays meet a single lenslet of a face, and are found together. The others, close to the border of a cell or of the
+array, and all where lenslets are no spheres, walk from cell to cell one by one. All in the frame of the face, whose z
+runs into the glass, see `regions.mla`.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.array.lattice import (
+    ROW_SPACING,
+    Lattice,
+    cell_of,
+    centre,
+    half_hexagon,
+    is_inside,
+    leaves_at,
+    neighbour,
+    stays_inside,
+)
+from lfmesh.geometry.array.lenslets import are_alike, face_normal, face_sag, is_spherical, meets_profile, shape_of
+from lfmesh.geometry.surfaces.surface import conic_distance
+from lfmesh.kernels.decorators import inlined, kernel, pasted
+from lfmesh.kernels.vector import both, select
+from lfmesh.transport.packets.book import MLA_EDGE, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
+from lfmesh.transport.sequences.bundle import (
+    AT_X,
+    AT_Y,
+    AT_Z,
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    FATE,
+    SCRATCH,
+    X,
+    Y,
+    Z,
+    absorb,
+    drop,
+    end_by_fate,
+    move_bundle,
+    set_fate,
+    set_normal,
+)
+from lfmesh.transport.sequences.division import divide
+from lfmesh.transport.sequences.lens_surfaces import sphere_crossing
+from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
+
+Array = NDArray[np.float64]
+
+MEETS_FACE, LEAVES_LAYER = -1, -2
+"""What becomes of a ray in the layer of curved faces, if it does not end there."""
+
+# Working rows: the lenslet's cell, the centre of that, its apex and curvature; whether the ray meets nothing else.
+_COLUMN, _ROW, _CENTRE_X, _CENTRE_Y = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK
+_APEX_X, _APEX_Y, _CURVATURE = SCRATCH + 4 * BLOCK, SCRATCH + 5 * BLOCK, SCRATCH + 6 * BLOCK
+_CERTAIN = SCRATCH + 7 * BLOCK
+# In place of the apex, where the ray leaves the layer of faces.
+_OUT_X, _OUT_Y = _APEX_X, _APEX_Y
+
+
+@kernel
+def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colour: int, book: Array) -> None:
+    """Take a bundle through the lenslets of a face, in its frame, or reflect it there, and out of their layer.
+
+    Parameters
+    ----------
+    bundle : (ROWS · BLOCK,) float64
+    mla : MlaTables
+        Of the face.
+    inward : bool
+        The rays come from the air.
+    mirrors : bool
+        They are reflected; else refracted.
+    colour : int
+        Number of the wavelength.
+    book : (slots,) float64
+        For light that glass and coating absorb.
+    """
+    media = mla.media
+    if is_spherical(mla.lenslets.profile):
+        _meet_single_lenslets(bundle, mla, inward)
+    else:
+        for i in range(BLOCK):
+            bundle[_CERTAIN + i] = 0.0
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
+            _meet_singly(bundle, i, mla, inward)
+    absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
+    divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
+    in_air = inward == mirrors
+    _find_ways_out(bundle, mla.lenslets, inward != mirrors)
+    walked = 0
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
+            _leave_singly(bundle, i, mla, inward != mirrors, in_air)
+            walked += 1
+    if walked > 0:
+        absorb(bundle, media.absorption, AIR if in_air else mla.medium, colour, book)
+        end_by_fate(bundle)
+
+
+@inlined
+def _indices(mla: MlaTables, entering: bool, colour: int) -> tuple[float, float]:
+    """Return the refractive indices before and after a face of the array, for rays from the air if `entering`."""
+    glass = mla.media.indices[mla.medium, colour]
+    return (1.0, glass) if entering else (glass, 1.0)
+
+
+@inlined
+def at_other_face(
+    back: Any, bundle: Array, mla: MlaTables, entering: bool, mirrors: bool, colour: int, frames: Array, book: Array
+) -> None:
+    """Take a bundle through the flat face, or the lenslets that stand in its place, or reflect it there.
+
+    Parameters
+    ----------
+    back : MlaTables or None
+        That of `mla`.
+    bundle, mla, mirrors, colour, book
+        As for `at_lenslets`.
+    entering : bool
+        The rays come from the air.
+    frames : (6, 6, 3, 4) float64
+    """
+    if back is None:
+        _at_flat_face(bundle, mla, entering, mirrors, colour, book)
+        return
+    move_bundle(bundle, frames[MLA_FRAME, BACK_FRAME])
+    at_lenslets(bundle, back, entering, mirrors, colour, book)
+    move_bundle(bundle, frames[BACK_FRAME, MLA_FRAME])
+
+
+@kernel
+def _at_flat_face(bundle: Array, mla: MlaTables, entering: bool, mirrors: bool, colour: int, book: Array) -> None:
+    _meet_flat_face(bundle, mla.lenslets, entering)
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
+            _meet_flat_face_singly(bundle, i, mla.lenslets, entering)
+    absorb(bundle, mla.media.absorption, AIR if entering else mla.medium, colour, book)
+    divide(bundle, mla.interfaces, FLAT_ROW, colour, _indices(mla, entering, colour), not entering, mirrors, book)
+
+
+@inlined
+def _safe_extent(lattice: Lattice) -> tuple[float, float]:
+    """Return half width and half height of the cells that are not outermost, mm.
+
+    Between two points within them, a straight line stays over the array.
+    """
+    across, rows = (ROW_SPACING, 1.0) if lattice.hexagonal else (1.0, 0.5)
+    return (0.5 * lattice.columns - 1.0) * lattice.pitch, (0.5 * lattice.rows - rows) * across * lattice.pitch
+
+
+@kernel
+def _meet_flat_face(bundle: Array, lenslets: Any, entering: bool) -> None:
+    safe_x, safe_y = _safe_extent(lenslets.lattice)
+    z, sense = lenslets.thickness, -1.0 if entering else 1.0
+    for i in range(BLOCK):
+        t = (z - bundle[Z + i]) / bundle[DZ + i]
+        set_fate(bundle, i, t, 0.0)
+        bundle[AT_Z + i] = z
+        set_normal(bundle, i, 0.0, 0.0, sense)
+        holds = both(both(t > 0.0, sense * bundle[DZ + i] > 0.0), _is_safe(bundle, i, safe_x, safe_y, entering))
+        bundle[_CERTAIN + i] = select(holds, 1.0, 0.0)
+
+
+@pasted
+def _is_safe(bundle: Array, i: int, safe_x: float, safe_y: float, from_air: bool) -> bool:
+    """Tell whether a ray meets a face off the outermost cells, and within the glass comes from there."""
+    there = both(abs(bundle[AT_X + i]) <= safe_x, abs(bundle[AT_Y + i]) <= safe_y)
+    here = select(from_air, 0.0, select(both(abs(bundle[X + i]) <= safe_x, abs(bundle[Y + i]) <= safe_y), 0.0, 1.0))
+    return both(there, here == 0.0)
+
+
+@kernel
+def _meet_flat_face_singly(bundle: Array, i: int, lenslets: Any, entering: bool) -> None:
+    """Find where one ray meets the flat face, or that it ends before, or beside it."""
+    x, y, dz = bundle[X + i], bundle[Y + i], bundle[DZ + i]
+    t = (lenslets.thickness - bundle[Z + i]) / dz
+    if not t > 0.0 or (dz < 0.0) != entering:
+        set_fate(bundle, i, 0.0, MLA_MOUNT + 1.0)
+        return
+    to_x, to_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
+    if entering:
+        column, row = cell_of(lenslets.lattice, to_x, to_y)
+        held = is_inside(lenslets.lattice, column, row)
+    else:
+        held = stays_inside(lenslets.lattice, x, y, to_x, to_y)
+    set_fate(bundle, i, t, 0.0 if held else (MLA_MOUNT if entering else MLA_EDGE) + 1.0)
+    bundle[AT_Z + i] = lenslets.thickness
+
+
+@kernel
+def _meet_single_lenslets(bundle: Array, mla: MlaTables, inward: bool) -> None:
+    """Find where rays meet the sphere of the cell in which they enter the layer of faces; `_CERTAIN` if within it."""
+    lenslets = mla.lenslets
+    lattice = lenslets.lattice
+    safe_x, safe_y = _safe_extent(lattice)
+    border = lenslets.top if inward else lenslets.valley
+    if lattice.hexagonal:
+        _find_hexagonal_cells(bundle, border, lattice.pitch, lattice.columns, lattice.rows)
+    else:
+        _find_square_cells(bundle, border, lattice.pitch, lattice.columns, lattice.rows)
+    if are_alike(lenslets):
+        _fill_shapes(bundle, lenslets.curvature[0])
+    else:
+        for i in range(BLOCK):
+            if bundle[_CERTAIN + i] > 0.0:
+                curvature, ex, ey = shape_of(lenslets, int(bundle[_COLUMN + i]), int(bundle[_ROW + i]))
+                bundle[_CURVATURE + i] = curvature
+                bundle[_APEX_X + i], bundle[_APEX_Y + i] = bundle[_CENTRE_X + i] + ex, bundle[_CENTRE_Y + i] + ey
+    _meet_spheres(bundle, 1.0 if inward else -1.0, safe_x, safe_y)
+    _keep_in_cells(bundle, AT_X, lattice.hexagonal, 0.5 * lattice.pitch)
+
+
+@kernel
+def _find_square_cells(bundle: Array, border: float, pitch: float, columns: int, rows: int) -> None:
+    """Find the cell in which each ray enters the layer of faces, at z = `border`."""
+    over = 1.0 / pitch
+    for i in range(BLOCK):
+        t = (border - bundle[Z + i]) / bundle[DZ + i]
+        t = select(t > 0.0, t, 0.0)
+        column = np.floor((bundle[X + i] + t * bundle[DX + i]) * over + 0.5 * columns)
+        row = np.floor((bundle[Y + i] + t * bundle[DY + i]) * over + 0.5 * rows)
+        bundle[_CENTRE_X + i] = (column - 0.5 * (columns - 1)) * pitch
+        bundle[_CENTRE_Y + i] = (row - 0.5 * (rows - 1)) * pitch
+        _enter_cell(bundle, i, column, row, columns, rows)
+
+
+@pasted
+def _enter_cell(bundle: Array, i: int, column: float, row: float, columns: int, rows: int) -> None:
+    inside = both(both(column >= 0.0, column < columns), both(row >= 0.0, row < rows))
+    bundle[_COLUMN + i], bundle[_ROW + i] = column, row
+    bundle[_CERTAIN + i] = select(both(inside, bundle[ENDED_ON + i] == 0.0), 1.0, 0.0)
+
+
+@pasted
+def _nearest_in_row(u: float, v: float, row: float, columns: int, rows: int) -> tuple[float, float, float, float]:
+    """Return the column of a row's centre that is nearest to a point, that centre, and its squared distance."""
+    shift = row - 2.0 * np.floor(0.5 * row)
+    shift = 0.5 * shift - (0.25 if rows > 1 else 0.0)
+    column = np.floor(u - shift + 0.5 * columns)
+    x, y = column - 0.5 * (columns - 1) + shift, (row - 0.5 * (rows - 1)) * ROW_SPACING
+    return column, x, y, (u - x) * (u - x) + (v - y) * (v - y)
+
+
+@kernel
+def _find_hexagonal_cells(bundle: Array, border: float, pitch: float, columns: int, rows: int) -> None:
+    over = 1.0 / pitch
+    for i in range(BLOCK):
+        t = (border - bundle[Z + i]) / bundle[DZ + i]
+        t = select(t > 0.0, t, 0.0)
+        u, v = (bundle[X + i] + t * bundle[DX + i]) * over, (bundle[Y + i] + t * bundle[DY + i]) * over
+        # The nearest centre is in the row of centres below the point or in the row above it.
+        low = np.floor(v / ROW_SPACING + 0.5 * (rows - 1))
+        column, x, y, square = _nearest_in_row(u, v, low, columns, rows)
+        other, other_x, other_y, other_square = _nearest_in_row(u, v, low + 1.0, columns, rows)
+        above = other_square < square
+        bundle[_CENTRE_X + i] = select(above, other_x, x) * pitch
+        bundle[_CENTRE_Y + i] = select(above, other_y, y) * pitch
+        _enter_cell(bundle, i, select(above, other, column), select(above, low + 1.0, low), columns, rows)
+
+
+@kernel
+def _fill_shapes(bundle: Array, curvature: float) -> None:
+    for i in range(BLOCK):
+        bundle[_CURVATURE + i] = curvature
+        bundle[_APEX_X + i], bundle[_APEX_Y + i] = bundle[_CENTRE_X + i], bundle[_CENTRE_Y + i]
+
+
+@kernel
+def _meet_spheres(bundle: Array, sense: float, safe_x: float, safe_y: float) -> None:
+    """Find where rays meet their lenslets' spheres on the half of the apex; certain only off the outermost cells."""
+    from_air = sense > 0.0
+    for i in range(BLOCK):
+        c = bundle[_CURVATURE + i]
+        x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        # Counted from the plane of the apex, as digits would be lost when a ray comes from far to a small lenslet.
+        at = -z / dz
+        ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
+        root, cos_i, above, below = sphere_crossing(c * sense, ax, ay, 0.0, dx, dy, dz, sense)
+        t = above / below
+        rx, ry, pz = ax + t * dx, ay + t * dy, t * dz
+        bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i] = rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz
+        set_normal(bundle, i, -c * rx * sense, -c * ry * sense, (1.0 - c * pz) * sense)
+        bundle[FATE + i] = 0.0
+        holds = both(both(root > 0.0, sense * dz > 0.0), both(both(at + t > 0.0, c * pz < 1.0), cos_i > 0.0))
+        holds = both(holds, _is_safe(bundle, i, safe_x, safe_y, from_air))
+        bundle[_CERTAIN + i] = select(holds, bundle[_CERTAIN + i], 0.0)
+
+
+@kernel
+def _keep_in_cells(bundle: Array, row: int, hexagonal: bool, half: float) -> None:
+    """Let rays be certain no longer whose point in a row, and the next, lies outside their cell."""
+    if hexagonal:
+        for i in range(BLOCK):
+            x, y = bundle[row + i] - bundle[_CENTRE_X + i], bundle[row + BLOCK + i] - bundle[_CENTRE_Y + i]
+            bundle[_CERTAIN + i] = select(half_hexagon(x, y) <= half, bundle[_CERTAIN + i], 0.0)
+    else:
+        for i in range(BLOCK):
+            x, y = bundle[row + i] - bundle[_CENTRE_X + i], bundle[row + BLOCK + i] - bundle[_CENTRE_Y + i]
+            bundle[_CERTAIN + i] = select(both(abs(x) <= half, abs(y) <= half), bundle[_CERTAIN + i], 0.0)
+
+
+@kernel
+def _find_ways_out(bundle: Array, lenslets: Any, into_glass: bool) -> None:
+    """Leave those rays certain that leave the layer of faces within their cell, in the direction that they should."""
+    out, sense = (lenslets.valley, 1.0) if into_glass else (lenslets.top, -1.0)
+    for i in range(BLOCK):
+        t = (out - bundle[Z + i]) / bundle[DZ + i]
+        bundle[_OUT_X + i], bundle[_OUT_Y + i] = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        bundle[_CERTAIN + i] = select(bundle[DZ + i] * sense > 0.0, bundle[_CERTAIN + i], 0.0)
+        set_fate(bundle, i, 0.0, 0.0)
+    _keep_in_cells(bundle, _OUT_X, lenslets.lattice.hexagonal, 0.5 * lenslets.lattice.pitch)
+
+
+@kernel
+def _meet_singly(bundle: Array, i: int, mla: MlaTables, inward: bool) -> None:
+    """Find which lenslet one ray meets, and where, or that it ends before or passes through the layer of faces."""
+    lenslets = mla.lenslets
+    lattice = lenslets.lattice
+    x, y, z, dz = bundle[X + i], bundle[Y + i], bundle[Z + i], bundle[DZ + i]
+    if (dz > 0.0) != inward or (inward and z > lenslets.valley):
+        set_fate(bundle, i, 0.0, MLA_MOUNT + 1.0)
+        return
+    t = max(0.0, ((lenslets.top if inward else lenslets.valley) - z) / dz)
+    at_x, at_y = x + t * bundle[DX + i], y + t * bundle[DY + i]
+    column, row = cell_of(lattice, at_x, at_y)
+    if not (is_inside(lattice, column, row) if inward else stays_inside(lattice, x, y, at_x, at_y)):
+        set_fate(bundle, i, t, (MLA_MOUNT if inward else MLA_EDGE) + 1.0)
+        return
+    fate, t, column, row = _next_in_layer(bundle, i, mla, inward, column, row, t)
+    set_fate(bundle, i, t, fate + 1.0 if fate >= 0 else (0.0 if fate == MEETS_FACE else DROPPED))
+    bundle[_COLUMN + i], bundle[_ROW + i] = column, row
+    if fate == MEETS_FACE:
+        cx, cy = centre(lattice, column, row)
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        sense = 1.0 if inward else -1.0
+        nx, ny, nz = face_normal(
+            lenslets, column, row, curvature, bundle[AT_X + i] - cx - ex, bundle[AT_Y + i] - cy - ey, bundle[AT_Z + i]
+        )
+        set_normal(bundle, i, sense * nx, sense * ny, sense * nz)
+
+
+@kernel
+def _leave_singly(bundle: Array, i: int, mla: MlaTables, into_glass: bool, in_air: bool) -> None:
+    """Find whether one ray leaves the layer of faces, from a face in a cell, or what it ends on before.
+
+    A ray that turns round, or meets another face, is dropped.
+    """
+    if (bundle[DZ + i] > 0.0) != into_glass:
+        drop(bundle, i)
+        return
+    column, row = int(bundle[_COLUMN + i]), int(bundle[_ROW + i])
+    fate, t, column, row = _next_in_layer(bundle, i, mla, in_air, column, row, 0.0)
+    if fate >= 0:
+        set_fate(bundle, i, t, fate + 1.0)
+    elif fate != LEAVES_LAYER:
+        drop(bundle, i)
+
+
+@kernel
+def _next_in_layer(
+    bundle: Array, i: int, mla: MlaTables, in_air: bool, column: int, row: int, start: float
+) -> tuple[int, float, int, int]:
+    """Walk a ray through the layer of faces; return its fate (or the slot that it ends on), the distance and the cell.
+
+    Parameters
+    ----------
+    in_air : bool
+        The ray is before the curved face; else in the glass.
+    column, row : int
+        Cell in which the walk starts.
+    start : float, mm
+        Distance at which the ray is in that cell.
+    """
+    lenslets = mla.lenslets
+    lattice = lenslets.lattice
+    x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
+    dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+    out = ((lenslets.valley if dz > 0.0 else lenslets.top) - z) / dz
+    t = start
+    # Each step goes on in the ray's direction: the walk ends at the array's edge at the latest.
+    while True:
+        cx, cy = centre(lattice, column, row)
+        curvature, ex, ey = shape_of(lenslets, column, row)
+        leaves, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
+        if is_spherical(lenslets.profile):
+            met, more = conic_distance(
+                curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz,
+                1.0 if in_air else -1.0,
+            )  # fmt: skip
+            hit = t + more
+            # A hit beyond the layer is on the sphere's other half.
+            met = met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0
+        else:
+            met, hit = meets_profile(
+                lenslets.profile, lenslets, column, row, x - cx, y - cy, z, dx, dy, dz, in_air, t, min(leaves, out)
+            )
+        if met:
+            return MEETS_FACE, hit, column, row
+        if out < leaves:
+            return LEAVES_LAYER, out, column, row
+        t = leaves
+        column, row = neighbour(lattice, column, row, side)
+        if not is_inside(lattice, column, row):
+            return MLA_MOUNT if in_air else MLA_EDGE, t, column, row
+        if not are_alike(lenslets):
+            cx, cy = centre(lattice, column, row)
+            curvature, ex, ey = shape_of(lenslets, column, row)
+            face = face_sag(lenslets, column, row, curvature, x + t * dx - cx - ex, y + t * dy - cy - ey)
+            if (z + t * dz > face) == in_air:
+                return MLA_WALL, t, column, row

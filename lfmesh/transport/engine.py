@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
 from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.transport.lights.combine import ask_lights
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
@@ -29,11 +30,11 @@ from lfmesh.transport.packets.packet import (
     DEPOSIT,
     DEPOSITS,
     E_START,
-    EMITTERS,
     END,
     ENDED,
     LENS,
     LENS_MESH,
+    LIGHTS,
     NO_SURFACE,
     NODE,
     NODES,
@@ -52,10 +53,10 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
-from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.regions.stuck import lose_stuck
@@ -284,9 +285,10 @@ class Workspace:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
             # Of the lens only its box is of interest there: one compiled kernel for all lenses.
-            shade_objects(wave, found, tables.objects, clear(lens), tables.aim, frames, options, flow)
-        elif station == EMITTERS:
-            ask_emitters(wave, tables.objects, options, flow)
+            space = ObjectSpace(options, flow, frames, tables.objects, tables.aim)
+            shade_objects(wave, found, clear(lens), space)
+        elif station == LIGHTS:
+            ask_lights(wave, tables.objects, options, flow)
         elif station == PLATE:
             through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
         elif station == STUCK:

@@ -20,15 +20,15 @@ from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
-from lfmesh.transport.tables.emitters import emitter_table, mean_emissions, no_emitters
+from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.halos import halo_tables
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
+from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import (
     AIR,
@@ -305,7 +305,7 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
-    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights, tables.outer_radius))
+    volumes = volumes._replace(near_lamps=single_scatter_tables(volumes, tables.lights, tables.outer_radius))
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(

@@ -86,6 +86,27 @@ class Passage(NamedTuple):
     densest: float
 
 
+class ScatteringPoint(NamedTuple):
+    """A point of a line at which light is scattered.
+
+    Attributes
+    ----------
+    t : float, mm
+        Its distance.
+    share : float
+        Of the light that set out, which is scattered there; its mean is `Passage.scattered`.
+    density : float
+        Of the light that is scattered there, over that which set out, 1/mm.
+    medium : int
+        Number of the medium.
+    """
+
+    t: float
+    share: float
+    density: float
+    medium: int
+
+
 class Ray(NamedTuple):
     """A ray in the object frame or in a medium's own, mm; the direction is a unit vector."""
 
@@ -532,10 +553,8 @@ def _absorbed_in(volumes: Volumes, line: Line, number: int, step: Step) -> tuple
 
 
 @kernel
-def scattering_point(
-    volumes: Volumes, line: Line, passage: Passage, key: np.uint64
-) -> tuple[float, float, float, int]:  # fmt: skip
-    """Return the distance of a random scattering point on a line, the share that scatters there, and the medium.
+def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uint64) -> ScatteringPoint:
+    """Return a random point of a line at which light is scattered.
 
     Parameters
     ----------
@@ -545,16 +564,6 @@ def scattering_point(
         Of the line, of which some light is scattered.
     key : uint64
         As in `pass_through`.
-
-    Returns
-    -------
-    t : float, mm
-    share : float
-        Of the light that set out; its mean is `passage.scattered`.
-    density : float
-        Of the light that is scattered there, over that which set out, 1/mm.
-    number : int
-        Of the medium.
     """
     u = uniform(key, PLACE)
     depth = passage.extinction * passage.length
@@ -587,7 +596,7 @@ def scattering_point(
         if ks > 0.0 and choice >= 0.0:
             which = number
         choice -= ks
-    return t, share, density, which
+    return ScatteringPoint(t, share, density, which)
 
 
 @kernel

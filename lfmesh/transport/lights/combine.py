@@ -17,11 +17,22 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase
+from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import EDGE, clear_of, deposit
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.scattering import Point, density, evaluate
 from lfmesh.transport.events.surface import point_of
 from lfmesh.transport.events.travel import transmitted
-from lfmesh.transport.events.volume import Line, Passage, Ray, along, pass_through, ray_of, scattered_at
+from lfmesh.transport.events.volume import (
+    Line,
+    Passage,
+    Ray,
+    ScatteringPoint,
+    along,
+    pass_through,
+    ray_of,
+    scattered_at,
+)
 from lfmesh.transport.lights.emitting_facets import are_asked as facets_are_asked
 from lfmesh.transport.lights.emitting_facets import radiance as radiance_of_facet
 from lfmesh.transport.lights.emitting_facets import sample as sample_facets
@@ -90,37 +101,35 @@ def has_asked(packet: Any) -> bool:
 
 
 @inlined
-def ask_lamps(options: Options, objects: ObjectTables, flow: Flow, packet: Any, point: Point) -> bool:
+def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
     """Send a shadow packet to every lamp that can reach a point of a target; tell whether there is any.
 
     Parameters
     ----------
-    options : Options
-    objects : ObjectTables
-    flow : Flow
+    space : ObjectSpace
     packet : PACKET
         It has met the target.
     point : Point
     """
-    facet, colour = objects.facets[point.prim], packet.colour
-    any_lamp = False
+    objects = space.objects
+    facet, any_lamp = objects.facets[point.prim], False
     for number in range(len(objects.lights)):
-        way = sample_lamp(options, objects, packet, number, (point.x, point.y, point.z), False)
+        way = sample_lamp(space.options, objects, packet, number, (point.x, point.y, point.z), False)
         ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         if cosine <= 0.0 or way.value <= 0.0:
             continue
         any_lamp = True
-        brdf = evaluate(objects.scattering, point, colour, packet.dx, packet.dy, packet.dz, ux, uy, uz)
-        weight = packet.weight * brdf * way.value * cosine
-        shadow = send(flow, packet, way, weight, packet.key, clear_of(facet, point.x, point.y, point.z, ux, uy, uz))
+        brdf = evaluate(objects.scattering, point, packet.colour, (packet.dx, packet.dy, packet.dz), (ux, uy, uz))
+        clear = clear_of(facet, point.x, point.y, point.z, ux, uy, uz)
+        shadow = send(space.flow, packet, way, packet.weight * brdf * way.value * cosine, packet.key, clear)
         shadow.facet = point.prim
     return any_lamp
 
 
 @inlined
 def ask_lamps_on_line(
-    options: Options, objects: ObjectTables, flow: Flow, packet: Any, passage: Passage, scatters: Any, key: np.uint64
+    space: ObjectSpace, packet: Any, weight: float, line: Line, passage: Passage, point: ScatteringPoint, key: np.uint64
 ) -> None:  # fmt: skip
     """Send a shadow packet to every lamp from a random point of a packet's way through media.
 
@@ -129,41 +138,39 @@ def ask_lamps_on_line(
 
     Parameters
     ----------
-    options : Options
-    objects : ObjectTables
-    flow : Flow
+    space : ObjectSpace
     packet : PACKET
         At the start of its way; its own weight is not used.
+    weight : float
+        Of the packet at its start.
+    line : Line
     passage : Passage
-    scatters : tuple
-        The line, the weight at its start, and what `scattering_point` returned.
+    point : ScatteringPoint
     key : uint64
         Of the random numbers.
     """
-    line, weight, t, share, scattered, number = scatters
-    lights, spectra, colour, ray = objects.lights, objects.light_spectra, line.colour, line.ray
-    first, last = passage.first, passage.last
-    near = NEAR * passage.scattered / passage.densest
+    objects, colour, ray = space.objects, line.colour, line.ray
+    lights, spectra, first, last = objects.lights, objects.light_spectra, passage.first, passage.last
+    t, share, scattered, medium = point
     whole = 0.0
-    if passes_lamp(lights, spectra, colour, ray, first, last, near):
+    if passes_lamp(lights, spectra, colour, ray, first, last, NEAR * passage.scattered / passage.densest):
         whole = lamps_on_line(lights, spectra, colour, ray, first, last)
     points = 2 if whole > 0.0 else 1
-    for point in range(points):
-        if point == 1:
+    for number in range(points):
+        if number == 1:
             t = distance_by_angle(lights, spectra, colour, ray, first, last, whole * uniform(key, BY_LAMP))
-            scattered, number = scattered_at(objects.volumes, line, t, flow.book, key)
+            scattered, medium = scattered_at(objects.volumes, line, t, space.flow.book, key)
         if points == 2 and scattered > 0.0:
             own = scattered / passage.scattered
             by_lamp = density_by_angle(lights, spectra, colour, ray, t) / whole
-            share = (scattered if point == 1 else share * own) / (own + by_lamp)
+            share = (scattered if number == 1 else share * own) / (own + by_lamp)
         if scattered > 0.0:
-            _ask_lamps_in_medium(options, objects, flow, packet, weight * share, number, along(ray, t))
+            _ask_lamps_in_medium(space, packet, weight * share, medium, along(ray, t))
 
 
 @kernel
 def _ask_lamps_in_medium(
-    options: Options, objects: ObjectTables, flow: Flow, packet: Any, weight: float, number: int,
-    place: tuple[float, float, float],
+    space: ObjectSpace, packet: Any, weight: float, medium: int, place: tuple[float, float, float]
 ) -> None:  # fmt: skip
     """Send a shadow packet to every lamp from a point of a medium.
 
@@ -173,15 +180,15 @@ def _ask_lamps_in_medium(
         On its way to the point.
     weight : float
         That is scattered there.
-    number : int
-        Of the medium.
+    medium : int
+        Number of the medium.
     place : (3,) float, mm
         The point.
     """
-    volumes = objects.volumes
-    phase = volumes.phases.rows[number, packet.colour]
+    objects, volumes = space.objects, space.objects.volumes
+    phase = volumes.phases.rows[medium, packet.colour]
     for lamp in range(len(objects.lights)):
-        way = sample_lamp(options, objects, packet, lamp, place, True)
+        way = sample_lamp(space.options, objects, packet, lamp, place, True)
         ray = way.ray
         scattered = evaluate_phase(volumes.phases, phase, packet.dx * ray.dx + packet.dy * ray.dy + packet.dz * ray.dz)
         if way.value * scattered > 0.0:
@@ -189,33 +196,31 @@ def _ask_lamps_in_medium(
             if len(volumes.near_lamps.angles) > 0 and has_asked(packet) and way.reach < np.inf:
                 asked = density_past_lamp(volumes.near_lamps, objects, packet, lamp, along(ray, way.reach))
                 lit *= share_of_scattered(packet, asked)
-            shadow = send(flow, packet, way, lit, packet.key, 0.0)
+            shadow = send(space.flow, packet, way, lit, packet.key, 0.0)
             shadow.facet = NO_SURFACE
 
 
 @inlined
 def wait_for_lights(
-    options: Options, objects: ObjectTables, flow: Flow, packet: Any, place: tuple[float, float, float],
-    medium: int, key: np.uint64,
+    space: ObjectSpace, packet: Any, place: tuple[float, float, float], medium: int, key: np.uint64
 ) -> None:  # fmt: skip
     """Let a packet wait at a point from which lights other than lamps are asked, if there are any.
 
     Parameters
     ----------
-    options : Options
-    objects : ObjectTables
-    flow : Flow
+    space : ObjectSpace
     packet : PACKET
-        On its way to the point, with the weight that is scattered there.
+        On its way to the point, with the weight that is scattered there and the point's facet, `IN_FOG` in a medium.
     place : (3,) float, mm
         The point.
     medium : int
         Number of the medium; −1: the point is on a target.
     key : uint64
     """
+    options, objects = space.options, space.objects
     if facets_are_asked(options, objects, packet.events) or _media_are_asked(objects.volumes, options, packet):
         asking = put(
-            flow, LIGHTS, packet, OBJECT_FRAME, place[0], place[1], place[2], packet.dx, packet.dy, packet.dz,
+            space.flow, LIGHTS, packet, OBJECT_FRAME, place[0], place[1], place[2], packet.dx, packet.dy, packet.dz,
             packet.weight, key, 0.0,
         )  # fmt: skip
         asking.in_medium = medium
@@ -236,7 +241,7 @@ def _media_are_asked(volumes: Any, options: Options, packet: Any) -> bool:
 
 
 @kernel
-def ask_lights(wave: NDArray[np.void], objects: ObjectTables, options: Options, flow: Flow) -> None:
+def ask_lights(wave: NDArray[np.void], space: ObjectSpace) -> None:
     """Send packets from each point to emitting facets, to emitting media and past a lamp.
 
     Parameters
@@ -244,51 +249,48 @@ def ask_lights(wave: NDArray[np.void], objects: ObjectTables, options: Options, 
     wave : (n,) PACKET
         Packets at the points, with the directions in which they arrived, and the facets in `facet`: `IN_FOG` in a
         medium, whose number is then in `in_medium`.
-    objects : ObjectTables
-    options : Options
-    flow : Flow
+    space : ObjectSpace
     """
     for i in range(len(wave)):
         packet = wave[i]
-        if facets_are_asked(options, objects, packet.events):
-            _ask(objects, options, flow, packet, sample_facets(options, objects, packet), packet.key)
-        _ask_media(objects.volumes, objects, options, flow, packet)
+        if facets_are_asked(space.options, space.objects, packet.events):
+            _ask(space, packet, sample_facets(space.options, space.objects, packet), packet.key)
+        _ask_media(space.objects.volumes, space, packet)
 
 
 @inlined
-def _ask_media(volumes: Any, objects: ObjectTables, options: Options, flow: Flow, packet: Any) -> None:
+def _ask_media(volumes: Any, space: ObjectSpace, packet: Any) -> None:
     """Send packets from a point to emitting media and past a lamp; `volumes` : Volumes or None."""
     if volumes is None:
         return
+    options = space.options
     if options.bounce and volumes.emit:
         key = derived(packet.key, TOWARDS_MEDIA + packet.events)
-        _ask(objects, options, flow, packet, sample_media(volumes, options, packet, key), key)
+        _ask(space, packet, sample_media(volumes, options, packet, key), key)
     if single_scatter_is_asked(volumes, options, packet.events):
         key = derived(packet.key, TOWARDS_SCATTERED + packet.events)
-        _ask(objects, options, flow, packet, sample_past_lamp(volumes.near_lamps, options, objects, packet, key), key)
+        _ask(space, packet, sample_past_lamp(volumes.near_lamps, options, space.objects, packet, key), key)
 
 
 @inlined
-def _ask(objects: ObjectTables, options: Options, flow: Flow, packet: Any, way: Way, key: np.uint64) -> None:
+def _ask(space: ObjectSpace, packet: Any, way: Way, key: np.uint64) -> None:
     """Send a shadow packet from a point along a way to a light, with its share of what the light brings."""
     if way.density <= 0.0:
         return
-    scattered, by_chance, clear = _scattered_along(objects.volumes, objects, options, packet, way.ray)
+    scattered, by_chance, clear = _scattered_along(space.objects.volumes, space, packet, way.ray)
     value = way.value
     if scattered > 0.0 and way.light == TO_FACET:
-        value = radiance_of_facet(objects, packet, way)
+        value = radiance_of_facet(space.objects, packet, way)
     weight = packet.weight * scattered * value / (way.density + by_chance)
     if weight > 0.0:
-        shadow = send(flow, packet, way, weight, key, clear)
+        shadow = send(space.flow, packet, way, weight, key, clear)
         if way.light == PAST_LAMP:
             # As of the packet that is scattered, whose line this might be.
             count_event(shadow)
 
 
 @inlined
-def _scattered_along(
-    volumes: Any, objects: ObjectTables, options: Options, packet: Any, ray: Ray
-) -> tuple[float, float, float]:
+def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) -> tuple[float, float, float]:
     """Return what a point scatters along a ray, with its cosine, and the density of scattered packets, both 1/sr.
 
     The density is that of those which roulette keeps: where hardly any are, their light would else be in single pixels.
@@ -306,6 +308,7 @@ def _scattered_along(
     clear : float, mm
         Distance at which a query that way begins.
     """
+    options, objects = space.options, space.objects
     x, y, z, ux, uy, uz = ray
     # Two conditions: numba leaves the code out where the first alone is known not to hold.
     if volumes is not None:  # noqa: SIM102
@@ -320,8 +323,8 @@ def _scattered_along(
     if cosine <= EDGE:
         return 0.0, 0.0, 0.0
     point = point_of(objects, packet.facet, packet.colour, (x, y, z), side, True)
-    by_chance = density(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
-    brdf = evaluate(objects.scattering, point, packet.colour, ix, iy, iz, ux, uy, uz)
+    by_chance = density(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
+    brdf = evaluate(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
     if by_chance > 0.0:
         by_chance *= _kept(options, packet, packet.weight * brdf * cosine / by_chance)
     return brdf * cosine, by_chance, clear_of(own, x, y, z, ux, uy, uz)
@@ -335,38 +338,31 @@ def _kept(options: Options, packet: Any, weight: float) -> float:
 
 
 @inlined
-def bring_light(
-    options: Options, objects: ObjectTables, flow: Flow, packet: Any, place: int, reach: float
-) -> None:  # fmt: skip
+def bring_light(space: ObjectSpace, packet: Any, reach: float) -> None:
     """Deposit what a light brings along the way of a shadow packet: of a lamp or a facet that is reached, all of it.
 
     Parameters
     ----------
-    options : Options
-    objects : ObjectTables
-    flow : Flow
+    space : ObjectSpace
     packet : PACKET
         At the start of the way.
-    place : int
-        Rank of the body of glass or liquid that it is in; 0: air.
     reach : float, mm
         Length of the way.
     """
-    light = _along_media(objects.volumes, objects, flow, packet, place, reach)
+    objects = space.objects
+    light = _along_media(objects.volumes, objects, space.flow, packet, reach)
     if packet.light == TO_FACET:
         light *= transmitted(objects.media.absorption, packet.medium, packet.colour, reach)
     if light > 0.0:
-        deposit(options, flow, packet.source, packet.colour, light)
+        deposit(space.options, space.flow, packet.source, packet.colour, light)
 
 
 @inlined
-def _along_media(
-    volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, place: int, reach: float
-) -> float:  # fmt: skip
+def _along_media(volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, reach: float) -> float:
     """Return what a shadow packet brings through media, and from them; `volumes` : Volumes or None."""
     if volumes is None:
         return packet.weight
-    line = Line(ray_of(packet), place, packet.colour)
+    line = Line(ray_of(packet), bodies_round(packet) & RANK, packet.colour)
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, line, reach, flow.book, 0.0, key)
     if packet.light == TO_MEDIA:

@@ -58,16 +58,6 @@ def sample(
     return Way(TO_LAMP, number, Ray(x, y, z, ux, uy, uz), reach, irradiance, 1.0)
 
 
-@inlined
-def _point_of_disk(light: Any, u: float, v: float) -> tuple[float, float, float]:
-    """Return a random point of a disk, uniform by area, mm, object frame."""
-    r, phi = light.radius * np.sqrt(u), 2.0 * np.pi * v
-    px, py, pz, qx, qy, qz = tangents(light.direction[0], light.direction[1], light.direction[2])
-    a, b = r * np.cos(phi), r * np.sin(phi)
-    x, y, z = light.position[0], light.position[1], light.position[2]
-    return x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
-
-
 @kernel
 def _near_disk(
     light: Any, x: float, y: float, z: float, height: float, u: float, v: float
@@ -98,7 +88,7 @@ def _near_disk(
     radius2 = light.radius * light.radius
     ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
     if u < 0.5:
-        px, py, pz = _point_of_disk(light, 2.0 * u, v)
+        px, py, pz = point_of_light(light, 2.0 * u, v)
         ux, uy, uz = px - x, py - y, pz - z
         reach = np.sqrt(ux * ux + uy * uy + uz * uz)
         ux, uy, uz = ux / reach, uy / reach, uz / reach
@@ -154,9 +144,13 @@ def point_of_light(light: Any, u: float, v: float) -> tuple[float, float, float]
     u, v : float
         Random numbers, uniform in [0, 1), of a light that has a size.
     """
-    if light.kind == DISK:
-        return _point_of_disk(light, u, v)
-    return light.position[0], light.position[1], light.position[2]
+    x, y, z = light.position[0], light.position[1], light.position[2]
+    if light.kind != DISK:
+        return x, y, z
+    r, phi = light.radius * np.sqrt(u), 2.0 * np.pi * v
+    px, py, pz, qx, qy, qz = tangents(light.direction[0], light.direction[1], light.direction[2])
+    a, b = r * np.cos(phi), r * np.sin(phi)
+    return x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
 
 
 @inlined

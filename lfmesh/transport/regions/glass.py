@@ -42,6 +42,7 @@ from lfmesh.transport.events.interface import (
     scatterer,
     splitter,
 )
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import IN_OBJECTS, shares_by_state
 from lfmesh.transport.events.travel import arrive
 from lfmesh.transport.lights.lamps import sample as sample_lamp
@@ -63,7 +64,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.paths.automaton import counts
-from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.regions.targets import AIMED_CHILD
 from lfmesh.transport.tables.tables import AIR, Interfaces, ObjectTables, body_row
 
@@ -309,19 +309,18 @@ def _aim_from_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, fac
 
 @kernel
 def _density_into_air(
-    interfaces: Interfaces, objects: ObjectTables, packet: Any, face: RoughFace, way: tuple[float, float, float],
+    interfaces: Interfaces, objects: ObjectTables, packet: Any, face: RoughFace, direction: tuple[float, float, float],
     lamp: int,
 ) -> float:  # fmt: skip
     """Return the density, 1/sr, with which a rough facet scatters a packet in a direction; 0: not into air.
 
     Parameters
     ----------
-    way : (3,) float
-        Unit direction.
+    direction : (3,) float
     lamp : int
         See `scattered_density`.
     """
-    ux, uy, uz = way
+    ux, uy, uz = direction
     nx, ny, nz = face.nx, face.ny, face.nz
     fx, fy, fz = _along_facet(objects.facets[face.prim], face)
     passes = fx * ux + fy * uy + fz * uz > 0.0

@@ -30,6 +30,7 @@ from lfmesh.transport.events.crossing import (
     too_deep,
     write_query,
 )
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.travel import travel
 from lfmesh.transport.events.volume import ray_of
 from lfmesh.transport.lights.combine import bring_light
@@ -67,7 +68,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.paths.automaton import LAMP_ON_CAMERA, counts
 from lfmesh.transport.regions.glass import Curved, through_glass
-from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.regions.targets import meet_target, passes, share_with_other
 from lfmesh.transport.regions.volumes import Met, is_stopped_by_media, way_through_media
 from lfmesh.transport.tables.tables import OPAQUE, LensTables, ObjectTables
@@ -315,7 +315,7 @@ def _follow_shadow(space: ObjectSpace, lens: LensTables, packet: Any, met: Met) 
             return
     else:
         reach = way_through_media(space, lens, packet, met)
-    bring_light(space.options, objects, space.flow, packet, bodies_round(packet) & RANK, reach)
+    bring_light(space, packet, reach)
 
 
 @inlined

@@ -29,6 +29,7 @@ from lfmesh.transport.events.crossing import (
     thinned,
     windowed,
 )
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
 from lfmesh.transport.events.surface import emitted_radiance, opacity_at, point_of
@@ -55,7 +56,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.paths.automaton import counts, counts_not_yet
-from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
     point = point_of(objects, prim, packet.colour, (x, y, z), side, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and counts(options, packet):
-        _gather(options, flow, objects, packet, point, share > 0.0)
+        _gather(space, packet, point, share > 0.0)
     scattered = weight * share
     if scattered <= 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
@@ -139,8 +139,9 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
 
 
 @inlined
-def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
+def _gather(space: ObjectSpace, packet: Any, point: Point, scatters: bool) -> None:
     """Deposit the light that a target emits towards the packet, and ask lights whose light it scatters."""
+    options, flow, objects = space.options, space.flow, space.objects
     flow.book[REACHED] += packet.weight
     radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz)
     lit = radiance > 0.0
@@ -151,8 +152,8 @@ def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, po
         deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     if scatters:
         packet.facet = point.prim
-        lit = ask_lamps(options, objects, flow, packet, point) or lit
-        wait_for_lights(options, objects, flow, packet, (point.x, point.y, point.z), NO_SURFACE, packet.key)
+        lit = ask_lamps(space, packet, point) or lit
+        wait_for_lights(space, packet, (point.x, point.y, point.z), NO_SURFACE, packet.key)
     if lit:
         flow.book[LIT] += packet.weight
 
@@ -171,7 +172,7 @@ def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scatte
     scattered : float
         Weight times the model's albedo.
     """
-    options, flow, frames, objects, aim = space
+    options, flow, frames, objects, _ = space
     if scattered <= 0.0:
         return
     packet.facet = point.prim
@@ -184,7 +185,7 @@ def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scatte
         )
     to_camera = 0.0
     if options.aimed and not options.adjoint:
-        to_camera = _aim_at_camera(flow, frames, objects, aim, packet, point, weight)
+        to_camera = _aim_at_camera(space, packet, point, weight)
     if not options.bounce and (options.aimed or options.adjoint):
         # Nothing but the camera can be met: all other light escapes.
         flow.book[ESCAPED] += scattered - to_camera
@@ -199,9 +200,9 @@ def _bounce(
 ) -> None:
     """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
-    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    incoming = packet.dx, packet.dy, packet.dz
     u, v = draw_two(options, packet, BOUNCE_U)
-    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
+    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, incoming, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
@@ -212,19 +213,18 @@ def _bounce(
         clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
-        child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
+        child.density = density(objects.scattering, point, packet.colour, incoming, (dx, dy, dz))
         if options.adjoint:
             # Of all that are drawn, roulette keeps few; see `lights.combine`.
             child.density *= drawn / weight
 
 
 @inlined
-def _aim_at_camera(
-    flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point, weight: float
-) -> float:
+def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float) -> float:
     """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
+    _, flow, frames, objects, aim = space
     x, y, z = point.x, point.y, point.z
-    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    incoming = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, at_lens = aimed_from(
         aim.through, aim, px, py, pz,
@@ -234,14 +234,14 @@ def _aim_at_camera(
     cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
     if cos_theta <= 0.0 or at_lens <= 0.0:
         return 0.0
-    weight *= evaluate(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
+    weight *= evaluate(objects.scattering, point, packet.colour, incoming, (dx, dy, dz)) * cos_theta / at_lens
     child = put(
         flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
         derived(packet.key, AIMED_CHILD + packet.events), clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz),
     )  # fmt: skip
     child.kind = CAMERA
     child.start = weight
-    child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
+    child.density = density(objects.scattering, point, packet.colour, incoming, (dx, dy, dz))
     return weight
 
 

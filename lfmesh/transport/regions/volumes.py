@@ -18,6 +18,7 @@ from lfmesh.optics.scattering import about
 from lfmesh.transport.aiming.through_glass import aimed_from
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import box_entry, deposit, end_here, meets_patch, record, too_deep, windowed
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.volume import Line, Ray, along, pass_through, ray_of, scattering_point
 from lfmesh.transport.lights.combine import (
@@ -50,7 +51,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.paths.automaton import counts, counts_not_yet
-from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.tables.tables import OPAQUE, LensTables, ObjectTables
 
 Array = NDArray[np.float64]
@@ -191,21 +191,20 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     # From here on the record stands for the child; its own weight is put back at the end.
     left, events, node, kind, last = packet.weight, packet.events, packet.node, packet.kind, packet.last
     facet, moves = packet.facet, packet.moves
-    t, share, density, number = scattering_point(volumes, line, passage, key)
-    packet.weight = weight * share
+    point = scattering_point(volumes, line, passage, key)
+    packet.weight = weight * point.share
     flow.book[SAMPLING_ADDED] += packet.weight - lost
     flow.counts[EVENTS] += 1
     if packet.kind == CAMERA and packet.last == LEFT_LENS and not (options.adjoint or options.tracing):
         packet.weight = windowed(flow.book, packet.weight, RETURNED * packet.start, key, RETURN)
     if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
         if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lights) > 0:
-            scatters = line, weight, t, share, density, number
-            ask_lamps_on_line(options, objects, flow, packet, passage, scatters, key)
-        place = along(line.ray, t)
+            ask_lamps_on_line(space, packet, weight, line, passage, point, key)
+        place = along(line.ray, point.t)
         if options.adjoint and estimated:
             packet.facet = IN_FOG
-            wait_for_lights(options, objects, flow, packet, place, number, key)
-        scatter_in_medium(space, packet, number, place, key)
+            wait_for_lights(space, packet, place, point.medium, key)
+        scatter_in_medium(space, packet, point.medium, place, key)
     packet.weight, packet.events, packet.node, packet.kind, packet.last = left, events, node, kind, last
     packet.facet, packet.moves = facet, moves
 

@@ -17,6 +17,7 @@ from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.events.crossing import record
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.scattering import albedo
 from lfmesh.transport.events.surface import emission_of, opacity_at, point_of
@@ -26,7 +27,6 @@ from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.paths.automaton import FROM_LAMP, ON_IMAGE_PATH
-from lfmesh.transport.regions.object_space import ObjectSpace
 from lfmesh.transport.regions.targets import scatter
 from lfmesh.transport.regions.volumes import send_from_medium
 from lfmesh.transport.sources.lamp_rays import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
@@ -209,7 +209,7 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     side = 1.0
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= objects.glow[body, packet.colour]
+    weight *= objects.emission_spectra[body, packet.colour]
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
     point = emission_of(objects, point_of(objects, prim, packet.colour, (x, y, z), side, False), key)

@@ -182,7 +182,7 @@ class ObjectTables(NamedTuple):
     model: NDArray[np.int64]  # (m,) row of the scattering model of each facet; of the housing 0
     smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
     radiance: Array  # (targets, wavelengths) W/(m² sr), which the model of emission lowers
-    glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
+    emission_spectra: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
     # (targets,) rank of a body of glass, from 1; 0 for all other targets. Where bodies overlap, the medium is that of

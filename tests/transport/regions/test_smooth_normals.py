@@ -33,8 +33,8 @@ def cosines(objects: ObjectTables, facets: NDArray[np.int64], places: Array, lam
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         found[i] = 0.0
         if cosine > 0.0:
-            ix, iy, iz = -point.nx, -point.ny, -point.nz
-            found[i] = np.pi * evaluate(objects.scattering, point, 0, ix, iy, iz, ux, uy, uz) * cosine
+            incoming = -point.nx, -point.ny, -point.nz
+            found[i] = np.pi * evaluate(objects.scattering, point, 0, incoming, (ux, uy, uz)) * cosine
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

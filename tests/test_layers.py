@@ -23,7 +23,7 @@ ORDER = [
 ROOMS = {
     "kernels": ["private", "cache, accelerator", "decorators, by_address", "search, vector"],
     "transport": [
-        *["packets", "paths", "tables", "events", "sequences", "aiming", "regions"],
+        *["packets", "paths", "tables", "events", "lights", "sequences", "aiming", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "checks, render, trace",

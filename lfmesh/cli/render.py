@@ -49,7 +49,7 @@ def check(scene: SceneFile, /) -> int:
     loaded = load(scene)
     with defer_interrupt():
         from lfmesh.transport.checks.foreseen import foreseen
-        from lfmesh.transport.tables.lamp_lines import lamp_lines
+        from lfmesh.transport.checks.lamp_lines import lamp_lines
         from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frame_moves
 from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.transport.events.object_space import ObjectSpace
+from lfmesh.transport.lights.combine import ask_lights
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
@@ -29,11 +31,11 @@ from lfmesh.transport.packets.packet import (
     DEPOSIT,
     DEPOSITS,
     E_START,
-    EMITTERS,
     END,
     ENDED,
     LENS,
     LENS_MESH,
+    LIGHTS,
     NO_SURFACE,
     NODE,
     NODES,
@@ -52,7 +54,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
-from lfmesh.transport.regions.emitters import ask_emitters
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
 from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
@@ -285,9 +286,9 @@ class Workspace:
             admit_to_objects(wave, origins, directions, frames)
             found = self._find(OBJECTS, count)
             # Of the lens only its box is of interest there: one compiled kernel for all lenses.
-            shade_objects(wave, found, tables.objects, clear(lens), tables.aim, frames, options, flow)
-        elif station == EMITTERS:
-            ask_emitters(wave, tables.objects, options, flow)
+            shade_objects(wave, found, clear(lens), self._object_space(flow))
+        elif station == LIGHTS:
+            ask_lights(wave, self._object_space(flow))
         elif station == PLATE:
             through_plate(wave, self.mla_block, self.numbers, mla, frames, lens_surfaces, options, flow)
         elif station == STUCK:
@@ -298,6 +299,10 @@ class Workspace:
             onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
+
+    def _object_space(self, flow: Flow) -> ObjectSpace:
+        tables = self.tables
+        return ObjectSpace(self.options, flow, tables.frames, tables.objects, tables.aim)
 
     def _by_colour(self, wave: NDArray[np.void]) -> list[NDArray[np.void]]:
         """Return the packets of a wave wavelength by wavelength: a block of rays has one."""

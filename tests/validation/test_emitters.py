@@ -17,7 +17,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.scene.objects.targets import Sphere
-from lfmesh.transport.tables.emitters import no_emitters
+from lfmesh.transport.tables.emitting_facets import no_emitters
 from lfmesh.transport.world import World, build
 from tests.renders import of_world
 from tests.validation.test_every_path_once import GLOW, MIRROR, SCREEN, WHITE, accepted, folder, scene, sheet

@@ -17,7 +17,7 @@ import lfmesh as lf
 from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.tables.emitters import no_emitters
+from lfmesh.transport.tables.emitting_facets import no_emitters
 from lfmesh.transport.world import World, build
 from tests.cameras import camera_without_array
 

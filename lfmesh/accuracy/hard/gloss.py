@@ -22,7 +22,7 @@ def _carried(scattering: ScatteringTables, point: Point, x: float, z: float, key
     """Write what random directions carry of the light that arrives along (x, 0, z), (n,)."""
     for i in range(len(found)):
         own = derived(key, i)
-        found[i] = sample(scattering, point, 0, x, 0.0, z, uniform(own, 0), uniform(own, 1))[3]
+        found[i] = sample(scattering, point, 0, (x, 0.0, z), uniform(own, 0), uniform(own, 1))[3]
 
 
 @case

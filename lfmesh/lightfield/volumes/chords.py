@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.volume import pass_through
+from lfmesh.transport.events.volume import Line, Ray, pass_through
 
 Array = NDArray[np.float64]
 
@@ -65,9 +65,8 @@ def _passed(volumes: Any, haze: Haze, ray: int, begin: float, end: float) -> flo
         return clear
     o, d = haze.origin[ray], haze.direction[ray]
     x, y, z = o[0] + begin * d[0], o[1] + begin * d[1], o[2] + begin * d[2]
-    passage = pass_through(
-        volumes, haze.place[ray], haze.colour[ray], x, y, z, d[0], d[1], d[2], end - begin, haze.book, 0.0, np.uint64(0)
-    )
+    line = Line(Ray(x, y, z, d[0], d[1], d[2]), haze.place[ray], haze.colour[ray])
+    passage = pass_through(volumes, line, end - begin, haze.book, 0.0, np.uint64(0))
     return passage.transmittance * clear
 
 

@@ -24,6 +24,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.literals import literal
 from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import CHUNK, Workspace
+from lfmesh.transport.events.bodies import RANK
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
     COUNTERS,
@@ -43,7 +44,6 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.paths.automaton import COUNTS, STANDING
-from lfmesh.transport.regions.bodies import RANK
 from lfmesh.transport.regions.objects import admit_to_objects
 from lfmesh.transport.render.parts import OWN_BOOK, Part
 from lfmesh.transport.render.render import warn_beforehand

@@ -9,7 +9,8 @@ follow a path in opposite directions, agree. Interpolated normals are not: a poi
 leads to the light, and the two methods evaluate the same number.
 
 All functions have the parameters `scattering` (the tables), `point`, `colour` (number of the wavelength), and unit
-directions along which light travels: `ix, iy, iz` towards the point, `ox, oy, oz` away from it.
+directions along which light travels: `incoming` or `ix, iy, iz` towards the point, `outgoing` or `ox, oy, oz` away from
+it.
 """
 
 from typing import NamedTuple
@@ -20,6 +21,8 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.gloss import ROWS, gloss_albedos, gloss_brdf, gloss_density, gloss_direction
 from lfmesh.optics.scattering import lambertian, tangents
 from lfmesh.transport.tables.scattering import LAMBERTIAN, THERMAL, ScatteringTables
+
+Direction = tuple[float, float, float]
 
 OUTLINE = 0.1
 """Cosine at which a smooth surface is seen, over that of its facet, below which its normal is turned."""
@@ -69,8 +72,7 @@ def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, i
 
 @inlined
 def evaluate(
-    scattering: ScatteringTables, point: Point, colour: int,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
     """Return the BRDF, 1/sr: radiance that leaves in one direction over irradiance from another.
 
@@ -82,22 +84,20 @@ def evaluate(
     point : Point
     colour : int
         Number of the wavelength.
-    ix, iy, iz : float
-        Unit direction towards where the light comes from.
-    ox, oy, oz : float
-        Unit direction in which it leaves.
+    incoming, outgoing : (3,) float
+        Unit directions of the light.
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN and not point.smooth:
         return scattering.parameters[model.first, colour] * point.texel / np.pi
     if model.kind == THERMAL:
-        return emissivity(scattering, point, colour, ox, oy, oz) / np.pi
-    return _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+        return emissivity(scattering, point, colour, outgoing[0], outgoing[1], outgoing[2]) / np.pi
+    return _evaluate_other(scattering, point, colour, incoming, outgoing)
 
 
 @inlined
 def sample(
-    scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float, u: float, v: float
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, u: float, v: float
 ) -> tuple[float, float, float, float]:
     """Return a random direction of scattered light, and BRDF · cos θ over its density.
 
@@ -111,32 +111,31 @@ def sample(
         ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
         share = scattering.parameters[model.first, colour] * point.texel
         if point.smooth:
-            share = np.pi * _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+            share = np.pi * _evaluate_other(scattering, point, colour, incoming, (ox, oy, oz))
         return ox, oy, oz, share
     if model.kind == THERMAL:
         ox, oy, oz = lambertian(point.nx, point.ny, point.nz, u, v)
         return ox, oy, oz, emissivity(scattering, point, colour, ox, oy, oz)
-    return _sample_gloss(scattering, point, colour, ix, iy, iz, u, v)
+    return _sample_gloss(scattering, point, colour, incoming, u, v)
 
 
 @inlined
 def density(
-    scattering: ScatteringTables, point: Point, colour: int,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
     """Return the density, 1/sr, with which `sample` draws a direction.
 
     Parameters
     ----------
-    scattering, point, colour, ix, iy, iz
+    scattering, point, colour, incoming
         As for `sample`.
-    ox, oy, oz : float
+    outgoing : (3,) float
         Unit direction drawn.
     """
     model = scattering.models[point.model]
     if model.kind == LAMBERTIAN or model.kind == THERMAL:
-        return max(0.0, point.nx * ox + point.ny * oy + point.nz * oz) / np.pi
-    return _density_of_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+        return max(0.0, point.nx * outgoing[0] + point.ny * outgoing[1] + point.nz * outgoing[2]) / np.pi
+    return _density_of_gloss(scattering, point, colour, incoming, outgoing)
 
 
 @inlined
@@ -245,7 +244,7 @@ def emissivity(
         lx, ly, lz = lambertian(nx, ny, nz, point.u, point.v)
         share = scattering.parameters[scattering.models[model].first, colour] * point.texel
     else:
-        lx, ly, lz, share = _sample_gloss(scattering, surface, colour, -ox, -oy, -oz, point.u, point.v)
+        lx, ly, lz, share = _sample_gloss(scattering, surface, colour, (-ox, -oy, -oz), point.u, point.v)
     if share <= 0.0:
         return value
     kept = _smooth_light(point, nx, ny, nz, lx, ly, lz) * (point.nx * lx + point.ny * ly + point.nz * lz)
@@ -268,14 +267,14 @@ def _albedos(scattering: ScatteringTables, point: Point, colour: int, cosine: fl
 
 @kernel
 def _evaluate_other(
-    scattering: ScatteringTables, point: Point, colour: int,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
     """Return the BRDF of a glossy or smooth point, see `evaluate`.
 
     On a smooth point it is that of the shading frame times the cosine at which light is counted there over that at the
     facet, the same for both directions in which a path can be followed (Veach, thesis, 1997, section 5.3).
     """
+    (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     model = scattering.models[point.model]
     nx, ny, nz = point.nx, point.ny, point.nz
     light = 1.0
@@ -313,10 +312,10 @@ def _chance_of_metal(scattering: ScatteringTables, point: Point, colour: int, co
 
 @kernel
 def _density_of_gloss(
-    scattering: ScatteringTables, point: Point, colour: int,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip
     """Return the density of a glossy point's samples, see `density`."""
+    (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     first = scattering.models[point.model].first
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
     ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
@@ -333,9 +332,10 @@ def _density_of_gloss(
 
 @kernel
 def _sample_gloss(
-    scattering: ScatteringTables, point: Point, colour: int, ix: float, iy: float, iz: float, u: float, v: float
+    scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, u: float, v: float
 ) -> tuple[float, float, float, float]:
     """Return a random direction from a glossy point and what it carries, see `sample`."""
+    ix, iy, iz = incoming
     first, texel = scattering.models[point.model].first, point.texel
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
     ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
@@ -352,7 +352,7 @@ def _sample_gloss(
         # Above the shading frame's horizon, and below the facet's.
         return ox, oy, oz, 0.0
     # From the direction as it is stored, so that evaluation and density there give the same numbers.
-    density = _density_of_gloss(scattering, point, colour, ix, iy, iz, ox, oy, oz)
+    density = _density_of_gloss(scattering, point, colour, incoming, (ox, oy, oz))
     if density <= 0.0:
         return ox, oy, oz, 0.0
-    return ox, oy, oz, _evaluate_other(scattering, point, colour, ix, iy, iz, ox, oy, oz) * cosine / density
+    return ox, oy, oz, _evaluate_other(scattering, point, colour, incoming, (ox, oy, oz)) * cosine / density

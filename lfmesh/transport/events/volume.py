@@ -86,8 +86,29 @@ class Passage(NamedTuple):
     densest: float
 
 
+class ScatteringPoint(NamedTuple):
+    """A point of a line at which light is scattered.
+
+    Attributes
+    ----------
+    t : float, mm
+        Its distance.
+    share : float
+        Of the light that set out, which is scattered there; its mean is `Passage.scattered`.
+    density : float
+        Of the light that is scattered there, over that which set out, 1/mm.
+    medium : int
+        Number of the medium.
+    """
+
+    t: float
+    share: float
+    density: float
+    medium: int
+
+
 class Ray(NamedTuple):
-    """A ray in a medium's own frame, mm; the direction is a unit vector."""
+    """A ray in the object frame or in a medium's own, mm; the direction is a unit vector."""
 
     x: float
     y: float
@@ -97,17 +118,78 @@ class Ray(NamedTuple):
     dz: float
 
 
+class Line(NamedTuple):
+    """A ray in one body, or in air, at one wavelength.
+
+    Attributes
+    ----------
+    ray : Ray
+        In the object frame.
+    place : int
+        Rank of the body of glass or liquid that it is in; 0: air.
+    colour : int
+        Number of the wavelength.
+    """
+
+    ray: Ray
+    place: int
+    colour: int
+
+
+class Step(NamedTuple):
+    """A part of a line along which the same media reach.
+
+    Attributes
+    ----------
+    begin, end, middle : float, mm
+        Distances.
+    active : int
+        Number of media.
+    only : int
+        The last of them.
+    """
+
+    begin: float
+    end: float
+    middle: float
+    active: int
+    only: int
+
+
 @inlined
-def own_ray(row: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> Ray:
+def ray_of(packet: Any) -> Ray:
+    """Return the ray of a packet.
+
+    Parameters
+    ----------
+    packet : PACKET
+    """
+    return Ray(packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+
+
+@inlined
+def along(ray: Ray, t: float) -> tuple[float, float, float]:
+    """Return the point at a distance on a ray, mm.
+
+    Parameters
+    ----------
+    ray : Ray
+    t : float, mm
+    """
+    return ray.x + t * ray.dx, ray.y + t * ray.dy, ray.z + t * ray.dz
+
+
+@inlined
+def own_ray(row: Any, ray: Ray) -> Ray:
     """Return a ray of the object frame in the own frame of a medium.
 
     Parameters
     ----------
     row : VOLUME
-    x, y, z, dx, dy, dz : float
+    ray : Ray
     """
-    x, y, z = point_through(row.to_own, x, y, z)
-    dx, dy, dz = direction_through(row.to_own, dx, dy, dz)
+    x, y, z = point_through(row.to_own, ray.x, ray.y, ray.z)
+    dx, dy, dz = direction_through(row.to_own, ray.dx, ray.dy, ray.dz)
     return Ray(x, y, z, dx, dy, dz)
 
 
@@ -310,20 +392,14 @@ def _trilinear(values: Array, first: int, places: Any, u: float, v: float, w: fl
 
 @kernel
 def pass_through(
-    volumes: Volumes, place: int, colour: int, x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    reach: float, book: Array, weight: float, key: np.uint64,
+    volumes: Volumes, line: Line, reach: float, book: Array, weight: float, key: np.uint64
 ) -> Passage:  # fmt: skip
-    """Follow a ray through all media of one body, or of air, and enter in the book what each absorbs.
+    """Follow a line through all media of one body, or of air, and enter in the book what each absorbs.
 
     Parameters
     ----------
     volumes : Volumes
-    place : int
-        Rank of the body of glass or liquid that the ray is in; 0: air.
-    colour : int
-        Number of the wavelength.
-    x, y, z, dx, dy, dz : float
-        The ray, mm, object frame.
+    line : Line
     reach : float, mm
         Its length; may be inf.
     book : (slots,) float64
@@ -332,13 +408,13 @@ def pass_through(
     key : uint64
         Of the random numbers by which a step is drawn in which light is scattered.
     """
-    rows = volumes.rows
+    rows, colour = volumes.rows, line.colour
     t, left, light, scattered = 0.0, 1.0, 0.0, 0.0
     begin, length, mean, before, own = 0.0, 0.0, 0.0, 0.0, 0.0
     scatters_from, scatters_to, densest = 0.0, 0.0, 0.0
     choice = uniform(key, STEP) if volumes.scatters else 0.0
     # The ray in the frame of one of the media, mostly the only one, and where it is in it.
-    known, ray, first, last, holds = -1, Ray(x, y, z, dx, dy, dz), 0.0, 0.0, np.inf
+    known, ray, first, last, holds = -1, line.ray, 0.0, 0.0, np.inf
     steps = 0
     while t < reach and left > 0.0:
         steps += 1
@@ -349,10 +425,10 @@ def pass_through(
             break
         until, active, only, grids = reach, 0, -1, 0
         for number in range(len(rows)):
-            if rows[number].inside != place:
+            if rows[number].inside != line.place:
                 continue
             if number != known or holds <= t:
-                known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
+                known, ray = number, own_ray(rows[number], line.ray)
                 first, last, holds = span(volumes.shells, rows[number], ray, t)
             until = min(until, holds)
             if last <= t or first >= last:
@@ -378,10 +454,10 @@ def pass_through(
             low_t, high_t = (a + LOW * step, a + HIGH * step) if grids > 0 else (middle, middle)
             e1, e2, k1, k2, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for number in range(len(rows)):
-                if rows[number].inside != place or (active == 1 and number != only):
+                if rows[number].inside != line.place or (active == 1 and number != only):
                     continue
                 if number != known:
-                    known, ray = number, own_ray(rows[number], x, y, z, dx, dy, dz)
+                    known, ray = number, own_ray(rows[number], line.ray)
                     first, last, holds = span(volumes.shells, rows[number], ray, t)
                 if not (first <= t and last >= until and first < last):
                     continue
@@ -416,8 +492,8 @@ def pass_through(
                         choice = (choice - chance) / (1.0 - chance)
                 if weight > 0.0:
                     _enter_absorbed(
-                        volumes, place, colour, Ray(x, y, z, dx, dy, dz), t, until, middle, active, only, book,
-                        weight * stopped * left, extinction - 0.5 * (s1 + s2), extinction,
+                        volumes, line, Step(t, until, middle, active, only), book, weight * stopped * left,
+                        extinction - 0.5 * (s1 + s2), extinction,
                     )  # fmt: skip
                 left *= passed
             piece += 1
@@ -441,23 +517,22 @@ def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: flo
 
 @kernel
 def _enter_absorbed(
-    volumes: Volumes, place: int, colour: int, way: Ray, t: float, until: float, middle: float, active: int, only: int,
-    book: Array, stopped: float, absorption: float, extinction: float,
+    volumes: Volumes, line: Line, step: Step, book: Array, stopped: float, absorption: float, extinction: float
 ) -> None:  # fmt: skip
     """Enter in the book what media absorb of the light that a step stops, each by its share in the step's middle."""
     rows = volumes.rows
     absorbed = stopped * max(absorption, 0.0) / extinction
-    if active == 1:
-        book[rows[only].slot] += absorbed
+    if step.active == 1:
+        book[rows[step.only].slot] += absorbed
         return
     total, last = 0.0, -1
     for number in range(len(rows)):
-        takes, ka = _absorbed_in(volumes, place, number, colour, way, t, until, middle)
+        takes, ka = _absorbed_in(volumes, line, number, step)
         if takes:
             total += ka
             last = number
     for number in range(len(rows)):
-        takes, ka = _absorbed_in(volumes, place, number, colour, way, t, until, middle)
+        takes, ka = _absorbed_in(volumes, line, number, step)
         if takes and total > 0.0:
             book[rows[number].slot] += absorbed * ka / total
         elif takes and number == last:
@@ -465,50 +540,30 @@ def _enter_absorbed(
 
 
 @kernel
-def _absorbed_in(
-    volumes: Volumes, place: int, number: int, colour: int, way: Ray, t: float, until: float, middle: float
-) -> tuple[bool, float]:
+def _absorbed_in(volumes: Volumes, line: Line, number: int, step: Step) -> tuple[bool, float]:
     """Tell whether a medium reaches all along a step, and return its absorption in the middle, 1/mm."""
     row = volumes.rows[number]
-    if row.inside != place:
+    if row.inside != line.place:
         return False, 0.0
-    ray = own_ray(row, way.x, way.y, way.z, way.dx, way.dy, way.dz)
-    first, last, _ = span(volumes.shells, row, ray, middle)
-    if not (first <= t and last >= until and first < last):
+    ray = own_ray(row, line.ray)
+    first, last, _ = span(volumes.shells, row, ray, step.middle)
+    if not (first <= step.begin and last >= step.end and first < last):
         return False, 0.0
-    return True, coefficients(volumes, number, colour, middle, middle, ray)[0]
+    return True, coefficients(volumes, number, line.colour, step.middle, step.middle, ray)[0]
 
 
 @kernel
-def scattering_point(
-    volumes: Volumes, place: int, colour: int, passage: Passage,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, key: np.uint64,
-) -> tuple[float, float, float, int]:  # fmt: skip
-    """Return the distance of a random scattering point on a ray, the share that scatters there, and the medium.
+def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uint64) -> ScatteringPoint:
+    """Return a random point of a line at which light is scattered.
 
     Parameters
     ----------
     volumes : Volumes
-    place : int
-        As in `pass_through`.
-    colour : int
-        Number of the wavelength.
+    line : Line
     passage : Passage
-        Of the ray, of which some light is scattered.
-    x, y, z, dx, dy, dz : float
-        The ray, mm, object frame.
+        Of the line, of which some light is scattered.
     key : uint64
         As in `pass_through`.
-
-    Returns
-    -------
-    t : float, mm
-    share : float
-        Of the light that set out; its mean is `passage.scattered`.
-    density : float
-        Of the light that is scattered there, over that which set out, 1/mm.
-    number : int
-        Of the medium.
     """
     u = uniform(key, PLACE)
     depth = passage.extinction * passage.length
@@ -519,46 +574,41 @@ def scattering_point(
     # Optical depth up to the point, exact in a cell by Gauss's quadrature, and the coefficients there.
     total, before = 0.0, 0.0
     for number in range(len(volumes.rows)):
-        ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
+        ray = own_ray(volumes.rows[number], line.ray)
         first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
-        if volumes.rows[number].inside != place or not first <= middle <= last:
+        if volumes.rows[number].inside != line.place or not first <= middle <= last:
             continue
-        ks = coefficients(volumes, number, colour, t, middle, ray)[1]
+        ks = coefficients(volumes, number, line.colour, t, middle, ray)[1]
         total += ks
         for at in (LOW, HIGH):
-            ka, kt, _ = coefficients(volumes, number, colour, passage.begin + at * way, middle, ray)
+            ka, kt, _ = coefficients(volumes, number, line.colour, passage.begin + at * way, middle, ray)
             before += 0.5 * way * (ka + kt)
     drawn = passage.extinction * np.exp(-passage.extinction * way) / stopped
     density = passage.before * total * np.exp(-before)
     share = density / (drawn * passage.chance) if passage.chance > 0.0 else 0.0
     choice, which = uniform(key, WHICH) * total, 0
     for number in range(len(volumes.rows)):
-        ray = own_ray(volumes.rows[number], x, y, z, dx, dy, dz)
+        ray = own_ray(volumes.rows[number], line.ray)
         first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
-        if volumes.rows[number].inside != place or not first <= middle <= last:
+        if volumes.rows[number].inside != line.place or not first <= middle <= last:
             continue
-        ks = coefficients(volumes, number, colour, t, middle, ray)[1]
+        ks = coefficients(volumes, number, line.colour, t, middle, ray)[1]
         if ks > 0.0 and choice >= 0.0:
             which = number
         choice -= ks
-    return t, share, density, which
+    return ScatteringPoint(t, share, density, which)
 
 
 @kernel
-def scattered_at(
-    volumes: Volumes, place: int, colour: int, t: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, book: Array, key: np.uint64,
-) -> tuple[float, int]:  # fmt: skip
-    """Return the light that is scattered at a distance on a ray, over that which set out, 1/mm, and a random medium.
+def scattered_at(volumes: Volumes, line: Line, t: float, book: Array, key: np.uint64) -> tuple[float, int]:
+    """Return the light that is scattered at a distance on a line, over that which set out, 1/mm, and a random medium.
 
     Parameters
     ----------
-    volumes, place, colour
-        As in `pass_through`.
+    volumes : Volumes
+    line : Line
     t : float, mm
-        Less than the ray's length.
-    x, y, z, dx, dy, dz : float
-        The ray, mm, object frame.
+        Less than the line's length.
     book : (slots,) float64
         Nothing is entered.
     key : uint64
@@ -566,28 +616,24 @@ def scattered_at(
     """
     total = 0.0
     for number in range(len(volumes.rows)):
-        total += _scattering_at(volumes, place, number, colour, t, x, y, z, dx, dy, dz)
+        total += _scattering_at(volumes, line, number, t)
     if total <= 0.0:
         return 0.0, 0
     choice, which = uniform(key, WHICH) * total, 0
     for number in range(len(volumes.rows)):
-        ks = _scattering_at(volumes, place, number, colour, t, x, y, z, dx, dy, dz)
+        ks = _scattering_at(volumes, line, number, t)
         if ks > 0.0 and choice >= 0.0:
             which = number
         choice -= ks
-    left = pass_through(volumes, place, colour, x, y, z, dx, dy, dz, t, book, 0.0, key).transmittance
-    return left * total, which
+    return pass_through(volumes, line, t, book, 0.0, key).transmittance * total, which
 
 
 @kernel
-def _scattering_at(
-    volumes: Volumes, place: int, number: int, colour: int, t: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
-    """Return the scattering coefficient of a medium at a distance on a ray, 1/mm; 0 outside of it."""
+def _scattering_at(volumes: Volumes, line: Line, number: int, t: float) -> float:
+    """Return the scattering coefficient of a medium at a distance on a line, 1/mm; 0 outside of it."""
     row = volumes.rows[number]
-    if row.inside != place:
+    if row.inside != line.place:
         return 0.0
-    ray = own_ray(row, x, y, z, dx, dy, dz)
+    ray = own_ray(row, line.ray)
     first, last, _ = span(volumes.shells, row, ray, t)
-    return coefficients(volumes, number, colour, t, t, ray)[1] if first <= t <= last else 0.0
+    return coefficients(volumes, number, line.colour, t, t, ray)[1] if first <= t <= last else 0.0

@@ -20,7 +20,7 @@ OBJECTS = 2  # a target, or the way into the lens
 PLATE = 3  # the array from outside its layers of curved faces: entry, or the flat face
 SENSOR = 4  # a pixel
 LENS_MESH = 5  # a surface of the main lens, by its mesh where the order of the surfaces does not decide
-EMITTERS = 6  # a point of a target or a medium that emitting targets or media may light
+LIGHTS = 6  # a point of a target or a medium from which lights other than lamps are asked
 CELLS_MESH = 7  # the curved face in its cell, by its mesh where distances do not decide
 BACK_CELLS = 8  # the lenslets of the array's other face, where it has two curved ones, in their cell
 BACK_CELLS_MESH = 9  # the same by the mesh
@@ -40,12 +40,14 @@ FRAMES = 6
 CAMERA = 0  # on the camera's path: leaves the sensor (adjoint), or was aimed at the lens (forward)
 LAMP = 1  # straight from a light
 SCATTERED = 2  # left a target in a random direction
-SPECULAR = 4  # refracted or reflected by glass in object space; may reach the lens without having been aimed
-SHADOW = 3  # tests whether a light reaches a point; carries what it adds to the pixel if so
-# Of these and further kinds the light counts that they bring, and nothing comes of them.
-TO_EMITTER = 5  # tests whether an emitting facet is seen from a point; carries what it adds to the pixel if so
-TO_MEDIUM = 6  # gathers what media emit along a straight line from a point
-TO_HALO = 7  # gathers what media scatter of a lamp's light along a straight line from a point
+SPECULAR = 3  # refracted or reflected by glass in object space; may reach the lens without having been aimed
+SHADOW = 4  # asks a light from a point: the light that it brings counts, and nothing comes of it
+
+# Lights that shadow packets ask: their `light`.
+TO_LAMP = 0  # carries what a lamp adds to the pixel if nothing is in between
+TO_FACET = 1  # the same of an emitting facet
+TO_MEDIA = 2  # gathers what media emit along its ray
+PAST_LAMP = 3  # gathers what media scatter of a lamp's light along its ray
 
 # Counters.
 EVENTS, REQUERIES, FALLBACKS = 0, 1, 2
@@ -128,7 +130,7 @@ _BASE_RECORD = np.dtype(
         ("weight", "f8"),  # W (forward) or m² sr (adjoint)
         ("start", "f8"),  # weight that the weight window is relative to
         ("query_from", "f8"),  # distance along the ray at which Embree starts to look
-        ("limit", "f8"),  # SHADOW: distance of the light; else the first query_from, for a query from the start
+        ("limit", "f8"),  # SHADOW: distance of the light, or inf; else the first query_from, for a query from the start
         ("key", "u8"),
         ("source", "i8"),  # sample (adjoint, see `SAMPLE_SHIFT`), packet (forward) or ray (trace) that it began as
         ("node", "i4"),  # its last recorded vertex
@@ -136,7 +138,7 @@ _BASE_RECORD = np.dtype(
         ("facet", "i4"),  # target facet it left
         ("last", "i2"),  # lens surface it left
         ("colour", "i2"),  # number of the wavelength
-        ("space", "i2"),  # space between two surfaces it travels in; for object space see `regions.bodies`
+        ("space", "i2"),  # space between two surfaces it travels in; for object space see `events.bodies`
         # What an event writes stands between fields that `put` does not copy: the compiler copies neighbours at once,
         # and the processor waits for a number that is read as part of a longer one just after it was written.
         # Queries of this ray whose result was refused; negative: it slipped between facets, and its query's origin is
@@ -155,10 +157,10 @@ _BASE_RECORD = np.dtype(
 
 SHARED = {
     "density": ("row", "f4"),  # 1/sr, with which the target that a packet left draws its direction
-    "to_facet": ("row", "i4"),  # TO_EMITTER: the facet that it asks for
-    "to_lamp": ("row", "i4"),  # TO_HALO: the lamp
-    "in_medium": ("row", "i4"),  # at EMITTERS, of a point in a medium: the medium
-    "bodies": ("column", "i4"),  # in object space: ranks of the bodies round it, see `regions.bodies`
+    "light": ("path", "i1"),  # SHADOW: which light it asks; the class of its path is decided
+    "goal": ("row", "i4"),  # SHADOW: number of the facet or lamp
+    "in_medium": ("row", "i4"),  # at LIGHTS, of a point in a medium: the medium
+    "bodies": ("column", "i4"),  # in object space: ranks of the bodies round it, see `events.bodies`
 }
 """Fields of packets in object space, which are in no cell of the array: whose memory each shares, and its type."""
 

@@ -7,7 +7,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.targets import TargetMesh
-from lfmesh.transport.regions.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
+from lfmesh.transport.events.bodies import BITS, LOW, LOW_BITS, MOST_AT_ONCE, RANK
 from lfmesh.transport.tables.tables import AIR, ObjectTables
 
 

@@ -14,7 +14,6 @@ from lfmesh.transport.packets.packet import (
     MLA_FRAME,
     SENSOR_FRAME,
     SHADOW,
-    TO_EMITTER,
     Flow,
     Options,
 )
@@ -37,7 +36,7 @@ def lose_stuck(
     """
     for i in range(len(wave)):
         packet = wave[i]
-        if packet.kind != SHADOW and packet.kind < TO_EMITTER:
+        if packet.kind != SHADOW:
             lose(options, flow, frames, packet, LOST_STUCK, _body_of(packet, lost_in_lens))
 
 

@@ -20,7 +20,6 @@ from lfmesh.transport.events.crossing import (
     BOUNCE_U,
     KEEP_BOUNCE,
     PASS,
-    barycentric,
     clear_of,
     deposit,
     draw,
@@ -30,18 +29,17 @@ from lfmesh.transport.events.crossing import (
     thinned,
     windowed,
 )
-from lfmesh.transport.events.emission import asks_emitters, share_by_chance
-from lfmesh.transport.events.glow import asks_media
-from lfmesh.transport.events.halo import asks_halos
-from lfmesh.transport.events.lighting import ask_lights
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.scattering import Point, albedo, density, emissivity, evaluate, sample
+from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample
+from lfmesh.transport.events.surface import emitted_radiance, opacity_at, point_of
+from lfmesh.transport.lights.combine import ask_lamps, has_asked, share_of_scattered, wait_for_lights
+from lfmesh.transport.lights.emitting_facets import density as density_to_facet
 from lfmesh.transport.packets.book import ESCAPED, LIT, REACHED, SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
     CAMERA,
     CAMERA_FRAME,
     E_SCATTERED,
-    EMITTERS,
     EVENTS,
     LEFT_LENS,
     NO_SURFACE,
@@ -50,6 +48,7 @@ from lfmesh.transport.packets.packet import (
     ON_TARGET,
     S_ABSORBED,
     SCATTERED,
+    SHADOW,
     Flow,
     Options,
     count_event,
@@ -57,8 +56,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.paths.automaton import counts, counts_not_yet
-from lfmesh.transport.tables.scattering import THERMAL
-from lfmesh.transport.tables.tables import AIR, BY_ALPHA, AimTables, ObjectTables
+from lfmesh.transport.tables.tables import AimTables, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -66,24 +64,20 @@ FACETS = 1 << 32
 """Number of the first facet's random numbers among those that a packet's key has for its children."""
 
 KINDS = 8
-"""More than there are kinds of packets."""
-
-EMITTED = 1 << 24
-"""Number of the random numbers of emission, among those that a packet's key has for its children."""
+"""Number of kinds of packets, of which those of shadow packets to each kind of light come last."""
 
 AIMED_CHILD = 1 << 20
 """Number of the aimed child among a packet's children, larger than any number of events."""
 
 
 @inlined
-def meet_target(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any,
-    prim: int, x: float, y: float, z: float, along: float,
-) -> None:  # fmt: skip
+def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, z: float, along: float) -> None:
     """Gather light and scatter at a point of a target.
 
     Parameters
     ----------
+    space : ObjectSpace
+    packet : PACKET
     prim : int
         Facet.
     x, y, z : float, mm
@@ -91,6 +85,7 @@ def meet_target(
     along : float
         The facet's normal · the packet's direction.
     """
+    options, flow, frames, objects, _ = space
     body = objects.facets[prim].body
     slot = objects.target_slot[body]
     dx, dy, dz, weight = packet.dx, packet.dy, packet.dz, packet.weight
@@ -104,12 +99,11 @@ def meet_target(
         if weight == 0.0:
             return
         packet.weight = weight
-    texel = texture_at(objects, prim, packet.colour, x, y, z)
     side = -1.0 if along > 0.0 else 1.0
-    point = point_of(objects, prim, x, y, z, side, texel, options.adjoint)
+    point = point_of(objects, prim, packet.colour, (x, y, z), side, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and counts(options, packet):
-        _gather(options, flow, objects, packet, point, share > 0.0)
+        _gather(space, packet, point, share > 0.0)
     scattered = weight * share
     if scattered <= 0.0:
         end(options, flow, frames, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, slot, S_ABSORBED)
@@ -120,169 +114,15 @@ def meet_target(
         flow.book[ESCAPED] += scattered
         return
     count_event(packet)
-    scatter(options, flow, frames, objects, aim, packet, point, weight, scattered)
-
-
-@inlined
-def point_of(
-    objects: ObjectTables,
-    prim: int,
-    x: float,
-    y: float,
-    z: float,
-    side: float,
-    texel: float,
-    to_light: bool,
-) -> Point:
-    """Return a point on one side of a facet, with its scattering model.
-
-    Parameters
-    ----------
-    prim : int
-        Facet.
-    x, y, z : float, mm
-    side : float
-        1: the side that the normal points to, −1: the other.
-    texel : float
-        See `texture_at`.
-    to_light : bool
-        Whether packets leave it towards the light, as in the adjoint method.
-    """
-    facet = objects.facets[prim]
-    normal = facet.normal
-    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    model = objects.model[prim]
-    if side < 0.0:
-        model = objects.scattering.models[model].behind
-    if not objects.smooth[facet.body]:
-        return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
-    sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
-    return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
-
-
-@inlined
-def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
-    """Return a point as it emits: with the model of its emission.
-
-    Parameters
-    ----------
-    objects : ObjectTables
-    point : Point
-    key : uint64
-        Of the packet.
-    """
-    row = objects.scattering.models[point.model].emission
-    smooth = point.smooth and objects.scattering.models[row].kind == THERMAL
-    u, v = 0.0, 0.0
-    if smooth:
-        u, v = uniform(derived(key, EMITTED), 0), uniform(derived(key, EMITTED), 1)
-    return Point(
-        point.prim, point.x, point.y, point.z, point.nx, point.ny, point.nz, row, point.texel,
-        smooth, point.sx, point.sy, point.sz, point.to_light, u, v,
-    )  # fmt: skip
-
-
-@kernel
-def _interpolated_normal(facet: Any, side: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the unit normal between the facet's corners, on one side of it.
-
-    Parameters
-    ----------
-    facet : FACET
-    side : float
-        1: the side that its normal points to, −1: the other.
-    x, y, z : float, mm
-    """
-    b, c = barycentric(facet, x, y, z)
-    at = facet.corner_normals
-    a = 1.0 - b - c
-    nx = a * at[0, 0] + b * at[1, 0] + c * at[2, 0]
-    ny = a * at[0, 1] + b * at[1, 1] + c * at[2, 1]
-    nz = a * at[0, 2] + b * at[1, 2] + c * at[2, 2]
-    over = side / np.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx * over, ny * over, nz * over
-
-
-@inlined
-def texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
-    """Return the value of the texture at a point of a facet (linear light, bilinear, clamped); 1 without a texture.
-
-    Parameters
-    ----------
-    prim : int
-        Facet.
-    colour : int
-        Number of the wavelength.
-    x, y, z : float, mm
-    """
-    body = objects.facets[prim].body
-    height = objects.texture[body, 1]
-    if height == 0:
-        return 1.0
-    first, width = objects.texture[body, 0], objects.texture[body, 2]
-    row, column = _place_in_texture(objects, prim, x, y, z)
-    left, low = int(np.floor(column)), int(np.floor(row))
-    right_share, low_share = column - left, row - low
-    # No views of rows: a view counts its references, which costs more than what is read.
-    in_bands = len(objects.texel_weights) > 0
-    value = 0.0
-    for j in range(2):
-        for k in range(2):
-            r = min(max(low + j, 0), height - 1)
-            s = min(max(left + k, 0), width - 1)
-            share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
-            texel = first + r * width + s
-            if in_bands:
-                for primary in range(objects.texel_weights.shape[1]):
-                    value += share * objects.texels[texel, primary] * objects.texel_weights[colour, primary]
-            else:
-                value += share * objects.texels[texel, colour]
-    return value
-
-
-@inlined
-def _place_in_texture(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return row and column of a facet's texture at a point, counted from the middle of the first texel."""
-    body = objects.facets[prim].body
-    b, c = barycentric(objects.facets[prim], x, y, z)
-    uv = objects.uv[prim]
-    a = 1.0 - b - c
-    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
-    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
-    return (1.0 - v) * objects.texture[body, 1] - 0.5, u * objects.texture[body, 2] - 0.5
-
-
-@kernel
-def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
-    """Return the opacity of a target at a point of a facet: its number, or its texture's alpha (bilinear, clamped).
-
-    Parameters
-    ----------
-    prim : int
-        Facet.
-    x, y, z : float, mm
-    """
-    body = objects.facets[prim].body
-    if objects.opacity[body] != BY_ALPHA:
-        return objects.opacity[body]
-    height, width = objects.texture[body, 1], objects.texture[body, 2]
-    row, column = _place_in_texture(objects, prim, x, y, z)
-    low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
-    j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
-    s, t = low - j, left - k
-    place = objects.alpha_first[body] + j * width + k
-    down, right = (width if height > 1 else 0), (1 if width > 1 else 0)
-    alpha = objects.alpha
-    upper = (1.0 - t) * alpha[place] + t * alpha[place + right]
-    return (1.0 - s) * upper + s * ((1.0 - t) * alpha[place + down] + t * alpha[place + down + right])
+    scatter(space, packet, point, weight, scattered)
 
 
 @kernel
 def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
     """Tell whether a packet passes through a facet of a target that is not opaque.
 
-    The random number belongs to the packet, its kind, its event and the facet: asked again, the answer is the same. A
-    packet and those that it sends to lights share key and event, but must not share their luck.
+    The random number belongs to the packet, its kind and light, its event and the facet: asked again, the answer is the
+    same. A packet and those that it sends to lights share key and event, but must not share their luck.
 
     Parameters
     ----------
@@ -293,79 +133,46 @@ def passes(objects: ObjectTables, packet: Any, prim: int, t: float) -> bool:
         Distance at which the packet meets it.
     """
     x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
-    chance = uniform(
-        derived(packet.key, FACETS + KINDS * prim + packet.kind), packet.events * DIMENSIONS_PER_EVENT + PASS
-    )
+    kind = packet.kind + packet.light if packet.kind == SHADOW else packet.kind
+    chance = uniform(derived(packet.key, FACETS + KINDS * prim + kind), packet.events * DIMENSIONS_PER_EVENT + PASS)
     return chance >= opacity_at(objects, prim, x, y, z)
 
 
 @inlined
-def _gather(options: Options, flow: Flow, objects: ObjectTables, packet: Any, point: Point, scatters: bool) -> None:
-    """Deposit the light that a target emits towards the packet, and send shadow packets for the light it scatters."""
+def _gather(space: ObjectSpace, packet: Any, point: Point, scatters: bool) -> None:
+    """Deposit the light that a target emits towards the packet, and ask lights whose light it scatters."""
+    options, flow, objects = space.options, space.flow, space.objects
     flow.book[REACHED] += packet.weight
     radiance = emitted_radiance(objects, packet, point, -packet.dx, -packet.dy, -packet.dz)
-    if radiance > 0.0:
-        share = share_by_chance(objects, packet, point.prim, point.x, point.y, point.z)
-        deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     lit = radiance > 0.0
+    if lit:
+        share = 1.0
+        if has_asked(packet):
+            share = share_of_scattered(packet, density_to_facet(objects, packet, point.prim, point.x, point.y, point.z))
+        deposit(options, flow, packet.source, packet.colour, packet.weight * share * radiance)
     if scatters:
-        lit = ask_lights(options, objects, flow, packet, point) or lit
-        volumes, events = objects.volumes, packet.events
-        if (
-            asks_emitters(options, objects, events)
-            or asks_media(volumes, options)
-            or asks_halos(volumes, options, events)
-        ):
-            asking = put(
-                flow, EMITTERS, packet, OBJECT_FRAME, point.x, point.y, point.z, packet.dx, packet.dy, packet.dz,
-                packet.weight, packet.key, 0.0,
-            )  # fmt: skip
-            asking.facet = point.prim
+        packet.facet = point.prim
+        lit = ask_lamps(space, packet, point) or lit
+        wait_for_lights(space, packet, (point.x, point.y, point.z), NO_SURFACE, packet.key)
     if lit:
         flow.book[LIT] += packet.weight
 
 
 @inlined
-def emitted_radiance(
-    objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float
-) -> float:  # fmt: skip
-    """Return the radiance that a point emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
-
-    Parameters
-    ----------
-    objects : ObjectTables
-    packet : PACKET
-    point : Point
-    ox, oy, oz : float
-        Unit direction away from the surface.
-    """
-    radiance = objects.radiance[objects.facets[point.prim].body, packet.colour]
-    if radiance <= 0.0:
-        return 0.0
-    source = emission_of(objects, point, derived(packet.key, packet.events))
-    if objects.scattering.models[source.model].kind == THERMAL:
-        # Radiance over n² is conserved on the way out of glass, in which a black body has n² times that in air.
-        return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
-    radiance *= point.texel
-    if packet.medium != AIR:
-        radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
-    return radiance
-
-
-@inlined
-def scatter(
-    options: Options, flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point,
-    weight: float, scattered: float,
-) -> None:  # fmt: skip
+def scatter(space: ObjectSpace, packet: Any, point: Point, weight: float, scattered: float) -> None:
     """Scatter (or emit) from a point: towards the camera, and to other targets.
 
     Parameters
     ----------
+    space : ObjectSpace
+    packet : PACKET
+    point : Point
     weight : float
         Weight that arrived, along the packet's direction.
     scattered : float
         Weight times the model's albedo.
     """
+    options, flow, frames, objects, _ = space
     if scattered <= 0.0:
         return
     packet.facet = point.prim
@@ -378,7 +185,7 @@ def scatter(
         )
     to_camera = 0.0
     if options.aimed and not options.adjoint:
-        to_camera = _aim_at_camera(flow, frames, objects, aim, packet, point, weight)
+        to_camera = _aim_at_camera(space, packet, point, weight)
     if not options.bounce and (options.aimed or options.adjoint):
         # Nothing but the camera can be met: all other light escapes.
         flow.book[ESCAPED] += scattered - to_camera
@@ -393,9 +200,9 @@ def _bounce(
 ) -> None:
     """Queue the child whose direction the scattering model draws, if it survives roulette."""
     x, y, z = point.x, point.y, point.z
-    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    incoming = packet.dx, packet.dy, packet.dz
     u, v = draw_two(options, packet, BOUNCE_U)
-    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, ix, iy, iz, u, v)
+    dx, dy, dz, share = sample(objects.scattering, point, packet.colour, incoming, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
     cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
@@ -406,19 +213,18 @@ def _bounce(
         clear = clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz)
         child = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight, packet.key, clear)
         child.kind = SCATTERED
-        child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
+        child.density = density(objects.scattering, point, packet.colour, incoming, (dx, dy, dz))
         if options.adjoint:
-            # Of all that are drawn, roulette keeps few; see `regions.emitters`.
+            # Of all that are drawn, roulette keeps few; see `lights.combine`.
             child.density *= drawn / weight
 
 
 @inlined
-def _aim_at_camera(
-    flow: Flow, frames: Array, objects: ObjectTables, aim: AimTables, packet: Any, point: Point, weight: float
-) -> float:
+def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float) -> float:
     """Queue the child that is aimed at the entrance pupil: BRDF · cos · dω of the weight. Return its weight."""
+    _, flow, frames, objects, aim = space
     x, y, z = point.x, point.y, point.z
-    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    incoming = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
     ax, ay, az, at_lens = aimed_from(
         aim.through, aim, px, py, pz,
@@ -428,14 +234,14 @@ def _aim_at_camera(
     cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
     if cos_theta <= 0.0 or at_lens <= 0.0:
         return 0.0
-    weight *= evaluate(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz) * cos_theta / at_lens
+    weight *= evaluate(objects.scattering, point, packet.colour, incoming, (dx, dy, dz)) * cos_theta / at_lens
     child = put(
         flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, dx, dy, dz, weight,
         derived(packet.key, AIMED_CHILD + packet.events), clear_of(objects.facets[point.prim], x, y, z, dx, dy, dz),
     )  # fmt: skip
     child.kind = CAMERA
     child.start = weight
-    child.density = density(objects.scattering, point, packet.colour, ix, iy, iz, dx, dy, dz)
+    child.density = density(objects.scattering, point, packet.colour, incoming, (dx, dy, dz))
     return weight
 
 

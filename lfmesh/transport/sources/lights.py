@@ -15,24 +15,26 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
 from lfmesh.transport.events.crossing import record
-from lfmesh.transport.events.glow import drawn_point
-from lfmesh.transport.events.lighting import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
+from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.scattering import albedo
-from lfmesh.transport.events.volume import coefficients, own_ray, span
+from lfmesh.transport.events.surface import emission_of, opacity_at, point_of
+from lfmesh.transport.events.volume import Ray, coefficients, own_ray, span
+from lfmesh.transport.lights.media_emitters import drawn_point
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
-from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, Options, put
+from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.paths.automaton import FROM_LAMP, ON_IMAGE_PATH
-from lfmesh.transport.regions.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
-from lfmesh.transport.regions.targets import emission_of, opacity_at, point_of, scatter, texture_at
+from lfmesh.transport.regions.targets import scatter
 from lfmesh.transport.regions.volumes import send_from_medium
+from lfmesh.transport.sources.lamp_rays import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import order_of_packets
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.lines import Nodes
-from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, AimTables, ObjectTables
+from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -74,15 +76,15 @@ class LightSource(Source):
         if len(tables.objects.sources):
             numbers = np.arange(self.first + part.start, self.first + part.stop)
             launch_forward(
-                *order_of_packets(self.nodes, numbers, self.key), self.total, self.key, tables.objects, tables.aim,
-                tables.frames, work.options, work.flow(), work.template,
+                *order_of_packets(self.nodes, numbers, self.key), self.total, self.key,
+                ObjectSpace(work.options, work.flow(), tables.frames, tables.objects, tables.aim), work.template,
             )  # fmt: skip
 
 
 @kernel
 def launch_forward(
-    numbers: NDArray[np.int64], colours: NDArray[np.int64], total: int, replicate_key: np.uint64,
-    objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, template: NDArray[np.void],
+    numbers: NDArray[np.int64], colours: NDArray[np.int64], total: int, replicate_key: np.uint64, space: ObjectSpace,
+    template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Start packets of all lights and emitting facets.
 
@@ -93,9 +95,11 @@ def launch_forward(
     total : int
         Number of packets that share the whole power.
     replicate_key : uint64
+    space : ObjectSpace
     template : (1,) PACKET
         Working memory.
     """
+    objects = space.objects
     sources = objects.sources
     packet = template[0]
     packet.last = NO_SURFACE
@@ -115,14 +119,13 @@ def launch_forward(
         source = sources[which]
         weight = source.power / (source.share * total)
         if source.facet <= FIRST_VOLUME:
-            share, medium = weight / source.power, FIRST_VOLUME - source.facet
-            _from_medium(objects.volumes, objects, aim, frames, options, flow, packet, medium, share)
+            _from_medium(objects.volumes, space, packet, FIRST_VOLUME - source.facet, weight / source.power)
         elif source.light >= 0:
             packet.path = FROM_LAMP
             weight *= objects.light_spectra[source.light, colour]
-            _from_lamp(objects, flow, packet, source.light, weight)
+            _from_lamp(objects, space.flow, packet, source.light, weight)
         else:
-            _from_facet(objects, aim, frames, options, flow, packet, source.facet, weight)
+            _from_facet(space, packet, source.facet, weight)
 
 
 @kernel
@@ -144,10 +147,7 @@ def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weig
 
 
 @kernel
-def _from_medium(
-    volumes: Any, objects: ObjectTables, aim: AimTables, frames: Array, options: Options, flow: Flow, packet: Any,
-    number: int, weight: float,
-) -> None:  # fmt: skip
+def _from_medium(volumes: Any, space: ObjectSpace, packet: Any, number: int, weight: float) -> None:
     """Emit a packet from a random point of a medium, drawn by about its emission, in a random direction.
 
     Parameters
@@ -161,11 +161,12 @@ def _from_medium(
     """
     if volumes is None:
         return
+    flow, objects = space.flow, space.objects
     key, colour = packet.key, packet.colour
     x, y, z, density = drawn_point(
         volumes, number, start(key, PLACE_U), start(key, PLACE_V), start(key, PLACE_W), start(key, PLACE_T)
     )
-    ray = own_ray(volumes.rows[number], x, y, z, 0.0, 0.0, 1.0)
+    ray = own_ray(volumes.rows[number], Ray(x, y, z, 0.0, 0.0, 1.0))
     first, last, _ = span(volumes.shells, volumes.rows[number], ray, 0.0)
     if not first <= 0.0 <= last or density <= 0.0:
         return
@@ -185,28 +186,17 @@ def _from_medium(
     height, phi = 1.0 - 2.0 * start(key, WAY_U), 2.0 * np.pi * start(key, WAY_V)
     dx, dy, dz = about(0.0, 0.0, 1.0, height, phi)
     packet.dx, packet.dy, packet.dz = dx, dy, dz
-    if options.record:
+    if space.options.record:
         packet.node = record(
-            flow, frames, OBJECT_FRAME, x, y, z, packet.weight, NO_SURFACE, NO_SURFACE, E_START, NO_SURFACE
+            flow, space.frames, OBJECT_FRAME, x, y, z, packet.weight, NO_SURFACE, NO_SURFACE, E_START, NO_SURFACE
         )
-    send_from_medium(
-        options, flow, frames, objects, aim, packet, objects.volumes.isotropic[0], x, y, z, dx, dy, dz, key
-    )
+    send_from_medium(space, packet, objects.volumes.isotropic[0], Ray(x, y, z, dx, dy, dz), key)
 
 
 @kernel
-def _from_facet(
-    objects: ObjectTables,
-    aim: AimTables,
-    frames: Array,
-    options: Options,
-    flow: Flow,
-    packet: Any,
-    prim: int,
-    weight: float,
-) -> None:
+def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> None:
     """Emit a packet from a uniform point of a facet; of a sheet with two sides, from either."""
-    key = packet.key
+    flow, objects, key = space.flow, space.objects, packet.key
     body = objects.facets[prim].body
     u, v = start(key, PLACE_U), start(key, PLACE_V)
     if u + v > 1.0:
@@ -219,13 +209,12 @@ def _from_facet(
     side = 1.0
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= objects.glow[body, packet.colour]
+    weight *= objects.emission_spectra[body, packet.colour]
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
-    texel = texture_at(objects, prim, packet.colour, x, y, z)
-    point = emission_of(objects, point_of(objects, prim, x, y, z, side, texel, False), key)
+    point = emission_of(objects, point_of(objects, prim, packet.colour, (x, y, z), side, False), key)
     emitted = weight * albedo(objects.scattering, point, packet.colour, 0.0, 0.0, 0.0)
     flow.book[EMITTED] += emitted
     packet.start = emitted
     packet.weight = emitted
-    scatter(options, flow, frames, objects, aim, packet, point, weight, emitted)
+    scatter(space, packet, point, weight, emitted)

@@ -15,6 +15,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.phase import evaluate_phase
 from lfmesh.transport.aiming.through_glass import aimed_from
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.bodies import medium_of, set_bodies
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import (
@@ -30,7 +31,6 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
 from lfmesh.transport.paths.automaton import ON_IMAGE_PATH
-from lfmesh.transport.regions.bodies import medium_of, set_bodies
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import order_of_particles
 from lfmesh.transport.tables.lines import Nodes

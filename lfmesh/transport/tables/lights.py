@@ -1,7 +1,7 @@
 """The table of lights as kernels read it.
 
-A new light has its model in `scene/light/lights.py`; its kind, its row and its power here; and in
-`transport/events/lighting.py` its irradiance at a point and the start of its packets.
+A new light has its model in `scene/light/lights.py`; its kind, its row and its power here; its
+irradiance at a point in `transport/lights/lamps.py`, and the start of its packets in `transport/sources/lamp_rays.py`.
 """
 
 from typing import Any, NamedTuple

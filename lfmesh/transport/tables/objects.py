@@ -20,15 +20,15 @@ from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts
-from lfmesh.transport.tables.emitters import emitter_table, mean_emissions, no_emitters
+from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.halos import halo_tables
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
+from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import (
     AIR,
@@ -220,7 +220,7 @@ def object_tables(
         model=models,
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
-        glow=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
+        emission_spectra=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
         media=known.table(wavelengths_nm, book, medium.tolist()),
         medium=medium,
         rank=ranks,
@@ -248,7 +248,7 @@ def object_tables(
         glass=glass if (medium != OPAQUE).any() else None,
     )
     tables = with_volumes(tables, scene, targets, moves, book, lines)
-    sources = _sources([*_lamps(tables), *_glowing_facets(tables, mesh), *_glowing_volumes(scene, tables.volumes)])
+    sources = _sources([*_lamps(tables), *_emitting_facets(tables, mesh), *_emitting_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
@@ -305,7 +305,7 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
-    volumes = volumes._replace(halos=halo_tables(volumes, tables.lights, tables.outer_radius))
+    volumes = volumes._replace(near_lamps=single_scatter_tables(volumes, tables.lights, tables.outer_radius))
     reach, endless = reach_of(volumes)
     if endless and (tables.lights["kind"] == DIRECTIONAL).any():
         raise SceneError(
@@ -421,22 +421,22 @@ def _lamps(objects: ObjectTables) -> list[Entry]:
     return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lights)]
 
 
-def _glowing_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
+def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     """Return the sources of emitting targets, one for each facet."""
     entries = []
     areas = facet_normals(mesh)[1]
     emission = mean_emissions(objects)
     most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
-    glow = objects.radiance.max(axis=1, initial=0.0)
+    largest = objects.radiance.max(axis=1, initial=0.0)
     for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
         sides = 1.0 if objects.one_sided[body] else 2.0
         area = np.pi * areas[facet] * MM2
-        entries.append((-1, int(facet), most[body] * area, glow[body] * area * sides))
+        entries.append((-1, int(facet), most[body] * area, largest[body] * area * sides))
     return entries
 
 
-def _glowing_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
+def _emitting_volumes(scene: Scene, volumes: Volumes | None) -> list[Entry]:
     """Return the sources of emitting media.
 
     Raises

@@ -141,7 +141,7 @@ OPAQUE = -1
 
 @by_address
 class Emitters(NamedTuple):
-    """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitters`)."""
+    """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitting_facets`)."""
 
     facet: NDArray[np.int64]  # (n,) facet of each piece
     until: Array  # (n,) cumulative chance of the pieces
@@ -150,6 +150,22 @@ class Emitters(NamedTuple):
     density: Array  # (n,) chance of each piece over its area, 1/mm²
     first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four
+
+
+@by_address
+class SingleScatter(NamedTuple):
+    """Light that media in air scatter near lamps, by the angle from the lamp (see `tables.single_scatter`)."""
+
+    angles: Array  # (n + 1,) rad, from 0 to π; (0,): there is none, or next to none
+    phase: Array  # (wavelengths, n) 1/sr, mean phase function between two angles
+    beyond: Array  # (wavelengths, n + 1) its integral over the angle from each angle to π
+    below: Array  # (wavelengths, n + 1) integral of that over the angle from 0 to each angle
+    scattering: Array  # (media, wavelengths) 1/mm, largest coefficient of each medium in air
+    extent: Array  # (media,) mm, largest length of a line in each medium; inf: it has no bounds
+
+
+_NONE = np.zeros((0, 0))
+NOTHING_NEAR_LAMPS = SingleScatter(np.zeros(0), _NONE, _NONE, _NONE, _NONE, np.zeros(0))
 
 
 @by_address
@@ -177,7 +193,7 @@ class ObjectTables(NamedTuple):
     model: NDArray[np.int64]  # (m,) row of the scattering model of each facet; of the housing 0
     smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
     radiance: Array  # (targets, wavelengths) W/(m² sr), which the model of emission lowers
-    glow: Array  # (targets, wavelengths) radiance relative to the largest of its target
+    emission_spectra: Array  # (targets, wavelengths) radiance relative to the largest of its target
     media: Media
     medium: NDArray[np.int64]  # (targets,) medium of a body of glass; OPAQUE for all other targets
     # (targets,) rank of a body of glass, from 1; 0 for all other targets. Where bodies overlap, the medium is that of

@@ -26,7 +26,7 @@ from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions
 from lfmesh.transport.tables.spectra import spread
-from lfmesh.transport.tables.tables import Media
+from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, Media, SingleScatter
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ class Volumes(NamedTuple):
     scatters: bool  # what they scatter is followed; else they take it away
     emit: bool
     shells: Any = None  # ShellTree of the meshes that bound media; None: code for them is not even compiled
-    halos: Any = None  # Halos of lamps, where a medium in air scatters their light, else None
+    near_lamps: SingleScatter = NOTHING_NEAR_LAMPS
 
 
 def volume_tables(

@@ -98,8 +98,8 @@ def tell(scattering: ScatteringTables, point: Point, ways: Array, way: Array, to
     """Write density and BRDF of directions (n, 3) into `told` (n, 2)."""
     for i in range(len(ways)):
         ox, oy, oz = ways[i]
-        told[i, 0] = density(scattering, point, WAVE, way[0], way[1], way[2], ox, oy, oz)
-        told[i, 1] = evaluate(scattering, point, WAVE, way[0], way[1], way[2], ox, oy, oz)
+        told[i, 0] = density(scattering, point, WAVE, (way[0], way[1], way[2]), (ox, oy, oz))
+        told[i, 1] = evaluate(scattering, point, WAVE, (way[0], way[1], way[2]), (ox, oy, oz))
 
 
 @kernel
@@ -107,7 +107,7 @@ def draw(scattering: ScatteringTables, point: Point, way: Array, numbers: Array,
     """Write directions, and what each carries, into `drawn` (n, 4)."""
     for i in range(len(numbers)):
         u, v = numbers[i]
-        drawn[i] = sample(scattering, point, WAVE, way[0], way[1], way[2], u, v)
+        drawn[i] = sample(scattering, point, WAVE, (way[0], way[1], way[2]), u, v)
 
 
 def tell_all(tables: ScatteringTables, point: Point, ways: Array, way: Array, both: Array) -> None:
@@ -301,8 +301,8 @@ def test_interpolated_normals_gain_no_light(name: str) -> None:
                     assert total <= 0.7 * TEXEL * 1.002
                 assert total <= 1.0
                 for row in rows[:: len(rows) // 7]:
-                    there = evaluate(all_models(), toward, WAVE, *map(float, -seen), *map(float, row))
-                    assert there == evaluate(all_models(), away, WAVE, *map(float, -row), *map(float, seen))
+                    there = evaluate(all_models(), toward, WAVE, tuple(-seen), tuple(row))
+                    assert there == evaluate(all_models(), away, WAVE, tuple(-row), tuple(seen))
 
 
 @pytest.mark.parametrize("name", ["matt", "lacquer", "glTF mixture"])
@@ -314,14 +314,13 @@ def test_what_is_drawn_at_an_interpolated_normal_carries_the_brdf(name: str, to_
     random = np.random.default_rng(5)
     carried = 0
     for u, v in random.random((200, 2)):
-        way = [float(x) for x in -direction(normal, 0.3, random.random() * 6.0)]
-        *out, share = sample(all_models(), point, WAVE, *way, u, v)
+        way = tuple(-direction(normal, 0.3, random.random() * 6.0))
+        *drawn, share = sample(all_models(), point, WAVE, way, u, v)
+        out = tuple(drawn)
         cosine = float(normal @ out)
         if cosine > 0.0:
             there = (
-                evaluate(all_models(), point, WAVE, *way, *out)
-                * cosine
-                / density(all_models(), point, WAVE, *way, *out)
+                evaluate(all_models(), point, WAVE, way, out) * cosine / density(all_models(), point, WAVE, way, out)
             )
             assert share == pytest.approx(there, rel=1e-9, abs=1e-12)
             carried += share > 0.0
@@ -359,7 +358,7 @@ def test_a_hot_surface_emits_what_it_does_not_scatter(name: str) -> None:
             draw(hot, point._replace(model=row), -seen, numbers[0], rows)
             emitted = np.array(
                 [
-                    np.pi * evaluate(hot, point._replace(model=emits, u=u, v=v), WAVE, 0.0, 0.0, 1.0, *map(float, seen))
+                    np.pi * evaluate(hot, point._replace(model=emits, u=u, v=v), WAVE, (0.0, 0.0, 1.0), tuple(seen))
                     for u, v in (numbers[1] if tilt > 0.0 else numbers[1, :1])
                 ]
             )
@@ -392,7 +391,7 @@ def test_the_black_side_of_a_hot_sheet_is_a_black_body() -> None:
     there = tables.models["emission"][behind[0]]
     assert tables.models["kind"][there] == THERMAL
     point = Point(0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, int(there), TEXEL)
-    assert evaluate(tables, point, 0, 0.0, 0.0, -1.0, 0.0, 0.6, 0.8) == pytest.approx(1.0 / np.pi, rel=1e-15)
+    assert evaluate(tables, point, 0, (0.0, 0.0, -1.0), (0.0, 0.6, 0.8)) == pytest.approx(1.0 / np.pi, rel=1e-15)
 
 
 def test_the_smoothest_gloss_reflects_as_fresnel_says() -> None:
@@ -411,8 +410,8 @@ def test_light_goes_either_way_alike() -> None:
     random = np.random.default_rng(3)
     for point, normal, _ in cases():
         one, other = direction(normal, random.random(2), 2.0 * np.pi * random.random(2))
-        there = evaluate(all_models(), point, WAVE, *-one, *other)
-        assert there == pytest.approx(evaluate(all_models(), point, WAVE, *-other, *one), rel=1e-12), point
+        there = evaluate(all_models(), point, WAVE, tuple(-one), tuple(other))
+        assert there == pytest.approx(evaluate(all_models(), point, WAVE, tuple(-other), tuple(one)), rel=1e-12), point
 
 
 def test_a_matt_target_scatters_by_lamberts_law() -> None:
@@ -421,7 +420,7 @@ def test_a_matt_target_scatters_by_lamberts_law() -> None:
     for name, reflectance in (("matt", 0.7), ("black", 0.0), ("emission", 1.0)):
         point = point_of(name, normal)
         for ways in (direction(normal, 0.9, 1.0), direction(normal, 0.1, 4.0)):
-            brdf = evaluate(all_models(), point, WAVE, *-ways, *direction(normal, 0.3, 2.0))
+            brdf = evaluate(all_models(), point, WAVE, tuple(-ways), tuple(direction(normal, 0.3, 2.0)))
             assert brdf == pytest.approx(reflectance * TEXEL / np.pi, rel=1e-15)
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from lfmesh.geometry.frame import IDENTITY
 from lfmesh.scene import Scene
-from lfmesh.transport.events.volume import Passage, pass_through, scattering_point
+from lfmesh.transport.events.volume import Line, Passage, Ray, pass_through, scattering_point
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
@@ -31,10 +31,15 @@ def volumes_of(*media: dict[str, Any], folder: Path | None = None, **changes: An
     return found
 
 
+def line(*ray: float, colour: int = 0) -> Line:
+    """Return a line in air."""
+    return Line(Ray(*map(float, ray)), 0, colour)
+
+
 def passage(volumes: Volumes, p: Any, d: Any, reach: float, book: Any = None, colour: int = 0) -> Passage:
     d = np.array(d, dtype=float) / np.linalg.norm(d)
     book = np.zeros(len(volumes.rows)) if book is None else book
-    return Passage(*pass_through(volumes, 0, colour, *map(float, p), *d.tolist(), reach, book, 1.0, KEY))
+    return Passage(*pass_through(volumes, line(*map(float, p), *d.tolist(), colour=colour), reach, book, 1.0, KEY))
 
 
 def slab(thickness: float, **values: Any) -> dict[str, Any]:
@@ -107,8 +112,8 @@ def test_fog_without_an_end_scatters_all_that_it_does_not_absorb() -> None:
     points = []
     for i in range(4000):
         key = descendant(KEY, i)
-        found = Passage(*pass_through(volumes, 0, 0, *way, np.inf, np.zeros(1), 0.0, key))
-        points.append(scattering_point(volumes, 0, 0, found, *way, key)[:2])
+        found = Passage(*pass_through(volumes, line(*way), np.inf, np.zeros(1), 0.0, key))
+        points.append(scattering_point(volumes, line(*way), found, key)[:2])
     t, share = np.array(points).T
     np.testing.assert_allclose(share, 2.0 / 3.0, rtol=1e-13)
     assert abs(t.mean() * 0.006 - 1.0) < 4.5 / np.sqrt(len(t))
@@ -213,8 +218,8 @@ def test_scattering_points_have_the_density_of_single_scattering(n: int, tmp_pat
     for i in range(20000):
         key = descendant(KEY, i)
         book = np.zeros(1)
-        found = Passage(*pass_through(volumes, 0, 0, *START, *d, np.inf, book, 0.0, key))
-        t, share, _, _ = scattering_point(volumes, 0, 0, found, *START, *d, key)
+        found = Passage(*pass_through(volumes, line(*START, *d), np.inf, book, 0.0, key))
+        t, share, _, _ = scattering_point(volumes, line(*START, *d), found, key)
         points.append((t, share))
     t, share = np.array(points).T
     np.testing.assert_allclose(found.scattered, density.sum(), rtol=5e-3 if n else 1e-4)
@@ -236,10 +241,10 @@ def test_media_that_overlap_scatter_as_one_of_their_sum() -> None:
     chosen = np.zeros(3)
     for i in range(4000):
         key = descendant(KEY, i)
-        found = Passage(*pass_through(volumes, 0, 0, *START, *d, np.inf, np.zeros(3), 0.0, key))
-        t, share, _, which = scattering_point(volumes, 0, 0, found, *START, *d, key)
-        one = Passage(*pass_through(sole, 0, 0, *START, *d, np.inf, np.zeros(1), 0.0, key))
-        np.testing.assert_allclose((t, share), scattering_point(sole, 0, 0, one, *START, *d, key)[:2], rtol=1e-12)
+        found = Passage(*pass_through(volumes, line(*START, *d), np.inf, np.zeros(3), 0.0, key))
+        t, share, _, which = scattering_point(volumes, line(*START, *d), found, key)
+        one = Passage(*pass_through(sole, line(*START, *d), np.inf, np.zeros(1), 0.0, key))
+        np.testing.assert_allclose((t, share), scattering_point(sole, line(*START, *d), one, key)[:2], rtol=1e-12)
         np.testing.assert_allclose(share, one.scattered, rtol=1e-12)
         chosen[which] += 1
     # Binomial, at 4 sigma.

@@ -22,7 +22,7 @@ from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
-from lfmesh.transport.tables.emitters import no_emitters
+from lfmesh.transport.tables.emitting_facets import no_emitters
 from lfmesh.transport.world import World, build
 from tests.cameras import biconvex
 

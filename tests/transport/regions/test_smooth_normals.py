@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.scattering import evaluate
-from lfmesh.transport.regions.targets import point_of
+from lfmesh.transport.events.surface import point_of
 from lfmesh.transport.tables.tables import ObjectTables
 from tests.cameras import camera_without_array
 
@@ -28,14 +28,13 @@ flat and of interpolated normals: by number of facets, as an independent sum in 
 def cosines(objects: ObjectTables, facets: NDArray[np.int64], places: Array, lamps: Array, found: Array) -> None:
     """Write π BRDF · cos θ of points of white facets under lamps, seen along their normals, (n,)."""
     for i in range(len(found)):
-        x, y, z = places[i, 0], places[i, 1], places[i, 2]
-        point = point_of(objects, facets[i], x, y, z, 1.0, 1.0, True)
+        point = point_of(objects, facets[i], 0, (places[i, 0], places[i, 1], places[i, 2]), 1.0, True)
         ux, uy, uz = lamps[i, 0], lamps[i, 1], lamps[i, 2]
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         found[i] = 0.0
         if cosine > 0.0:
-            ix, iy, iz = -point.nx, -point.ny, -point.nz
-            found[i] = np.pi * evaluate(objects.scattering, point, 0, ix, iy, iz, ux, uy, uz) * cosine
+            incoming = -point.nx, -point.ny, -point.nz
+            found[i] = np.pi * evaluate(objects.scattering, point, 0, incoming, (ux, uy, uz)) * cosine
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

@@ -11,8 +11,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
-from lfmesh.transport.events.lighting import _near_disk, emitted, illuminate, intensity
+from lfmesh.transport.lights.lamps import _near_disk, illuminate, intensity
 from lfmesh.transport.packets.random import derived, run_key, uniform
+from lfmesh.transport.sources.lamp_rays import emitted
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT
 from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.world import build

@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.events.glow import density_to_media, point_of_media
+from lfmesh.transport.events.volume import Ray
+from lfmesh.transport.lights.media_emitters import density, point_of_media
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.volumes import Volumes
 from tests.transport.events.test_volume import volumes_of
@@ -28,14 +29,14 @@ def directions(volumes: Any, x: float, y: float, z: float, key: np.uint64, found
         r = np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / r, dy / r, dz / r
         found[i, 0], found[i, 1], found[i, 2] = dx, dy, dz
-        found[i, 3] = density_to_media(volumes, 0, x, y, z, dx, dy, dz)
+        found[i, 3] = density(volumes, 0, Ray(x, y, z, dx, dy, dz))
 
 
 @kernel
 def densities(volumes: Any, x: float, y: float, z: float, ways: Array, found: Array) -> None:
     """Write the density of directions."""
     for i in range(len(found)):
-        found[i] = density_to_media(volumes, 0, x, y, z, ways[i, 0], ways[i, 1], ways[i, 2])
+        found[i] = density(volumes, 0, Ray(x, y, z, ways[i, 0], ways[i, 1], ways[i, 2]))
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +66,14 @@ def test_directions_to_media_have_the_density_that_is_stated(volumes: Volumes, p
     assert (drawn[:, 3] > 0.0).all()
     ways = np.random.default_rng(9).normal(size=(20 * COUNT, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    density = np.empty(len(ways))
-    densities(volumes, *place, ways, density)
+    told = np.empty(len(ways))
+    densities(volumes, *place, ways, told)
 
     def moments(d: Array) -> Array:
         x, y, z = d.T
         return np.array([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, (x > y) * (y > z)])
 
-    by_points, by_density = moments(drawn[:, :3]), moments(ways) * density * 4.0 * np.pi
+    by_points, by_density = moments(drawn[:, :3]), moments(ways) * told * 4.0 * np.pi
     error = np.hypot(by_points.std(axis=1) / np.sqrt(COUNT), by_density.std(axis=1) / np.sqrt(len(ways)))
     z = (by_points.mean(axis=1) - by_density.mean(axis=1)) / error
     assert (np.abs(z) < 4.2).all(), z

@@ -8,7 +8,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.scene.light.spectra import curve_of
-from lfmesh.transport.tables.lamp_lines import lamp_lines
+from lfmesh.transport.checks.lamp_lines import lamp_lines
 from lfmesh.transport.world import build
 from tests.cameras import as_text, camera_without_array
 

@@ -7,17 +7,17 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from lfmesh.transport.events.lamps_on_line import (
+from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
+from lfmesh.transport.lights.lamps_on_line import (
     density_by_angle,
     distance_by_angle,
     lamps_on_line,
     lit_part,
     passes_lamp,
 )
-from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT, POINT, SPOT
-from tests.transport.events.test_volume import slab, volumes_of
+from tests.transport.events.test_volume import line, slab, volumes_of
 
 
 def lamps(*rows: tuple[int, list[float], float, float]) -> Any:
@@ -102,11 +102,11 @@ def test_light_scattered_at_a_distance_is_the_same_however_the_point_is_drawn(tm
     way, book = (-15.0, -8.0, -60.0, *d.tolist()), np.zeros(2)
     for i in range(200):
         key = descendant(5, i)
-        found = Passage(*pass_through(volumes, 0, 0, *way, np.inf, book, 0.0, key))
-        t, share, density, which = scattering_point(volumes, 0, 0, found, *way, key)
+        found = Passage(*pass_through(volumes, line(*way), np.inf, book, 0.0, key))
+        t, share, density, which = scattering_point(volumes, line(*way), found, key)
         assert found.first <= t <= found.last
         assert share > 0.0
-        again, medium = scattered_at(volumes, 0, 0, t, *way, book, key)
+        again, medium = scattered_at(volumes, line(*way), t, book, key)
         np.testing.assert_allclose(again, density, rtol=1e-11)
         assert medium == which
     assert (book == 0.0).all()

@@ -11,8 +11,8 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport import engine
-from lfmesh.transport.events.emission import density_at, emitting_point
-from lfmesh.transport.tables.emitters import MOST_PIECES, emitter_table
+from lfmesh.transport.lights.emitting_facets import density_at, emitting_point
+from lfmesh.transport.tables.emitting_facets import MOST_PIECES, emitter_table
 from lfmesh.transport.tables.tables import ObjectTables
 from lfmesh.transport.world import build
 
@@ -107,13 +107,13 @@ def test_nothing_is_asked_where_no_target_emits_or_none_scatters(monkeypatch: py
     """The kernel of the station is not even compiled there."""
 
     def refuse(*_: Any) -> None:
-        raise AssertionError("emitters were asked")
+        raise AssertionError("lights were asked")
 
-    monkeypatch.setattr(engine, "ask_emitters", refuse)
+    monkeypatch.setattr(engine, "ask_lights", refuse)
     black = SHINING[1] | {"material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}
     for targets, lights in (([SCREEN, SCREEN | {"position_mm": [9.0, 0.0, -50.0]}], [LAMP]), ([black], [LAMP])):
         lf.render(scene(targets, lights))
-    with pytest.raises(AssertionError, match="emitters were asked"):
+    with pytest.raises(AssertionError, match="lights were asked"):
         lf.render(scene([SCREEN, *SHINING], []))
 
 

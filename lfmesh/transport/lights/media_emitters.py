@@ -1,11 +1,9 @@
-"""Emitting media as light sources: directions towards random points of them, and the density of those directions.
+"""Emitting media: directions towards random points of them, and the density of those directions.
 
-A point that scatters finds the light of media by the packet that it scatters, which gathers all that is emitted on its
-way, and by one that it sends towards a random point of a medium, which gathers the same. A direction is drawn by the
-latter with the density ∫ t² p dt, of the density p of points along it; what either brings is divided by the sum of both
-densities of its direction (balance heuristic, Veach & Guibas, SIGGRAPH 1995), so that it counts once. As the whole line
-counts, not the point that gave the direction, neither small flames nor near ones make the variance large. Only media
-that share a body, or air, with the point are drawn; light that comes through glass is found by scattered packets alone.
+A way to emitting media gathers all that is emitted along it, as a scattered ray does. Its direction is drawn with the
+density ∫ t² p dt, of the density p of points along it. As the whole line counts, not the point that gave the direction,
+neither small flames nor near ones make the variance large. Only media that share a body, or air, with the point are
+drawn; light that comes through glass is found by scattered rays alone.
 """
 
 from typing import Any
@@ -15,45 +13,38 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by
-from lfmesh.transport.events.volume import Ray, own_ray, slab
-from lfmesh.transport.packets.packet import NO_SURFACE, SCATTERED, Options
+from lfmesh.transport.events.bodies import RANK, bodies_round
+from lfmesh.transport.events.crossing import EMITTER_U, draw_two
+from lfmesh.transport.events.volume import Ray, own_ray, ray_of, slab
+from lfmesh.transport.lights.shadow import Way
+from lfmesh.transport.packets.packet import NO_SURFACE, TO_MEDIA, Options
+from lfmesh.transport.packets.random import uniform
 from lfmesh.transport.tables.volumes import Volumes
 
 Array = NDArray[np.float64]
 
 
-@inlined
-def asks_media(volumes: Any, options: Options) -> bool:
-    """Tell whether points that scatter send packets to emitting media.
-
-    Parameters
-    ----------
-    volumes : Volumes or None
-        None: there are no media, and numba compiles nothing but the first line.
-    options : Options
-    """
-    if volumes is None:
-        return False
-    return options.bounce and volumes.emit
-
-
-@inlined
-def share_of_line(volumes: Volumes, packet: Any, place: int) -> float:
-    """Return the share of the emission on its line that a packet counts.
+@kernel
+def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> Way:
+    """Draw a way from the point where a packet is towards a random point of the emitting media in its body, or in air.
 
     Parameters
     ----------
     volumes : Volumes
+    options : Options
     packet : PACKET
-        At the start of the line.
-    place : int
-        Rank of the body of glass or liquid that it is in; 0: air.
+    key : uint64
+        Of the random numbers.
     """
-    if packet.kind != SCATTERED or packet.facet == NO_SURFACE:
-        # Straight from the camera, or by way of glass.
-        return 1.0
-    aimed = density_to_media(volumes, place, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
-    return packet.density / (packet.density + aimed) if aimed > 0.0 else 1.0
+    place, ray, drawn = bodies_round(packet) & RANK, ray_of(packet), 0.0
+    choice, u = draw_two(options, packet, EMITTER_U)
+    found, x, y, z = point_of_media(volumes, place, choice, u, uniform(key, 0), uniform(key, 1))
+    ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
+    distance = np.sqrt(ux * ux + uy * uy + uz * uz)
+    if found and distance > 0.0:
+        ray = Ray(packet.x, packet.y, packet.z, ux / distance, uy / distance, uz / distance)
+        drawn = density(volumes, place, ray)
+    return Way(TO_MEDIA, NO_SURFACE, ray, np.inf, 1.0, drawn)
 
 
 @inlined
@@ -94,25 +85,23 @@ def point_of_media(
 
 
 @kernel
-def density_to_media(
-    volumes: Volumes, place: int, x: float, y: float, z: float, dx: float, dy: float, dz: float
-) -> float:
-    """Return the density, 1/sr, with which `point_of_media` lies in a direction.
+def density(volumes: Volumes, place: int, ray: Ray) -> float:
+    """Return the density, 1/sr, with which `point_of_media` lies in the direction of a ray from its start.
 
     Parameters
     ----------
     volumes : Volumes
     place : int
         As for `point_of_media`.
-    x, y, z, dx, dy, dz : float
-        Point, mm, and unit direction, object frame.
+    ray : Ray
+        In the object frame.
     """
     whole, total = 0.0, 0.0
     for number in range(len(volumes.rows)):
         power = _power_drawn(volumes, number, place)
         if power > 0.0:
             whole += power
-            total += power * _density_in(volumes, number, own_ray(volumes.rows[number], x, y, z, dx, dy, dz))
+            total += power * _density_in(volumes, number, own_ray(volumes.rows[number], ray))
     return total / whole if whole > 0.0 else 0.0
 
 

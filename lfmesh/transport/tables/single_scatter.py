@@ -7,8 +7,6 @@ steps of it the light that arrives is constant (equiangular sampling, Kulla & Fa
 integral and its integral over α, of the mean phase function of all media.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +14,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.search import piece_with
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
 from lfmesh.transport.tables.lights import DIRECTIONAL
+from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, SingleScatter
 from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of
 
 Array = NDArray[np.float64]
@@ -29,30 +28,18 @@ PIECES = 128
 EVEN = 0.1
 """Share of isotropic scattering in the table, so that a phase function may have narrower peaks than the pieces."""
 
-
 DENSE = 0.1
 """Optical depth of scattering on the way to a lamp from which on each point sends a packet past it.
 
-Below, a halo is of little weight, and its variance falls with the square of the depth: so does the share of points.
+Below, that light is of little weight, and its variance falls with the square of the depth: so does the share of points.
 """
 
 WORTH = 0.1
 """Share of points that send a packet below which none does: asking each whether it does would cost more."""
 
 
-class Halos(NamedTuple):
-    """Light that is scattered near lamps, by the angle from the lamp."""
-
-    angles: Array  # (n + 1,) rad, from 0 to π
-    phase: Array  # (wavelengths, n) 1/sr, mean phase function between two angles
-    beyond: Array  # (wavelengths, n + 1) its integral over the angle from each angle to π
-    below: Array  # (wavelengths, n + 1) integral of that over the angle from 0 to each angle
-    scattering: Array  # (media, wavelengths) 1/mm, largest coefficient of each medium in air
-    extent: Array  # (media,) mm, largest length of a line in each medium; inf: it has no bounds
-
-
-def halo_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> Halos | None:
-    """Return the tables of a scene's media, None if next to nothing is scattered near lamps.
+def single_scatter_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> SingleScatter:
+    """Return the tables of a scene's media, empty ones if next to nothing is scattered near lamps.
 
     Parameters
     ----------
@@ -64,7 +51,7 @@ def halo_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> Halo
     rows = volumes.rows
     scattering = np.where((rows["inside"] == 0)[:, None], volumes.scattering, 0.0)
     if not volumes.scatters or not scattering.any() or not (lights["kind"] != DIRECTIONAL).any():
-        return None
+        return NOTHING_NEAR_LAMPS
     for number, row in enumerate(rows):
         if row["scattering"] != NOT_IN_GRID:
             voxels = int(np.prod(row["cells"]))
@@ -73,7 +60,7 @@ def halo_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> Halo
     far = max(size, float(np.linalg.norm(lights["position"][lights["kind"] != DIRECTIONAL], axis=1).max()))
     depth = float((scattering * np.minimum(extents, far)[:, None]).sum(axis=0).max())
     if min(depth / DENSE, 1.0) ** 2 < WORTH:
-        return None
+        return NOTHING_NEAR_LAMPS
     angles = _angles()
     middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -85,7 +72,7 @@ def halo_tables(volumes: Volumes, lights: NDArray[np.void], size: float) -> Halo
     # From the far end, so that the small numbers there keep their digits.
     beyond[:, :-1] = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1]
     below[:, 1:] = np.cumsum(half * (beyond[:, 1:] + beyond[:, :-1]), axis=1)
-    return Halos(angles, phase, beyond, below, scattering, extents)
+    return SingleScatter(angles, phase, beyond, below, scattering, extents)
 
 
 def _angles() -> Array:
@@ -119,71 +106,71 @@ def _mean_phase(phases: PhaseTables, scattering: Array, cosines: Array, weights:
 
 
 @kernel
-def light_beyond(halos: Halos, colour: int, angle: float) -> float:
+def light_beyond(near_lamps: SingleScatter, colour: int, angle: float) -> float:
     """Return the integral of the mean phase function over the angle, from an angle to π, 1/sr.
 
     Parameters
     ----------
-    halos : Halos
+    near_lamps : SingleScatter
     colour : int
         Number of the wavelength.
     angle : float
         rad, 0 to π.
     """
-    k = piece_with(halos.angles, angle)
-    return halos.beyond[colour, k + 1] + halos.phase[colour, k] * max(halos.angles[k + 1] - angle, 0.0)
+    k = piece_with(near_lamps.angles, angle)
+    return near_lamps.beyond[colour, k + 1] + near_lamps.phase[colour, k] * max(near_lamps.angles[k + 1] - angle, 0.0)
 
 
 @kernel
-def phase_at(halos: Halos, colour: int, angle: float) -> float:
+def phase_at(near_lamps: SingleScatter, colour: int, angle: float) -> float:
     """Return the mean phase function at an angle, 1/sr: the derivative of `light_beyond`, but for its sign.
 
     Parameters
     ----------
-    halos, colour, angle
+    near_lamps, colour, angle
         As for `light_beyond`.
     """
-    return halos.phase[colour, piece_with(halos.angles, angle)]
+    return near_lamps.phase[colour, piece_with(near_lamps.angles, angle)]
 
 
 @kernel
-def angle_beyond(halos: Halos, colour: int, light: float) -> float:
+def angle_beyond(near_lamps: SingleScatter, colour: int, light: float) -> float:
     """Return the angle at which `light_beyond` has a value, rad.
 
     Parameters
     ----------
-    halos : Halos
+    near_lamps : SingleScatter
     colour : int
         Number of the wavelength.
     light : float
     """
-    low, high = 0, len(halos.angles) - 1
+    low, high = 0, len(near_lamps.angles) - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if halos.beyond[colour, middle] >= light:
+        if near_lamps.beyond[colour, middle] >= light:
             low = middle
         else:
             high = middle
-    angle = halos.angles[low + 1] - (light - halos.beyond[colour, low + 1]) / halos.phase[colour, low]
-    return min(max(angle, halos.angles[low]), halos.angles[low + 1])
+    angle = near_lamps.angles[low + 1] - (light - near_lamps.beyond[colour, low + 1]) / near_lamps.phase[colour, low]
+    return min(max(angle, near_lamps.angles[low]), near_lamps.angles[low + 1])
 
 
 @kernel
-def drawn_angle(halos: Halos, colour: int, u: float) -> float:
+def drawn_angle(near_lamps: SingleScatter, colour: int, u: float) -> float:
     """Return an angle from a lamp, rad, drawn in proportion to `light_beyond`.
 
     Parameters
     ----------
-    halos : Halos
+    near_lamps : SingleScatter
     colour : int
         Number of the wavelength.
     u : float
         A random number, uniform in [0, 1).
     """
-    last = len(halos.angles) - 1
-    wanted = u * halos.below[colour, last]
-    k = piece_with(halos.below[colour], wanted)
-    rest, at_begin = wanted - halos.below[colour, k], halos.beyond[colour, k]
+    last = len(near_lamps.angles) - 1
+    wanted = u * near_lamps.below[colour, last]
+    k = piece_with(near_lamps.below[colour], wanted)
+    rest, at_begin = wanted - near_lamps.below[colour, k], near_lamps.beyond[colour, k]
     # The root of b x − p x² / 2 = rest, in the form that holds for any p.
-    root = np.sqrt(max(at_begin * at_begin - 2.0 * halos.phase[colour, k] * rest, 0.0))
-    return min(halos.angles[k] + 2.0 * rest / (at_begin + root), halos.angles[k + 1])
+    root = np.sqrt(max(at_begin * at_begin - 2.0 * near_lamps.phase[colour, k] * rest, 0.0))
+    return min(near_lamps.angles[k] + 2.0 * rest / (at_begin + root), near_lamps.angles[k + 1])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.packets.packet import NO_SURFACE, PACKET
-from lfmesh.transport.regions.bodies import (
+from lfmesh.transport.events.bodies import (
     BITS,
     MOST_AT_ONCE,
     MOST_BODIES,
@@ -19,6 +18,7 @@ from lfmesh.transport.regions.bodies import (
     with_body,
     without_body,
 )
+from lfmesh.transport.packets.packet import NO_SURFACE, PACKET
 
 
 def ranks(inside: int) -> list[int]:

@@ -1,0 +1,192 @@
+"""Surfaces of targets at a point: shading normal, texture, opacity, and what they emit."""
+
+from typing import Any
+
+import numpy as np
+
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.crossing import barycentric
+from lfmesh.transport.events.scattering import Point, emissivity
+from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.tables.scattering import THERMAL
+from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
+
+EMITTED = 1 << 24
+"""Number of the random numbers of emission, among those that a packet's key has for its children."""
+
+
+@inlined
+def point_of(
+    objects: ObjectTables, prim: int, colour: int, place: tuple[float, float, float], side: float, to_light: bool
+) -> Point:  # fmt: skip
+    """Return a point on one side of a facet, with its scattering model and the value of its texture.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    prim : int
+        Facet.
+    colour : int
+        Number of the wavelength.
+    place : (3,) float, mm
+    side : float
+        1: the side that the normal points to, −1: the other.
+    to_light : bool
+        Whether packets leave it towards the light, as in the adjoint method.
+    """
+    x, y, z = place
+    texel = _texture_at(objects, prim, colour, x, y, z)
+    facet = objects.facets[prim]
+    normal = facet.normal
+    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
+    model = objects.model[prim]
+    if side < 0.0:
+        model = objects.scattering.models[model].behind
+    if not objects.smooth[facet.body]:
+        return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
+    sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
+    return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
+
+
+@inlined
+def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
+    """Return a point as it emits: with the model of its emission.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    point : Point
+    key : uint64
+        Of the packet.
+    """
+    row = objects.scattering.models[point.model].emission
+    smooth = point.smooth and objects.scattering.models[row].kind == THERMAL
+    u, v = 0.0, 0.0
+    if smooth:
+        u, v = uniform(derived(key, EMITTED), 0), uniform(derived(key, EMITTED), 1)
+    return Point(
+        point.prim, point.x, point.y, point.z, point.nx, point.ny, point.nz, row, point.texel,
+        smooth, point.sx, point.sy, point.sz, point.to_light, u, v,
+    )  # fmt: skip
+
+
+@kernel
+def _interpolated_normal(facet: Any, side: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit normal between the facet's corners, on one side of it.
+
+    Parameters
+    ----------
+    facet : FACET
+    side : float
+        1: the side that its normal points to, −1: the other.
+    x, y, z : float, mm
+    """
+    b, c = barycentric(facet, x, y, z)
+    at = facet.corner_normals
+    a = 1.0 - b - c
+    nx = a * at[0, 0] + b * at[1, 0] + c * at[2, 0]
+    ny = a * at[0, 1] + b * at[1, 1] + c * at[2, 1]
+    nz = a * at[0, 2] + b * at[1, 2] + c * at[2, 2]
+    over = side / np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx * over, ny * over, nz * over
+
+
+@inlined
+def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: float, z: float) -> float:
+    """Return the value of the texture at a point of a facet (linear light, bilinear, clamped); 1 without a texture.
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    colour : int
+        Number of the wavelength.
+    x, y, z : float, mm
+    """
+    body = objects.facets[prim].body
+    height = objects.texture[body, 1]
+    if height == 0:
+        return 1.0
+    first, width = objects.texture[body, 0], objects.texture[body, 2]
+    row, column = _place_in_texture(objects, prim, x, y, z)
+    left, low = int(np.floor(column)), int(np.floor(row))
+    right_share, low_share = column - left, row - low
+    # No views of rows: a view counts its references, which costs more than what is read.
+    in_bands = len(objects.texel_weights) > 0
+    value = 0.0
+    for j in range(2):
+        for k in range(2):
+            r = min(max(low + j, 0), height - 1)
+            s = min(max(left + k, 0), width - 1)
+            share = (low_share if j else 1.0 - low_share) * (right_share if k else 1.0 - right_share)
+            texel = first + r * width + s
+            if in_bands:
+                for primary in range(objects.texel_weights.shape[1]):
+                    value += share * objects.texels[texel, primary] * objects.texel_weights[colour, primary]
+            else:
+                value += share * objects.texels[texel, colour]
+    return value
+
+
+@inlined
+def _place_in_texture(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float]:
+    """Return row and column of a facet's texture at a point, counted from the middle of the first texel."""
+    body = objects.facets[prim].body
+    b, c = barycentric(objects.facets[prim], x, y, z)
+    uv = objects.uv[prim]
+    a = 1.0 - b - c
+    u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
+    v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
+    return (1.0 - v) * objects.texture[body, 1] - 0.5, u * objects.texture[body, 2] - 0.5
+
+
+@kernel
+def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
+    """Return the opacity of a target at a point of a facet: its number, or its texture's alpha (bilinear, clamped).
+
+    Parameters
+    ----------
+    prim : int
+        Facet.
+    x, y, z : float, mm
+    """
+    body = objects.facets[prim].body
+    if objects.opacity[body] != BY_ALPHA:
+        return objects.opacity[body]
+    height, width = objects.texture[body, 1], objects.texture[body, 2]
+    row, column = _place_in_texture(objects, prim, x, y, z)
+    low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
+    j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
+    s, t = low - j, left - k
+    place = objects.alpha_first[body] + j * width + k
+    down, right = (width if height > 1 else 0), (1 if width > 1 else 0)
+    alpha = objects.alpha
+    upper = (1.0 - t) * alpha[place] + t * alpha[place + right]
+    return (1.0 - s) * upper + s * ((1.0 - t) * alpha[place + down] + t * alpha[place + down + right])
+
+
+@inlined
+def emitted_radiance(
+    objects: ObjectTables, packet: Any, point: Point, ox: float, oy: float, oz: float
+) -> float:  # fmt: skip
+    """Return the radiance that a point emits into the packet's medium, as the packet's weight counts it, W/(m² sr).
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    packet : PACKET
+    point : Point
+    ox, oy, oz : float
+        Unit direction away from the surface.
+    """
+    radiance = objects.radiance[objects.facets[point.prim].body, packet.colour]
+    if radiance <= 0.0:
+        return 0.0
+    source = emission_of(objects, point, derived(packet.key, packet.events))
+    if objects.scattering.models[source.model].kind == THERMAL:
+        # Radiance over n² is conserved on the way out of glass, in which a black body has n² times that in air.
+        return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
+    radiance *= point.texel
+    if packet.medium != AIR:
+        radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
+    return radiance

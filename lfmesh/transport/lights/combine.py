@@ -1,0 +1,376 @@
+"""Lights asked from points that scatter, and combined with scattered rays.
+
+A point of a target or of a medium, seen from the sensor, finds light in two ways: it sends a shadow packet to each kind
+of light, and the ray that it scatters may meet the same light by chance. A light's `sample` draws a way to it, and its
+`density` tells with which density a direction is drawn. Where both ways can find a path, each counts its share of the
+densities of both (the balance heuristic, Veach & Guibas, SIGGRAPH 1995), so that it counts once. No scattered ray meets
+a lamp; paths through glass or through the lens are found by scattered rays alone, and keep their full weight.
+
+Lamps are asked at once. For other lights the point waits at a station of its own: its kernel is compiled, and runs,
+only in scenes with targets or media that emit, or with lamps and media that scatter.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.phase import evaluate_phase
+from lfmesh.transport.events.bodies import RANK, bodies_round
+from lfmesh.transport.events.crossing import EDGE, clear_of, deposit
+from lfmesh.transport.events.object_space import ObjectSpace
+from lfmesh.transport.events.scattering import Point, density, evaluate
+from lfmesh.transport.events.surface import point_of
+from lfmesh.transport.events.travel import transmitted
+from lfmesh.transport.events.volume import (
+    Line,
+    Passage,
+    Ray,
+    ScatteringPoint,
+    along,
+    pass_through,
+    ray_of,
+    scattered_at,
+)
+from lfmesh.transport.lights.emitting_facets import are_asked as facets_are_asked
+from lfmesh.transport.lights.emitting_facets import radiance as radiance_of_facet
+from lfmesh.transport.lights.emitting_facets import sample as sample_facets
+from lfmesh.transport.lights.lamps import sample as sample_lamp
+from lfmesh.transport.lights.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
+from lfmesh.transport.lights.media_emitters import sample as sample_media
+from lfmesh.transport.lights.shadow import Way, send
+from lfmesh.transport.lights.single_scatter import density as density_past_lamp
+from lfmesh.transport.lights.single_scatter import gather as gather_past_lamp
+from lfmesh.transport.lights.single_scatter import is_asked as single_scatter_is_asked
+from lfmesh.transport.lights.single_scatter import sample as sample_past_lamp
+from lfmesh.transport.packets.packet import (
+    IN_FOG,
+    LIGHTS,
+    NO_SURFACE,
+    OBJECT_FRAME,
+    PAST_LAMP,
+    SCATTERED,
+    TO_FACET,
+    TO_MEDIA,
+    Flow,
+    Options,
+    count_event,
+    put,
+)
+from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.tables.tables import ObjectTables
+
+TOWARDS_MEDIA, TOWARDS_SCATTERED = 1 << 22, 1 << 23
+"""Numbers of the random numbers, among those that a packet's key has for its children, of ways to emitting media and
+past lamps."""
+
+IN_MEDIUM = 1 << 21
+"""The same of a packet's way through media."""
+
+NEAR = 0.125
+"""Distance of a lamp from a line, over the length on which the line's light is scattered, below which it is near."""
+
+BY_LAMP = 10
+"""Dimension of the random number of a point that is drawn by the light of lamps on a line."""
+
+
+@inlined
+def share_of_scattered(packet: Any, asked: float) -> float:
+    """Return the share of a light on its ray that a packet counts.
+
+    Parameters
+    ----------
+    packet : PACKET
+        At the start of the ray.
+    asked : float, 1/sr
+        Density with which the light draws the direction of the ray from there.
+    """
+    return packet.density / (packet.density + asked) if asked > 0.0 else 1.0
+
+
+@inlined
+def has_asked(packet: Any) -> bool:
+    """Tell whether the point that a packet comes from has asked lights too: else it comes from the camera, or glass.
+
+    Parameters
+    ----------
+    packet : PACKET
+    """
+    return packet.kind == SCATTERED and packet.facet != NO_SURFACE
+
+
+@inlined
+def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
+    """Send a shadow packet to every lamp that can reach a point of a target; tell whether there is any.
+
+    Parameters
+    ----------
+    space : ObjectSpace
+    packet : PACKET
+        It has met the target.
+    point : Point
+    """
+    objects = space.objects
+    facet, any_lamp = objects.facets[point.prim], False
+    for number in range(len(objects.lights)):
+        way = sample_lamp(space.options, objects, packet, number, (point.x, point.y, point.z), False)
+        ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
+        cosine = point.nx * ux + point.ny * uy + point.nz * uz
+        if cosine <= 0.0 or way.value <= 0.0:
+            continue
+        any_lamp = True
+        brdf = evaluate(objects.scattering, point, packet.colour, (packet.dx, packet.dy, packet.dz), (ux, uy, uz))
+        clear = clear_of(facet, point.x, point.y, point.z, ux, uy, uz)
+        shadow = send(space.flow, packet, way, packet.weight * brdf * way.value * cosine, packet.key, clear)
+        shadow.facet = point.prim
+    return any_lamp
+
+
+@inlined
+def ask_lamps_on_line(
+    space: ObjectSpace, packet: Any, weight: float, line: Line, passage: Passage, point: ScatteringPoint, key: np.uint64
+) -> None:  # fmt: skip
+    """Send a shadow packet to every lamp from a random point of a packet's way through media.
+
+    The point is that which was drawn by what is scattered there. On a line past a near lamp, whose 1 / r² would be
+    unbounded there, a second one is drawn by the light that arrives, and each counts its share of the two densities.
+
+    Parameters
+    ----------
+    space : ObjectSpace
+    packet : PACKET
+        At the start of its way; its own weight is not used.
+    weight : float
+        Of the packet at its start.
+    line : Line
+    passage : Passage
+    point : ScatteringPoint
+    key : uint64
+        Of the random numbers.
+    """
+    objects, colour, ray = space.objects, line.colour, line.ray
+    lights, spectra, first, last = objects.lights, objects.light_spectra, passage.first, passage.last
+    t, share, scattered, medium = point
+    whole = 0.0
+    if passes_lamp(lights, spectra, colour, ray, first, last, NEAR * passage.scattered / passage.densest):
+        whole = lamps_on_line(lights, spectra, colour, ray, first, last)
+    points = 2 if whole > 0.0 else 1
+    for number in range(points):
+        if number == 1:
+            t = distance_by_angle(lights, spectra, colour, ray, first, last, whole * uniform(key, BY_LAMP))
+            scattered, medium = scattered_at(objects.volumes, line, t, space.flow.book, key)
+        if points == 2 and scattered > 0.0:
+            own = scattered / passage.scattered
+            by_lamp = density_by_angle(lights, spectra, colour, ray, t) / whole
+            share = (scattered if number == 1 else share * own) / (own + by_lamp)
+        if scattered > 0.0:
+            _ask_lamps_in_medium(space, packet, weight * share, medium, along(ray, t))
+
+
+@kernel
+def _ask_lamps_in_medium(
+    space: ObjectSpace, packet: Any, weight: float, medium: int, place: tuple[float, float, float]
+) -> None:  # fmt: skip
+    """Send a shadow packet to every lamp from a point of a medium.
+
+    Parameters
+    ----------
+    packet : PACKET
+        On its way to the point.
+    weight : float
+        That is scattered there.
+    medium : int
+        Number of the medium.
+    place : (3,) float, mm
+        The point.
+    """
+    objects, volumes = space.objects, space.objects.volumes
+    phase = volumes.phases.rows[medium, packet.colour]
+    for lamp in range(len(objects.lights)):
+        way = sample_lamp(space.options, objects, packet, lamp, place, True)
+        ray = way.ray
+        scattered = evaluate_phase(volumes.phases, phase, packet.dx * ray.dx + packet.dy * ray.dy + packet.dz * ray.dz)
+        if way.value * scattered > 0.0:
+            lit = weight * way.value * scattered
+            if len(volumes.near_lamps.angles) > 0 and has_asked(packet) and way.reach < np.inf:
+                asked = density_past_lamp(volumes.near_lamps, objects, packet, lamp, along(ray, way.reach))
+                lit *= share_of_scattered(packet, asked)
+            shadow = send(space.flow, packet, way, lit, packet.key, 0.0)
+            shadow.facet = NO_SURFACE
+
+
+@inlined
+def wait_for_lights(
+    space: ObjectSpace, packet: Any, place: tuple[float, float, float], medium: int, key: np.uint64
+) -> None:  # fmt: skip
+    """Let a packet wait at a point from which lights other than lamps are asked, if there are any.
+
+    Parameters
+    ----------
+    space : ObjectSpace
+    packet : PACKET
+        On its way to the point, with the weight that is scattered there and the point's facet, `IN_FOG` in a medium.
+    place : (3,) float, mm
+        The point.
+    medium : int
+        Number of the medium; −1: the point is on a target.
+    key : uint64
+    """
+    options, objects = space.options, space.objects
+    if facets_are_asked(options, objects, packet.events) or _media_are_asked(objects.volumes, options, packet):
+        asking = put(
+            space.flow, LIGHTS, packet, OBJECT_FRAME, place[0], place[1], place[2], packet.dx, packet.dy, packet.dz,
+            packet.weight, key, 0.0,
+        )  # fmt: skip
+        asking.in_medium = medium
+
+
+@inlined
+def _media_are_asked(volumes: Any, options: Options, packet: Any) -> bool:
+    """Tell whether a point asks emitting media, or media near lamps.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+        None: there are no media, and numba compiles nothing but the first line.
+    """
+    if volumes is None:
+        return False
+    return (options.bounce and volumes.emit) or single_scatter_is_asked(volumes, options, packet.events)
+
+
+@kernel
+def ask_lights(wave: NDArray[np.void], space: ObjectSpace) -> None:
+    """Send packets from each point to emitting facets, to emitting media and past a lamp.
+
+    Parameters
+    ----------
+    wave : (n,) PACKET
+        Packets at the points, with the directions in which they arrived, and the facets in `facet`: `IN_FOG` in a
+        medium, whose number is then in `in_medium`.
+    space : ObjectSpace
+    """
+    for i in range(len(wave)):
+        packet = wave[i]
+        if facets_are_asked(space.options, space.objects, packet.events):
+            _ask(space, packet, sample_facets(space.options, space.objects, packet), packet.key)
+        _ask_media(space.objects.volumes, space, packet)
+
+
+@inlined
+def _ask_media(volumes: Any, space: ObjectSpace, packet: Any) -> None:
+    """Send packets from a point to emitting media and past a lamp; `volumes` : Volumes or None."""
+    if volumes is None:
+        return
+    options = space.options
+    if options.bounce and volumes.emit:
+        key = derived(packet.key, TOWARDS_MEDIA + packet.events)
+        _ask(space, packet, sample_media(volumes, options, packet, key), key)
+    if single_scatter_is_asked(volumes, options, packet.events):
+        key = derived(packet.key, TOWARDS_SCATTERED + packet.events)
+        _ask(space, packet, sample_past_lamp(volumes.near_lamps, options, space.objects, packet, key), key)
+
+
+@inlined
+def _ask(space: ObjectSpace, packet: Any, way: Way, key: np.uint64) -> None:
+    """Send a shadow packet from a point along a way to a light, with its share of what the light brings."""
+    if way.density <= 0.0:
+        return
+    scattered, by_chance, clear = _scattered_along(space.objects.volumes, space, packet, way.ray)
+    value = way.value
+    if scattered > 0.0 and way.light == TO_FACET:
+        value = radiance_of_facet(space.objects, packet, way)
+    weight = packet.weight * scattered * value / (way.density + by_chance)
+    if weight > 0.0:
+        shadow = send(space.flow, packet, way, weight, key, clear)
+        if way.light == PAST_LAMP:
+            # As of the packet that is scattered, whose line this might be.
+            count_event(shadow)
+
+
+@inlined
+def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) -> tuple[float, float, float]:
+    """Return what a point scatters along a ray, with its cosine, and the density of scattered packets, both 1/sr.
+
+    The density is that of those which roulette keeps: where hardly any are, their light would else be in single pixels.
+
+    Parameters
+    ----------
+    volumes : Volumes or None
+    packet : PACKET
+        As in `ask_lights`.
+
+    Returns
+    -------
+    scattered, density : float
+        0 where it scatters nothing.
+    clear : float, mm
+        Distance at which a query that way begins.
+    """
+    options, objects = space.options, space.objects
+    x, y, z, ux, uy, uz = ray
+    # Two conditions: numba leaves the code out where the first alone is known not to hold.
+    if volumes is not None:  # noqa: SIM102
+        if packet.facet == IN_FOG:
+            phase = volumes.phases.rows[packet.in_medium, packet.colour]
+            value = evaluate_phase(volumes.phases, phase, packet.dx * ux + packet.dy * uy + packet.dz * uz)
+            return value, value * _kept(options, packet, packet.weight), 0.0
+    ix, iy, iz = packet.dx, packet.dy, packet.dz
+    own = objects.facets[packet.facet]
+    side = -1.0 if own.normal[0] * ix + own.normal[1] * iy + own.normal[2] * iz > 0.0 else 1.0
+    cosine = side * (own.normal[0] * ux + own.normal[1] * uy + own.normal[2] * uz)
+    if cosine <= EDGE:
+        return 0.0, 0.0, 0.0
+    point = point_of(objects, packet.facet, packet.colour, (x, y, z), side, True)
+    by_chance = density(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
+    brdf = evaluate(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
+    if by_chance > 0.0:
+        by_chance *= _kept(options, packet, packet.weight * brdf * cosine / by_chance)
+    return brdf * cosine, by_chance, clear_of(own, x, y, z, ux, uy, uz)
+
+
+@inlined
+def _kept(options: Options, packet: Any, weight: float) -> float:
+    """Return the chance with which roulette keeps a scattered packet of that weight."""
+    floor = options.cutoff * packet.start
+    return weight / floor if weight < floor else 1.0
+
+
+@inlined
+def bring_light(space: ObjectSpace, packet: Any, reach: float) -> None:
+    """Deposit what a light brings along the way of a shadow packet: of a lamp or a facet that is reached, all of it.
+
+    Parameters
+    ----------
+    space : ObjectSpace
+    packet : PACKET
+        At the start of the way.
+    reach : float, mm
+        Length of the way.
+    """
+    objects = space.objects
+    light = _along_media(objects.volumes, objects, space.flow, packet, reach)
+    if packet.light == TO_FACET:
+        light *= transmitted(objects.media.absorption, packet.medium, packet.colour, reach)
+    if light > 0.0:
+        deposit(space.options, space.flow, packet.source, packet.colour, light)
+
+
+@inlined
+def _along_media(volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, reach: float) -> float:
+    """Return what a shadow packet brings through media, and from them; `volumes` : Volumes or None."""
+    if volumes is None:
+        return packet.weight
+    line = Line(ray_of(packet), bodies_round(packet) & RANK, packet.colour)
+    key = derived(packet.key, IN_MEDIUM + packet.events)
+    passage = pass_through(volumes, line, reach, flow.book, 0.0, key)
+    if packet.light == TO_MEDIA:
+        # Radiance over n² is conserved on the way out of glass and liquids.
+        index = objects.media.indices[packet.medium, packet.colour]
+        return packet.weight * passage.light / (index * index)
+    if packet.light == PAST_LAMP:
+        if passage.scattered > 0.0:
+            gather_past_lamp(volumes.near_lamps, flow, objects, packet, line, passage, key)
+        return 0.0
+    return packet.weight * passage.transmittance

@@ -1,0 +1,245 @@
+"""Light scattered once near lamps: directions past a lamp, their density, and points on the line.
+
+A way past a lamp leads into the light that a medium scatters there, whose brightness grows like one over the angle from
+the lamp. It brings nothing but what a medium scatters of that lamp's light on its line; more often scattered light, and
+that of other lamps, is found by scattered rays alone.
+
+On that line a point is drawn by the phase function and by the angle at which the lamp sees the line, so that together
+with the direction any point of the medium is drawn in proportion to the light that it scatters to where the packet
+began, but for what is lost on the way (as in Georgiev et al., Joint importance sampling of low-order volumetric
+scattering, SIGGRAPH Asia 2013).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.phase import evaluate_phase
+from lfmesh.optics.scattering import near
+from lfmesh.transport.events.bodies import bodies_round
+from lfmesh.transport.events.crossing import LIGHT_U, draw_two
+from lfmesh.transport.events.volume import Line, Passage, Ray, along, ray_of, scattered_at, scattering_point
+from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from, point_of_light
+from lfmesh.transport.lights.lamps_on_line import NARROWEST, lit_part
+from lfmesh.transport.lights.shadow import Way, send
+from lfmesh.transport.packets.packet import NO_SURFACE, PAST_LAMP, TO_LAMP, Flow, Options
+from lfmesh.transport.packets.random import uniform
+from lfmesh.transport.tables.lights import DIRECTIONAL
+from lfmesh.transport.tables.single_scatter import DENSE, angle_beyond, drawn_angle, light_beyond, phase_at
+from lfmesh.transport.tables.tables import ObjectTables, SingleScatter
+from lfmesh.transport.tables.volumes import Volumes
+
+Array = NDArray[np.float64]
+
+LAMP_U, LAMP_V, BY_ANGLE, ALONG, LAMP, SENT = 0, 1, 2, 3, 4, 5
+"""Dimensions of the random numbers of a way past a lamp: the lamp's point, and the point on the line."""
+
+
+@inlined
+def is_asked(volumes: Volumes, options: Options, events: int) -> bool:
+    """Tell whether points, after so many events, send packets past lamps.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    options : Options
+    events : int
+        That the packet has had.
+    """
+    return (
+        len(volumes.near_lamps.angles) > 0 and options.bounce and volumes.scatters and events + 1 < options.max_events
+    )
+
+
+@inlined
+def sample(
+    near_lamps: SingleScatter, options: Options, objects: ObjectTables, packet: Any, key: np.uint64
+) -> Way:  # fmt: skip
+    """Draw a way past a lamp from the point where a packet is, in air.
+
+    Parameters
+    ----------
+    near_lamps : SingleScatter
+    options : Options
+    objects : ObjectTables
+    packet : PACKET
+    key : uint64
+        Of the random numbers.
+    """
+    place, colour = (packet.x, packet.y, packet.z), packet.colour
+    number, drawn, ray = NO_SURFACE, 0.0, ray_of(packet)
+    if bodies_round(packet) == 0:
+        number = _lamp_drawn(near_lamps, objects, colour, place, key)
+    if number >= 0:
+        px, py, pz = point_of_light(objects.lights[number], uniform(key, LAMP_U), uniform(key, LAMP_V))
+        px, py, pz = px - place[0], py - place[1], pz - place[2]
+        far = np.sqrt(px * px + py * py + pz * pz)
+        u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * len(objects.lights))
+        angle = drawn_angle(near_lamps, colour, u)
+        sine = np.sin(angle)
+        if far > 0.0 and sine > 0.0:
+            height = 2.0 * np.sin(0.5 * angle) ** 2
+            ux, uy, uz = near(px / far, py / far, pz / far, height, 2.0 * np.pi * v)
+            ray = Ray(place[0], place[1], place[2], ux, uy, uz)
+            chance = _chance(near_lamps, objects, number, colour, place)
+            drawn = chance * _per_solid_angle(near_lamps, colour, angle, sine)
+    return Way(PAST_LAMP, number, ray, np.inf, 1.0, drawn)
+
+
+@kernel
+def density(
+    near_lamps: SingleScatter, objects: ObjectTables, packet: Any, number: int, of_lamp: tuple[float, float, float]
+) -> float:  # fmt: skip
+    """Return the density, 1/sr, with which `sample` draws the direction of a packet's ray past a lamp.
+
+    Parameters
+    ----------
+    near_lamps : SingleScatter
+    objects : ObjectTables
+    packet : PACKET
+        At the start of the ray.
+    number : int
+        Of the lamp.
+    of_lamp : (3,) float, mm
+        Point of the lamp that the light comes from.
+    """
+    chance = _chance(near_lamps, objects, number, packet.colour, (packet.x, packet.y, packet.z))
+    if chance <= 0.0:
+        return 0.0
+    s, h, far = _past(of_lamp, ray_of(packet))
+    return chance * _per_solid_angle(near_lamps, packet.colour, np.arctan2(h, s), h / far) if far > 0.0 else 0.0
+
+
+@kernel
+def gather(
+    near_lamps: SingleScatter, flow: Flow, objects: ObjectTables, packet: Any, line: Line, passage: Passage,
+    key: np.uint64,
+) -> None:  # fmt: skip
+    """Send a shadow packet to a lamp from a random point of the line of a packet that goes past it.
+
+    The point is drawn by the mean phase function over the angle of scattering or, with equal chance, by what is
+    scattered there: the sum of both densities divides the light (balance heuristic).
+
+    Parameters
+    ----------
+    near_lamps : SingleScatter
+    flow : Flow
+    objects : ObjectTables
+    packet : PACKET
+        At the start of the line, in no body of glass.
+    line : Line
+        Of the packet.
+    passage : Passage
+        Along the line.
+    key : uint64
+        Of the random numbers of its way.
+    """
+    volumes, colour, ray = objects.volumes, line.colour, line.ray
+    light = objects.lights[packet.goal]
+    place = point_of_light(light, uniform(packet.key, LAMP_U), uniform(packet.key, LAMP_V))
+    s, h, _ = _past(place, ray)
+    first, last = lit_part(light, ray, passage.first, passage.last)
+    if first >= last:
+        return
+    begin = light_beyond(near_lamps, colour, np.arctan2(h, s - first))
+    on_line = begin - light_beyond(near_lamps, colour, np.arctan2(h, s - last))
+    if uniform(packet.key, BY_ANGLE) < 0.5:
+        angle = angle_beyond(near_lamps, colour, begin - uniform(packet.key, ALONG) * on_line)
+        t = min(max(s - h / np.tan(angle), first), last)
+        scattered, medium = scattered_at(volumes, line, t, flow.book, key)
+    else:
+        t, _, scattered, medium = scattering_point(volumes, line, passage, key)
+    if scattered <= 0.0 or t < first or t > last or on_line <= 0.0:
+        return
+    off = t - s
+    drawn = 0.5 * scattered / passage.scattered
+    drawn += 0.5 * phase_at(near_lamps, colour, np.arctan2(h, -off)) / on_line * h / (h * h + off * off)
+    x, y, z = along(ray, t)
+    ux, uy, uz, reach, irradiance = illuminate_from(objects.profiles, light, place, x, y, z)
+    cosine = ray.dx * ux + ray.dy * uy + ray.dz * uz
+    phase = evaluate_phase(volumes.phases, volumes.phases.rows[medium, colour], cosine)
+    lit = packet.weight * scattered / drawn * phase * irradiance * objects.light_spectra[packet.goal, colour]
+    if lit > 0.0:
+        way = Way(TO_LAMP, packet.goal, Ray(x, y, z, ux, uy, uz), reach, irradiance, 1.0)
+        shadow = send(flow, packet, way, lit, packet.key, 0.0)
+        shadow.facet = NO_SURFACE
+
+
+@inlined
+def _brightness(objects: ObjectTables, number: int, colour: int, far: float) -> float:
+    """Return what a lamp is drawn in proportion to, for a point at a distance: the brightness of the light round it."""
+    light: Any = objects.lights[number]
+    if light.kind == DIRECTIONAL or far <= 0.0:
+        return 0.0
+    return light.power * objects.light_spectra[number, colour] / far
+
+
+@inlined
+def _distance(light: Any, place: tuple[float, float, float]) -> float:
+    """Return the distance of a lamp from a point, mm; that of a disk from all its points is about as large."""
+    px, py, pz = light.position[0] - place[0], light.position[1] - place[1], light.position[2] - place[2]
+    return np.sqrt(px * px + py * py + pz * pz + light.radius * light.radius)
+
+
+@kernel
+def _all_brightness(objects: ObjectTables, colour: int, place: tuple[float, float, float]) -> float:
+    """Return the sum of what lamps are drawn in proportion to at a point; 0: none has light round it there."""
+    whole = 0.0
+    for number in range(len(objects.lights)):
+        whole += _brightness(objects, number, colour, _distance(objects.lights[number], place))
+    return whole
+
+
+@inlined
+def _chance_sent(near_lamps: SingleScatter, colour: int, far: float) -> float:
+    """Return the chance that a packet is sent past a lamp: in thin media, the light round it is of little weight."""
+    depth = 0.0
+    for number in range(len(near_lamps.extent)):
+        depth += near_lamps.scattering[number, colour] * min(far, near_lamps.extent[number])
+    return min((depth / DENSE) ** 2, 1.0)
+
+
+@kernel
+def _chance(
+    near_lamps: SingleScatter, objects: ObjectTables, number: int, colour: int, place: tuple[float, float, float]
+) -> float:  # fmt: skip
+    """Return the chance with which a point sends a packet past a lamp."""
+    whole, far = _all_brightness(objects, colour, place), _distance(objects.lights[number], place)
+    if whole <= 0.0:
+        return 0.0
+    return _brightness(objects, number, colour, far) / whole * _chance_sent(near_lamps, colour, far)
+
+
+@kernel
+def _lamp_drawn(
+    near_lamps: SingleScatter, objects: ObjectTables, colour: int, place: tuple[float, float, float], key: np.uint64
+) -> int:  # fmt: skip
+    """Return the lamp past which a point sends a packet, drawn by `_chance`; −1: none."""
+    choice, drawn = _all_brightness(objects, colour, place) * uniform(key, LAMP), -1
+    for number in range(len(objects.lights)):
+        own = _brightness(objects, number, colour, _distance(objects.lights[number], place))
+        if own > 0.0 and choice >= 0.0:
+            drawn = number
+        choice -= own
+    if drawn < 0 or uniform(key, SENT) >= _chance_sent(near_lamps, colour, _distance(objects.lights[drawn], place)):
+        return -1
+    return drawn
+
+
+@inlined
+def _past(place: tuple[float, float, float], ray: Ray) -> tuple[float, float, float]:
+    """Return where a ray is nearest to a point, and the distances of the point there and from the ray's start, mm."""
+    px, py, pz = place[0] - ray.x, place[1] - ray.y, place[2] - ray.z
+    s = px * ray.dx + py * ray.dy + pz * ray.dz
+    ex, ey, ez = px - s * ray.dx, py - s * ray.dy, pz - s * ray.dz
+    far = np.sqrt(px * px + py * py + pz * pz)
+    return s, max(np.sqrt(ex * ex + ey * ey + ez * ez), NARROWEST * far), far
+
+
+@inlined
+def _per_solid_angle(near_lamps: SingleScatter, colour: int, angle: float, sine: float) -> float:
+    """Return the density, 1/sr, with which directions past a lamp are drawn at an angle, rad, from it."""
+    whole = near_lamps.below[colour, len(near_lamps.angles) - 1]
+    return light_beyond(near_lamps, colour, angle) / (2.0 * np.pi * whole * sine)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.accuracy.figures import GREY, finish, inline_svg
 from lfmesh.study.metrics.metrics import Column
 from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.sentences import words_of
 from lfmesh.study.sweeps.table import Row, Table
 
 Array = NDArray[np.float64]
@@ -63,9 +64,9 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
         if not numeric:
             panel.set_xticks(range(len(names)), names)
             panel.margins(x=0.2)
-        panel.set_xlabel(table.plan.axes[axis].label or table.plan.axes[axis].path)
+        panel.set_xlabel(table.plan.axes[axis].title)
 
-    title = table.plan.axes[axis].path
+    title = table.plan.axes[axis].title
     return _panels([(column.title, partial(draw, column=column)) for column in columns], title)
 
 
@@ -80,7 +81,7 @@ def efficiency_figure(table: Table) -> str:
             [value for _, value, _ in known], places, xerr=[error for _, _, error in known], fmt="none", ecolor=ORANGE,
             capsize=3,
         )  # fmt: skip
-        panel.set_yticks(places, [table.plan.label(row.point) for row, _, _ in known])
+        panel.set_yticks(places, [words_of(table, row) for row, _, _ in known])
         panel.set_xlabel("1/(noise² · time) / 1/s")
 
     size = (8.2, 1.0 + 0.28 * len(known))

@@ -7,7 +7,6 @@ from typing import Any
 from markupsafe import Markup
 
 import lfmesh
-from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS, Column
 from lfmesh.study.sweeps import figures
 from lfmesh.study.sweeps.axes import is_number, name_and_unit
@@ -40,7 +39,7 @@ LEAST_PX = 1e-6
 """Where nothing moves by more, there is nothing to draw."""
 
 NO_FIGURE = ("_x_px", "_y_px", "_w_per_pixel")
-"""Columns, by the end of their name, that are in the table alone."""
+"""Columns, by the end of their name, that are in table.csv alone."""
 
 
 def page(table: Table) -> str:
@@ -81,11 +80,12 @@ def page(table: Table) -> str:
         pictures=_pictures(table, done),
         fields=_fields(table, done),
         heading=[
-            *["point", *(axis.title for axis in plan.axes)],
+            *["point", "camera"],
             *(f"adjusted: {each.title}" for each in plan.study.compensators),
-            *[*(column.title for column in table.columns), "warnings"],
+            *(column.title for column in columns),
+            *(["warnings"] if table.warnings else []),
         ],
-        rows=[_cells(table, row) for row in table.rows[:MOST_ROWS]],
+        rows=[_cells(table, row, columns) for row in table.rows[:MOST_ROWS]],
         more=max(0, len(table.rows) - MOST_ROWS),
         confidence=CONFIDENCE,
         paired=plan.study.paired,
@@ -128,7 +128,7 @@ def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str,
         harm = judged[0].harm(worst[0].means[judged[0].name].value) if worst[0] else -math.inf
         lines.append((float(place.get(i, len(place))), -harm, [table.plan.axes[i].title, span, used, *cells]))
     lines.sort(key=lambda line: line[:2])
-    share_of = f"share of the mean square of {judged[0].noun} / %"
+    share_of = f"share of the budget of {judged[0].noun} / %"
     heading = ["parameter", "from, to", share_of, *(f"worst {column.title}" for column in judged)]
     return {"heading": heading, "rows": [cells for *_, cells in lines], "first": judged[0].noun, "why": budget.reason}
 
@@ -137,11 +137,11 @@ def _pictures(table: Table, done: list[Row]) -> list[dict[str, str]]:
     """Return reference, best and worst point as pictures."""
     column = first_column(table)
     ranked = ranked_by(done, column) if column is not None else []
-    shown = [("reference", table.rows[0])]
+    shown = [("", table.rows[0])]
     if column is not None and ranked:
-        shown += [(f"best by {column.noun}", ranked[0]), (f"worst by {column.noun}", ranked[-1])]
+        shown += [(f"best by {column.noun}: ", ranked[0]), (f"worst by {column.noun}: ", ranked[-1])]
     return [
-        {"words": f"{words}: {words_of(table, row)}", "source": figures.picture(row.preview)}
+        {"words": f"{words}{words_of(table, row)}", "source": figures.picture(row.preview)}
         for words, row in shown
         if row.preview is not None
     ]
@@ -168,16 +168,10 @@ def _slope_cells(each: Sensitivity) -> list[str]:
     return [each.column.title + by, f"{each.slope.value:.4g}", inside, str(each.slope.points)]
 
 
-def _cells(table: Table, row: Row) -> list[str]:
-    values = [_shown(table.value_of(row, i)) for i in range(len(table.plan.axes))]
+def _cells(table: Table, row: Row, columns: list[Column]) -> list[str]:
     adjusted = [f"{change:.4g}" for change in row.adjusted] or [""] * len(table.plan.study.compensators)
-    start = [str(row.point.number), *values, *adjusted]
+    start = [str(row.point.number), words_of(table, row), *adjusted]
+    warned = [row.warned_of] if table.warnings else []
     if row.fault:
-        return [*start, row.fault, *[""] * (len(table.columns) - 1), row.warned_of]
-    return [*start, *(column_value(row, column) for column in table.columns), row.warned_of]
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return NOT_KNOWN
-    return f"{value:.6g}" if isinstance(value, float) else literal(value)
+        return [*start, row.fault, *[""] * (len(columns) - 1), *warned]
+    return [*start, *(column_value(row, column) for column in columns), *warned]

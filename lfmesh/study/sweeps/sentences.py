@@ -45,8 +45,10 @@ def words_of(table: Table, row: Row) -> str:
         value = table.value_of(row, i)
         if point.values[i] is not None:
             name, unit = name_and_unit(axis.title)
-            shown = NOT_KNOWN if value is None else f"{value:.6g}" if isinstance(value, float) else literal(value)
-            words.append(f"{name} = {shown}{unit and ' ' + unit}")
+            sign = "=" if value is not None else "up to"
+            value = point.values[i] if value is None else value
+            shown = f"{value:.6g}" if isinstance(value, float) else literal(value)
+            words.append(f"{name} {sign} {shown}{unit and ' ' + unit}")
     return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
 
 
@@ -106,7 +108,7 @@ def _limits(table: Table) -> Iterator[str]:
         limit = _limit(table, column)
         bad = [row for row in rows if not table.keeps(row, column)]
         unsure = sum(table.keeps(row, column, 1.96) != table.keeps(row, column, -1.96) for row in rows)
-        doubt = f"; {unsure} are too near to it to tell" if unsure else ""
+        doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
         if not rows:
             yield f"Nothing is known of the limit {limit} yet."
         elif not bad:
@@ -230,7 +232,7 @@ def budget_in_words(table: Table, budget: Budget) -> str:
     large = [effect for effect in resolved if budget.share(effect).value >= SMALL][:MOST_NAMED]
     small = len(resolved) - len(large)
     shares = [f"{names[e.axis]} {budget.share(e).value:.1%} (± {budget.share(e).stderr:.1%})" for e in large]
-    words = f"The mean square of {column.noun} is used up by {', '.join(shares)}" if shares else (
+    words = f"The mean square {_what(column)} is used up by {', '.join(shares)}" if shares else (
         f"No parameter has a resolved effect on {column.noun}"
     )  # fmt: skip
     if small and shares:
@@ -244,6 +246,13 @@ def budget_in_words(table: Table, budget: Budget) -> str:
         if math.isfinite(budget.drawn):
             words += f"; the cameras with all errors: {_amount(budget, budget.drawn)}"
     return words + "."
+
+
+def _what(column: Column) -> str:
+    """Return what adds up by its squares, in words."""
+    return {"psnr": f"difference behind {column.noun}", "root": f"of {column.noun}"}.get(
+        column.of, f"change of {column.noun}"
+    )
 
 
 def _amount(budget: Budget, square: float) -> str:

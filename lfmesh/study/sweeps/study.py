@@ -443,7 +443,7 @@ PROCESS_BYTES = 4e8
 
 
 CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
-"""Cameras that a search of the largest change traces, and those that a camera's adjustment does for each compensator."""
+"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
 
 
 def probe(plan: Plan, workers: int | None = None) -> Probe:

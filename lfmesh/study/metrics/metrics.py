@@ -311,7 +311,7 @@ def _noise(pair: Comparison) -> Array:
 
     def estimate(use: Numbers) -> Array:
         own = products[np.ix_(use, use)]
-        signal = independent_product(own)
+        signal = np.float64(independent_product(own))
         # Of the mean of all replicates, whatever number the estimate is from.
         return np.array([(float(np.trace(own)) / len(use) - signal) / pair.replicates / signal])
 
@@ -468,7 +468,6 @@ def _depths(prefix: str, words: str) -> tuple[Column, ...]:
 
 
 CROSSED = "share of light in micro-images through other lenslets"
-
 POSITIVE, SHARE = (0.0, math.inf), (0.0, 1.0)
 
 METRICS: Mapping[str, Metric] = {
@@ -527,11 +526,7 @@ METRICS: Mapping[str, Metric] = {
         needs_mla=True,
     ),
     "crosstalk": Metric(
-        (
-            Column(
-                "crosstalk_share", "share of light in micro-images through other lenslets", worse="high", possible=SHARE
-            ),
-        ),
+        (Column("crosstalk_share", CROSSED, "chance", worse="high", possible=SHARE),),
         ("lenslets",),
         _crosstalk,
         needs_mla=True,

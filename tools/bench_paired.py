@@ -45,9 +45,8 @@ def significance(scene: lf.Scene, shift_mm: float, *, paired: bool) -> float:
     """Return how many standard errors the squared difference of two images is away from none."""
     study = lf.Study(scene, axes=[{"path": SHIFT, "values": [shift_mm]}], metrics=["psnr"], paired=paired)
     with tempfile.TemporaryDirectory() as folder:
-        found = study.run(folder, workers=0).rows[1].estimates["psnr_db"]
-    # Of a level in dB, 10 log10 of it, the error is 10 / ln 10 times the relative one. No level at all: not resolved.
-    return 10.0 / math.log(10.0) / found.stderr if math.isfinite(found.stderr) and found.stderr > 0.0 else 0.0
+        found = study.run(folder, workers=0).rows[1].means["psnr_db"]
+    return max(found.value, 0.0) / found.stderr if found.stderr > 0.0 else 0.0
 
 
 def measure(

@@ -53,6 +53,10 @@ edge_distance_mm = 400.0
 "transport.samples" = 16
 [limits]
 "psnr_db" = 30.0
+[[compensators]]
+path = "camera.mla.pose.tilt_deg[2]"
+range = [-0.1, 0.1]
+metric = "psnr_db"
 [[axes]]
 path = "camera.mla.pose.tilt_deg[0]"
 values = [0.0, 0.1, 0.2]

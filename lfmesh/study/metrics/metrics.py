@@ -33,11 +33,29 @@ from lfmesh.study.sweeps.statistics import (
     combined,
     independent_product,
     inner_products,
+    mean_square,
+    of_products,
     pseudo_values,
 )
 from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
+
+
+RESOLVED = 2.0
+"""Standard errors by which a value has to differ from the border of what is possible, such as 0, to have an error."""
+
+RESOLVED_LOGARITHM = 4.0
+"""The same for a mean square whose logarithm has an error."""
+
+IMPOSSIBLE = 4.0
+"""Standard errors by which noise may bring a value beyond what is possible."""
+
+ROUNDING = 1e-9
+"""By this share a value may be beyond what is possible and still be exact."""
+
+SHARPEST = 0.6034
+"""MTF50 of a box as wide as a sample, cycles a sample; samples that gather light of their whole width have no more."""
 
 
 class Column(NamedTuple):
@@ -50,11 +68,14 @@ class Column(NamedTuple):
     title : str
         In words, with the unit.
     of : str
-        How it follows from the mean of its pseudo-values: "itself", "root", "psnr".
+        How it follows from the mean of its pseudo-values: "itself", "root", "psnr", or "chance": itself, and where it
+        is zero chance has shown none, which does not tell how much there is.
     magnitude : bool
         Whether it is the size of something that may have a sign: its derivative is by the size of an error.
     worse : str
         "low" or "high", or "": neither.
+    possible : (float, float)
+        Range of what the value can be.
     """
 
     name: str
@@ -62,19 +83,92 @@ class Column(NamedTuple):
     of: str = "itself"
     magnitude: bool = False
     worse: str = ""
+    possible: tuple[float, float] = (-math.inf, math.inf)
 
-    def estimate(self, pseudo: Array) -> Estimate:
-        """Return the value and its standard error, by first-order propagation."""
-        mean, error = combined(pseudo)
+    @property
+    def noun(self) -> str:
+        """The title without its unit."""
+        return self.title.rsplit(" / ", 1)[0]
+
+    @property
+    def unit(self) -> str:
+        """The unit, after a space; "" where the column has none."""
+        return f" {self.title.rsplit(' / ', 1)[1]}" if " / " in self.title else ""
+
+    @property
+    def is_square(self) -> bool:
+        """True if the mean of the pseudo-values is a mean square, to which independent errors add."""
+        return self.of in ("root", "psnr")
+
+    def estimate(self, mean: Estimate) -> Estimate:
+        """Return the value and its standard error from the mean of the pseudo-values, by first-order propagation.
+
+        NaN where the value is not known, such as the PSNR of pictures that do not differ. The error is NaN where it
+        cannot be told: of the root or the logarithm of a mean square that is hardly told from zero, and of a value that
+        is hardly told from the border of what is possible.
+        """
+        value, error = mean
+        if self.is_square:
+            return self._of_square(value, error)
+        low, high = self.possible
+        slack = ROUNDING * abs(value)
+        if low - slack <= value <= high + slack:
+            unseen = self.of == "chance" and value == 0.0
+            at_border = error > 0.0 and min(value - low, high - value) < RESOLVED * error
+            return Estimate(min(max(value, low), high), math.nan if unseen or at_border else error)
+        # Beyond what is possible by noise, it is at the border; by more, it is wrong.
+        near = low - IMPOSSIBLE * error <= value <= high + IMPOSSIBLE * error
+        return Estimate(min(max(value, low), high) if near else math.nan, math.nan)
+
+    def _of_square(self, square: float, error: float) -> Estimate:
         if self.of == "root":
-            root = math.sqrt(max(mean, 0.0))
-            # Of what is not told apart from zero, no more is known than its square's error.
-            return Estimate(root, error / (2.0 * root) if root * root > error else math.sqrt(error))
+            root = math.sqrt(max(square, 0.0))
+            exact = square == error == 0.0
+            return Estimate(root, error / (2.0 * root) if square > RESOLVED * error else 0.0 if exact else math.nan)
+        if not square > 0.0:
+            return Estimate(math.nan, math.nan)
+        told = square > RESOLVED_LOGARITHM * error
+        return Estimate(-10.0 * math.log10(square), 10.0 / math.log(10.0) * error / square if told else math.nan)
+
+    def bound(self, mean: Estimate) -> float:
+        """Return the value that is as bad as a mean square leaves possible, by `RESOLVED` standard errors."""
+        worst = max(mean.value, 0.0) + RESOLVED * mean.stderr
         if self.of == "psnr":
-            if not mean > 0.0:
-                return Estimate(math.inf, 0.0 if error == 0.0 else math.nan)
-            return Estimate(-10.0 * math.log10(mean), 10.0 / math.log(10.0) * error / mean)
-        return Estimate(mean, error)
+            return -10.0 * math.log10(worst) if worst > 0.0 else math.nan
+        return math.sqrt(worst)
+
+    def mean_at(self, value: float) -> float:
+        """Return the mean of the pseudo-values at which the column has a value."""
+        return {"root": value * value, "psnr": 10.0 ** (-value / 10.0)}.get(self.of, value)
+
+    def keeps(self, mean: float, limit: float) -> bool:
+        """Tell whether a mean of pseudo-values keeps a limit of the column; one that is not known does not."""
+        return self.room(mean, limit) >= 0.0
+
+    def harm(self, mean: float) -> float:
+        """Return a mean of pseudo-values with the sign by which more is worse."""
+        return -mean if self.worse == "low" and not self.is_square else mean
+
+    def room(self, mean: float, limit: float) -> float:
+        """Return how far a mean of pseudo-values is from a limit, below 0 beyond it.
+
+        Mean squares are compared by their roots, which go with the size of a small error.
+
+        Parameters
+        ----------
+        mean : float
+            Of pseudo-values.
+        limit : float
+            Of the column.
+        """
+        most = self.mean_at(limit)
+        if self.is_square:
+            return math.sqrt(most) - (math.sqrt(max(mean, 0.0)) if mean == mean else math.nan)
+        return mean - most if self.worse == "low" else most - mean
+
+    def room_error(self, mean: Estimate) -> float:
+        """Return the standard error of `room` at a mean of pseudo-values that is not zero."""
+        return mean.stderr / (2.0 * math.sqrt(mean.value)) if self.is_square else mean.stderr
 
 
 @dataclass
@@ -115,9 +209,29 @@ class Comparison:
         return inner_products([film - film.mean() for film in both])
 
     @cached_property
-    def brightest(self) -> float:
-        """Brightest pixel of the reference's image, W."""
-        return float(self.reference_films["scene"].mean(axis=0).max())
+    def reference_products(self) -> Array:
+        """Mean products of the reference's films of the scene, W²."""
+        return inner_products(list(self.reference_films["scene"]))
+
+    @cached_property
+    def reference_light(self) -> Array:
+        """Mean of each of these films, W."""
+        return np.asarray(self.reference_films["scene"].mean(axis=(1, 2, 3)))
+
+    def peak(self, use: Numbers) -> float:
+        """Return the brightness of white in the reference's picture, W: its mean square over its mean.
+
+        It is that of white where a picture is black and white, and lower in others. The brightest pixel would be that
+        of the largest noise.
+        """
+        light = float(self.reference_light[use].mean())
+        square = independent_product(self.reference_products[np.ix_(use, use)])
+        return square / light if light > 0.0 and square > 0.0 else math.nan
+
+    @property
+    def every(self) -> Numbers:
+        """Numbers of all replicates."""
+        return np.arange(self.replicates)
 
 
 Compute = Callable[[Comparison], Array]
@@ -135,34 +249,40 @@ class Metric(NamedTuple):
 
 def _psnr(pair: Comparison) -> Array:
     differences = inner_products(list(pair.films["scene"] - pair.reference_films["scene"]))
-    peak = pair.brightest**2 or math.nan
+    squares, light = pair.reference_products, pair.reference_light
 
     def estimate(use: Numbers) -> Array:
-        return np.array([independent_product(differences[np.ix_(use, use)]) / peak])
+        return np.array([independent_product(differences[np.ix_(use, use)]) / pair.peak(use) ** 2])
 
-    return _from_replicates(estimate, pair)
+    square = independent_product(differences)
+    mean, of_light = light.mean(), independent_product(squares)
+    moved = (light[:, None] + light[None, :]) / mean - 2.0 * squares / of_light
+    return of_products(estimate, differences + square * moved)
 
 
 def _ncc(pair: Comparison) -> Array:
     n, products = pair.replicates, pair.products
+    own, other, both = products[:n, :n], products[n:, n:], 0.5 * (products[:n, n:] + products[n:, :n])
 
     def estimate(use: Numbers) -> Array:
-        own = independent_product(products[np.ix_(use, use)])
-        other = independent_product(products[np.ix_(use + n, use + n)])
-        both = independent_product(products[np.ix_(use, use + n)])
-        return np.array([both / math.sqrt(own * other) if own > 0.0 and other > 0.0 else math.nan])
+        one, two, mixed = (independent_product(each[np.ix_(use, use)]) for each in (own, other, both))
+        return np.array([mixed / math.sqrt(one * two) if one > 0.0 and two > 0.0 else math.nan])
 
-    return _from_replicates(estimate, pair)
+    one, two, mixed = map(independent_product, (own, other, both))
+    return of_products(estimate, both / np.float64(mixed) - 0.5 * own / np.float64(one) - 0.5 * other / np.float64(two))
 
 
 def _ssim(pair: Comparison) -> Array:
     own, other = pair.films["scene"].sum(axis=3), pair.reference_films["scene"].sum(axis=3)
-    brightest = float(other.mean(axis=0).max())
+    channels = pair.films["scene"].shape[3]
 
     def estimate(use: Numbers) -> Array:
-        return np.array([structural_similarity(own[use].mean(axis=0), other[use].mean(axis=0), brightest)])
+        peak = channels * pair.peak(use)
+        return np.array([structural_similarity(own[use].mean(axis=0), other[use].mean(axis=0), peak)])
 
-    return _from_replicates(estimate, pair)
+    # Of these pictures with their noise: fewer replicates have more, which is not to be taken off.
+    pseudo = _from_replicates(estimate, pair)
+    return pseudo + (estimate(pair.every) - pseudo.mean(axis=0))
 
 
 def _light(pair: Comparison) -> Array:
@@ -191,11 +311,13 @@ def _noise(pair: Comparison) -> Array:
 
     def estimate(use: Numbers) -> Array:
         own = products[np.ix_(use, use)]
-        signal = independent_product(own)
+        signal = np.float64(independent_product(own))
         # Of the mean of all replicates, whatever number the estimate is from.
         return np.array([(float(np.trace(own)) / len(use) - signal) / pair.replicates / signal])
 
-    return _from_replicates(estimate, pair)
+    own = np.diag(products)
+    signal = np.float64(independent_product(products))
+    return of_products(estimate, 0.5 * (own[:, None] + own[None, :]) - products * own.mean() / signal)
 
 
 def _centres(pair: Comparison) -> Array:
@@ -242,7 +364,13 @@ def _mtf50(pair: Comparison) -> Array:
         image = image_of(nominal, films[use])
         return np.array([_sharpness(image, nominal, pair, centres) for centres in (pair.reference_chief_rays, seen)])
 
-    return _from_replicates(estimate, pair)
+    found = _from_replicates(estimate, pair)
+    most = SHARPEST * pair.reference_chief_rays.centres_px.shape[0]
+    for values in found.T:
+        value, error = combined(values)
+        if value > most + RESOLVED * error:
+            values[:] = math.nan
+    return found
 
 
 def _sharpness(image: Image, nominal: Scene, pair: Comparison, centres: Calibration) -> float:
@@ -267,10 +395,10 @@ def _refocus(pair: Comparison) -> Array:
             seen = estimate_centres(image_of(nominal, films["white"][use]), nominal)
             traced.append(_refocused_mm(films, use, nominal, pair.reference_chief_rays))
             found.append(_refocused_mm(films, use, nominal, seen))
-        shift, mended = traced[0] - traced[1], found[0] - found[1]
-        return np.array([traced[0], shift, shift**2, mended, mended**2])
+        return np.array([traced[0], traced[0] - traced[1], found[0] - found[1]])
 
-    return _from_replicates(estimate, pair)
+    distance, *shifts = _from_replicates(estimate, pair).T
+    return np.column_stack([distance, *(column for shift in shifts for column in (shift, mean_square(shift)))])
 
 
 def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> float:
@@ -285,8 +413,7 @@ def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibrati
 def _depth(pair: Comparison) -> Array:
     """Compare the depth that the picture shows with the truth, decoded to plan and with centres found anew."""
     nominal = pair.reference.scene
-    every = np.arange(pair.replicates)
-    where = textured(_divided(pair.reference_films, every, nominal, pair.reference_chief_rays))
+    where = textured(_divided(pair.reference_films, pair.every, nominal, pair.reference_chief_rays))
     truth = true_depth_mm(pair.camera.scene)
 
     def estimate(use: Numbers) -> Array:
@@ -330,24 +457,37 @@ def _movement(prefix: str, words: str) -> tuple[Column, ...]:
 def _depths(prefix: str, words: str) -> tuple[Column, ...]:
     return (
         Column(f"{prefix}_bias_mm", f"depth less the true one, {words}: median / mm"),
-        Column(f"{prefix}_error_mm", f"depth error, {words}: median of its size / mm", magnitude=True, worse="high"),
+        Column(
+            f"{prefix}_error_mm",
+            f"depth error, {words}: median of its size / mm",
+            magnitude=True,
+            worse="high",
+            possible=POSITIVE,
+        ),
     )
 
 
+CROSSED = "share of light in micro-images through other lenslets"
+POSITIVE, SHARE = (0.0, math.inf), (0.0, 1.0)
+
 METRICS: Mapping[str, Metric] = {
     "psnr": Metric((Column("psnr_db", "PSNR / dB", "psnr", worse="low"),), ("scene",), _psnr),
-    "ncc": Metric((Column("ncc", "normalised cross-correlation", magnitude=True, worse="low"),), ("scene",), _ncc),
-    "ssim": Metric((Column("ssim", "structural similarity", magnitude=True, worse="low"),), ("scene",), _ssim),
+    "ncc": Metric(
+        (Column("ncc", "normalised cross-correlation", "itself", True, "low", (-1.0, 1.0)),),
+        ("scene",),
+        _ncc,
+    ),
+    "ssim": Metric((Column("ssim", "structural similarity", "itself", True, "low", (-1.0, 1.0)),), ("scene",), _ssim),
     "light": Metric(
         (
-            Column("light_w_per_pixel", "light / W per pixel", worse="low"),
-            Column("light_ratio", "light over the reference's", worse="low"),
+            Column("light_w_per_pixel", "light / W per pixel", worse="low", possible=POSITIVE),
+            Column("light_ratio", "light over the reference's", worse="low", possible=POSITIVE),
         ),
         ("scene",),
         _light,
     ),
     "ghosts": Metric(
-        (Column("ghost_share", "share of light that was reflected on its way", worse="high"),),
+        (Column("ghost_share", "share of light that was reflected on its way", worse="high", possible=SHARE),),
         ("scene", "image path"),
         _ghosts,
     ),
@@ -386,7 +526,7 @@ METRICS: Mapping[str, Metric] = {
         needs_mla=True,
     ),
     "crosstalk": Metric(
-        (Column("crosstalk_share", "share of light in micro-images through other lenslets", worse="high"),),
+        (Column("crosstalk_share", CROSSED, "chance", worse="high", possible=SHARE),),
         ("lenslets",),
         _crosstalk,
         needs_mla=True,
@@ -405,3 +545,8 @@ def pictures_of(metrics: tuple[str, ...]) -> tuple[str, ...]:
 def columns_of(metrics: tuple[str, ...]) -> tuple[Column, ...]:
     """Return the columns of some metrics."""
     return tuple(column for metric in metrics for column in METRICS[metric].columns)
+
+
+def metric_of(column: str) -> str:
+    """Return the name of the metric that has a column."""
+    return next(name for name, metric in METRICS.items() if any(each.name == column for each in metric.columns))

@@ -41,6 +41,11 @@ class Axis(Model):
     """What the axis is called in figures."""
 
     @property
+    def title(self) -> str:
+        """What reports call the axis, with its unit."""
+        return titled(self.path, self.label)
+
+    @property
     def way(self) -> str | None:
         """The one of `WAYS` that gives the values."""
         return next((way for way in WAYS if getattr(self, way) is not None), None)
@@ -105,6 +110,31 @@ class Axis(Model):
         ends = self.uniform or self.range
         assert ends is not None
         return np.where(share == 1.0, ends[1], ends[0] + share * (ends[1] - ends[0]))
+
+
+UNITS = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "pixels", "w": "W", "um": "µm", "k": "K"}
+"""Of fields, by the suffix of their name."""
+
+
+def titled(path: str, label: str | None) -> str:
+    """Return what reports call a field: its label, or its path with the unit that its name ends in.
+
+    Parameters
+    ----------
+    path : str
+    label : str or None
+    """
+    if label is not None:
+        return label
+    field = path.rsplit(".", 1)[-1].split("[")[0]
+    unit = UNITS.get(field.rsplit("_", 1)[-1]) if "_" in field else None
+    return f"{path} / {unit}" if unit else path
+
+
+def name_and_unit(title: str) -> tuple[str, str]:
+    """Return a title without its unit, and the unit; "" where it has none."""
+    name, slash, unit = title.rpartition(" / ")
+    return (name, unit) if slash else (title, "")
 
 
 def is_number(value: Any) -> bool:

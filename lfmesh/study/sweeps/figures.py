@@ -3,6 +3,7 @@
 import base64
 import io
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.accuracy.figures import GREY, finish, inline_svg
 from lfmesh.study.metrics.metrics import Column
 from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.sentences import words_of
 from lfmesh.study.sweeps.table import Row, Table
 
 Array = NDArray[np.float64]
@@ -21,6 +23,12 @@ BLUE, ORANGE = "#1f4e8c", "#b4541a"
 PANEL_IN = (3.3, 2.5)
 PANELS = 3
 """Side by side in a figure."""
+
+TITLE_LETTERS = 34
+"""In a line of a panel's title: no more fit above it."""
+
+NAME_LETTERS = 14
+"""Of a name below a panel, whose values are no numbers; what is longer is numbered."""
 
 ARROWS = 16
 """Displacements are drawn of so many lenslets at most along each side."""
@@ -60,12 +68,15 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
         start = table.rows[0]
         if start.estimates and math.isfinite(start.estimates[column.name].value):
             panel.plot([place(start)], [start.estimates[column.name].value], "s", color=ORANGE, ms=6, zorder=3)
+        if column.name in table.plan.study.limits:
+            panel.axhline(table.plan.study.limits[column.name], color=GREY, ls="--", lw=1.0, zorder=0)
         if not numeric:
-            panel.set_xticks(range(len(names)), names)
+            short = [name if len(name) <= NAME_LETTERS else f"value {n}" for n, name in enumerate(names, start=1)]
+            panel.set_xticks(range(len(names)), short)
             panel.margins(x=0.2)
-        panel.set_xlabel(table.plan.axes[axis].label or table.plan.axes[axis].path)
+        panel.set_xlabel(textwrap.fill(table.plan.axes[axis].title, TITLE_LETTERS))
 
-    title = table.plan.axes[axis].path
+    title = table.plan.axes[axis].title
     return _panels([(column.title, partial(draw, column=column)) for column in columns], title)
 
 
@@ -80,7 +91,7 @@ def efficiency_figure(table: Table) -> str:
             [value for _, value, _ in known], places, xerr=[error for _, _, error in known], fmt="none", ecolor=ORANGE,
             capsize=3,
         )  # fmt: skip
-        panel.set_yticks(places, [table.plan.label(row.point) for row, _, _ in known])
+        panel.set_yticks(places, [textwrap.fill(words_of(table, row), TITLE_LETTERS) for row, _, _ in known])
         panel.set_xlabel("1/(noise² · time) / 1/s")
 
     size = (8.2, 1.0 + 0.28 * len(known))
@@ -139,7 +150,9 @@ def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> s
             one(panel)
             panel.tick_params(labelsize=8)
             panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel) else None
-            finish(panel, words)
+            finish(panel, textwrap.fill(words, TITLE_LETTERS))
+        # Titles of two lines stay clear of the panel above.
+        figure.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
 
     return _figure(draw, title, (PANEL_IN[0] * columns, PANEL_IN[1] * rows))
 

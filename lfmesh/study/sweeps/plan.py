@@ -24,6 +24,7 @@ from lfmesh.study.sweeps.axes import Axis, is_number
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused
 from lfmesh.study.tolerances.error_modes import TEMPLATES
+from lfmesh.study.tolerances.largest_change import Search
 
 MOST_POINTS = 1_000_000
 """Of a study, or items of a dataset: each is checked before anything is traced, some thousands a second."""
@@ -45,10 +46,13 @@ class Point:
         0 is the reference.
     values : tuple
         One for each axis; None where it is what it is in the reference camera.
+    searched : int or None
+        Number of the axis of which the largest change is searched that keeps the limits; its value is the farthest.
     """
 
     number: int
     values: tuple[Any, ...]
+    searched: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,11 @@ class Plan:
         """Names of the metrics."""
         return self.study.metrics
 
+    @property
+    def searched(self) -> bool:
+        """True if the largest change of some axis is searched."""
+        return any(point.searched is not None for point in self.points)
+
     @cached_property
     def reference_values(self) -> tuple[Any, ...]:
         """Values of the axes in the reference camera."""
@@ -108,8 +117,17 @@ class Plan:
         if self.scenes:
             return (self.study.scenes or ())[point.number]
         given = zip(self.axes, point.values, strict=True)
+        if point.searched is not None:
+            return f"largest change of {self.axes[point.searched].path} up to {literal(point.values[point.searched])}"
         words = [f"{axis.path} = {literal(value)}" for axis, value in given if value is not None]
         return ", ".join(words) or "the reference again"
+
+    def search_of(self, point: Point) -> Search | None:
+        """Return what is searched at a point; None where nothing is."""
+        i = point.searched
+        if i is None:
+            return None
+        return Search(self.axes[i].path, self.reference_values[i], point.values[i], self.study.limits)
 
     @cached_property
     def digest(self) -> str:
@@ -118,7 +136,9 @@ class Plan:
             "scenes": [scene.digest for scene in self.scenes or (self.base,)],
             "inputs": [scene.digests for scene in self.scenes or (self.base,)],
             "paths": [axis.path for axis in self.axes],
-            "points": [point.values for point in self.points],
+            "points": [(point.values, point.searched) for point in self.points],
+            "limits": self.study.limits if self.searched else {},
+            "compensators": [(each.path, each.range, each.metric) for each in self.study.compensators],
             "metrics": self.metrics,
             "paired": self.study.paired,
             "refocus": self.study.refocus,
@@ -191,11 +211,19 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         if not faults and axis.relative and not is_number(value_at(ready_scene, axis.path)):
             found = value_at(ready_scene, axis.path)
             faults.append(f"axes[{i}].relative: {axis.path} is {found!r} in the reference camera, no number to add to")
+    for i, each in enumerate(study.compensators):
+        of = list(path_faults({each.path: None}, ready_scene, "path", refocus=study.refocus))
+        if not of and not is_number(value_at(ready_scene, each.path)):
+            found = value_at(ready_scene, each.path)
+            of.append(f"path: {each.path} is {found!r} in the reference camera, no number to adjust")
+        faults += [f"compensators[{i}].{line}" for line in of]
     faults += _metric_faults(study, ready_scene)
     faults += _count_faults(study, axes)
     if faults:
         raise refused(name, faults)
     points = [Point(i, ()) for i in range(len(scenes))] if scenes else list(_points(study, axes, ready_scene))
+    if study.limits and not scenes:
+        points += _searches(axes, points, ready_scene)
     ready_scene = pinned_with(ready_scene, ((axis.path, axis.values or ()) for axis in axes))
     plan = Plan(study, ready_scene, axes, points, tuple(scene.pinned() for scene in scenes))
     faults = list(_point_faults(plan))
@@ -301,6 +329,21 @@ def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[P
         yield Point(number, placed(row))
 
 
+def _searches(axes: tuple[Axis, ...], points: list[Point], base: Scene) -> list[Point]:
+    """Return the points at which the largest change of an axis is searched, one to each side that is studied."""
+    found: list[Point] = []
+    for i, axis in enumerate(axes):
+        start = value_at(base, axis.path)
+        values = [point.values[i] for point in points if point.values[i] is not None]
+        if not isinstance(start, float) or not all(map(is_number, values)) or axis.path.startswith("transport."):
+            continue
+        low, high = min(values), max(values)
+        for far in (*([low] if low < start else []), *([high] if high > start else [])):
+            row = tuple(float(far) if k == i else None for k in range(len(axes)))
+            found.append(Point(len(points) + len(found), row, i))
+    return found
+
+
 def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ...]]:
     """Yield points of a Latin hypercube (McKay et al. 1979) or of Sobol's sequence, scrambled (Owen 1995)."""
     import warnings
@@ -325,6 +368,9 @@ def _point_faults(plan: Plan) -> Iterator[str]:
         try:
             scene = plan.scene_of(point)
             (solved_camera(scene).scene if _has_meshes(scene) else solved(scene))
+            for each in plan.study.compensators if point.number else ():
+                for change in each.range:
+                    solved(each.applied(scene, change))
         except LfmeshError as error:
             yield f"point {point.number} ({plan.label(point)}): {in_a_line(error)}"
             continue

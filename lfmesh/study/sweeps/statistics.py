@@ -48,6 +48,54 @@ def independent_product(products: Array) -> float:
     return float((products.sum() - np.trace(products)) / (n * (n - 1)))
 
 
+def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
+    """Return the jackknife pseudo-values of an estimate that follows from products of pairs of replicates, (n, 1).
+
+    The jackknife takes the part of the variance that each pair has of its own 2(n − 1)/(n − 2) times: of four
+    replicates three times (Efron and Stein 1981). That part is found from what of the kernel is no sum over the two
+    replicates of a pair, and the pseudo-values are drawn together to the variance without the excess.
+
+    Parameters
+    ----------
+    estimate : callable
+        As for `pseudo_values`; one column.
+    kernel : (n, n) float64
+        By how much each pair moves the estimate, up to a factor; symmetric, the diagonal does not count.
+    """
+    pseudo = pseudo_values(estimate, len(kernel))
+    mean = pseudo.mean(axis=0)
+    return np.asarray(mean + math.sqrt(_share_without_excess(kernel)) * (pseudo - mean))
+
+
+def mean_square(values: Array) -> Array:
+    """Return pseudo-values of the square of a mean, from its own pseudo-values, (n,); noise does not add to it."""
+    products = np.outer(values, values)
+    return of_products(lambda use: np.array([independent_product(products[np.ix_(use, use)])]), products)[:, 0]
+
+
+def _share_without_excess(kernel: Array) -> float:
+    """Return the variance of a mean over pairs over the jackknife's."""
+    n = len(kernel)
+    if n < LEAST_PAIRED or not np.isfinite(kernel).all():
+        return 1.0
+    pairs = kernel - np.diag(np.diag(kernel))
+    sums = pairs.sum(axis=1)
+    jackknife = 4.0 * float(((sums - sums.mean()) ** 2).sum()) / (n * (n - 1) * (n - 2) ** 2)
+    if not jackknife > 0.0:
+        return 1.0
+    rest = pairs - (sums[:, None] + sums[None, :]) / (n - 2) + sums.sum() / ((n - 1) * (n - 2))
+    # The variance of a pair's own part, as if the jackknife's held nothing else: too large rather than too small.
+    excessive, degrees = 4.0 / (n * (n - 2)), 0.5 * n * (n - 3)
+    own = float((rest[np.triu_indices(n, 1)] ** 2).sum())
+    own = (own + (n - 1) * jackknife / excessive) / (degrees + n - 1)
+    shared = max(jackknife - own * excessive, 0.0)
+    return min((shared + own * 2.0 / (n * (n - 1))) / jackknife, 1.0)
+
+
+LEAST_PAIRED = 4
+"""Replicates from whose pairs the part of each pair is told."""
+
+
 class Estimate(NamedTuple):
     """A value and its standard error; NaN where it has none."""
 

@@ -16,7 +16,7 @@ from lfmesh.scene.model import Model
 from lfmesh.signatures import Function
 from lfmesh.study.metrics.metrics import columns_of, pictures_of
 from lfmesh.study.sweeps.cluster import in_dask
-from lfmesh.study.sweeps.plan import Plan, load_scenes, plan_of
+from lfmesh.study.sweeps.plan import Plan, Point, load_scenes, plan_of
 from lfmesh.study.sweeps.pool import Result, here, in_pool
 from lfmesh.study.sweeps.study_file import StudyFile, read_study
 from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
@@ -315,6 +315,8 @@ class Run:
             metrics=plan.metrics,
             replicates=plan.replicates_of(batch),
             threads=threads,
+            compensators=plan.study.compensators,
+            search=plan.search_of(plan.points[point]),
         )
 
     def _take(self, result: Result) -> None:
@@ -358,9 +360,7 @@ class Run:
         ]
         if not values:
             return "", ""
-        # The mean square of which a PSNR is made is the larger the worse.
-        low_is_worse = column.worse == "low" and column.of != "psnr"
-        values.sort(reverse=low_is_worse)
+        values.sort(key=lambda each: column.harm(each[0]))
         labels = [self.plan.label(self.plan.points[point]) for _, point in (values[0], values[-1])]
         return labels[0], labels[1]
 
@@ -442,6 +442,10 @@ PROCESS_BYTES = 4e8
 """Of a process that has traced something, without its films."""
 
 
+CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
+"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
+
+
 def probe(plan: Plan, workers: int | None = None) -> Probe:
     """Estimate time and memory of a study from a short trace of its reference."""
     workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
@@ -464,7 +468,15 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
     # The camera's own films, the reference's, and what comparing them takes.
     memory = workers * (PROCESS_BYTES + 4.0 * film)
-    return Probe(len(plan.points), len(plan.units), workers, one, one * len(plan.units) / workers, memory)
+    seconds = one * sum(_cameras_of(plan, point) for point in plan.points) * plan.study.batches / workers
+    return Probe(len(plan.points), len(plan.units), workers, one, seconds, memory)
+
+
+def _cameras_of(plan: Plan, point: Point) -> int:
+    """Return how many cameras are traced at a point, by rule of thumb: a search and adjustments take several."""
+    adjustable = len(plan.study.compensators) if point.number else 0
+    adjusted = 1 + CAMERAS_ADJUSTED * adjustable
+    return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
 
 
 def _reference_unit(plan: Plan, threads: int) -> Unit:

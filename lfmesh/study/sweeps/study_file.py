@@ -14,6 +14,7 @@ from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
 from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.sweeps.axes import Axis
+from lfmesh.study.tolerances.compensators import Compensator
 from lfmesh.study.tolerances.error_modes import TEMPLATES
 
 Tables = TypeVar("Tables", bound=Model)
@@ -56,7 +57,10 @@ class StudyFile(Model):
     """Where the edge of the metrics "mtf50" and "refocus" stands; in the plane in focus if omitted."""
     limits: dict[str, Number] = Field(default_factory=dict)
     """What a good camera keeps, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
-    the worse the larger they are, at most. The report has the yield."""
+    the worse the larger they are, at most. The report has the yield, and the largest change of each axis by itself that
+    keeps them, which is searched between the reference and the farthest values of the axis."""
+    compensators: tuple[Compensator, ...] = ()
+    """What assembly adjusts at every point, apart from the reference, before the metrics are taken."""
     axes: tuple[Axis, ...] = ()
     """What varies."""
 
@@ -82,6 +86,15 @@ class StudyFile(Model):
             if name not in judged:
                 valid = f"no column that can be limited{nearest(name, judged)}; there are {', '.join(judged)}"
                 yield Fault(("limits", name), limit, valid)
+        for i, each in enumerate(self.compensators):
+            if each.metric not in judged:
+                valid = f"no column that can be made best{nearest(each.metric, judged)}; there are {', '.join(judged)}"
+                yield Fault(("compensators", i, "metric"), each.metric, valid)
+            if each.path in [other.path for other in self.compensators[:i]]:
+                yield Fault(("compensators", i, "path"), each.path, "is a compensator already")
+        if self.batches > 1 and (self.limits or self.compensators):
+            what = "limits" if self.limits else "compensators"
+            yield Fault(("batches",), self.batches, f"must be 1 with {what}: all replicates together decide on a value")
         paths = [axis.path for axis in self.axes]
         for i, path in enumerate(paths):
             if path in paths[:i]:

@@ -14,13 +14,17 @@ from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
 from lfmesh.study.metrics.metrics import Column, columns_of
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.plan import Plan, Point
-from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, share_of, slope
+from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, combined, share_of, slope
 from lfmesh.study.sweeps.unit import Outcome
+from lfmesh.study.tolerances.largest_change import Allowed
 
 Array = NDArray[np.float64]
 
 CONFIDENCE = "95 %"
 """Of all intervals."""
+
+DOUBT = 1.96
+"""Standard errors within which it is not known whether a camera keeps a limit."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +34,10 @@ class Row:
     Attributes
     ----------
     point : Point
+    means : dict of Estimate
+        Means of the pseudo-values by the name of a column; empty for a point that failed or is not done.
     estimates : dict of Estimate
-        By the name of a column; empty for a point that failed or is not done.
+        Values, which follow from the means.
     fault : str
         Why there are none, or "".
     seconds : float
@@ -41,15 +47,22 @@ class Row:
     preview : (h, w) uint8, or None
     warnings : tuple of PictureWarning
         Of all batches.
+    adjusted : tuple of float
+        Changes by the compensators.
+    allowed : Allowed or None
+        What was searched at this point.
     """
 
     point: Point
+    means: Mapping[str, Estimate]
     estimates: Mapping[str, Estimate]
     fault: str = ""
     seconds: float = 0.0
     maps: Mapping[str, Array] = field(default_factory=dict)
     preview: NDArray[np.uint8] | None = None
     warnings: tuple[PictureWarning, ...] = ()
+    adjusted: tuple[float, ...] = ()
+    allowed: Allowed | None = None
 
     @property
     def warned_of(self) -> str:
@@ -99,8 +112,10 @@ class Table:
         return summed_up(found, len(known), "points")
 
     def value_of(self, row: Row, axis: int) -> Any:
-        """Return what an axis is at a row's point."""
+        """Return what an axis is at a row's point; None where it was searched and is not known."""
         value = row.point.values[axis]
+        if row.point.searched == axis:
+            return row.allowed.value if row.allowed is not None else None
         return self.plan.reference_values[axis] if value is None else value
 
     def values(self, column: str) -> Array:
@@ -120,6 +135,11 @@ class Table:
                 record[axis.path] = self.value_of(row, i)
             if self.plan.scenes:
                 record["scene"] = self.plan.label(row.point)
+            for i, each in enumerate(self.plan.study.compensators):
+                record[f"adjusted {each.path}"] = row.adjusted[i] if row.adjusted else None
+            if self.plan.searched:
+                low, high = row.allowed[1:3] if row.allowed is not None else (None, None)
+                record |= {"searched": self._searched(row), "allowed_low": low, "allowed_high": high}
             for column in self.columns:
                 estimate = row.estimates.get(column.name)
                 record[column.name] = None if estimate is None else estimate.value
@@ -169,7 +189,7 @@ class Table:
         """Return the derivatives of the metrics by every axis of numbers that varies by itself at some points."""
         found = []
         for i, axis in enumerate(self.plan.axes):
-            rows = self.along(i)
+            rows = [row for row in self.along(i) if row.estimates]
             start = self.plan.reference_values[i]
             if not is_number(start) or not all(is_number(self.value_of(row, i)) for row in rows):
                 continue
@@ -177,7 +197,7 @@ class Table:
             for column in self.columns:
                 if column.of == "psnr":
                     continue
-                known = [row.estimates.get(column.name, Estimate(math.nan, math.nan)) for row in rows]
+                known = [row.estimates[column.name] for row in rows]
                 x = np.abs(off) if column.magnitude else off
                 fit = slope(x, np.array([e.value for e in known]), np.array([e.stderr for e in known]))
                 if fit is not None:
@@ -192,31 +212,56 @@ class Table:
 
     def is_good(self, row: Row) -> bool:
         """Tell whether a point keeps all limits of the study; one that cannot be traced does not."""
-        for column in self.columns:
-            limit = self.plan.study.limits.get(column.name)
-            if limit is None:
-                continue
-            value = row.estimates[column.name].value if row.estimates else math.nan
-            if not (value >= limit if column.worse == "low" else value <= limit):
-                return False
-        return True
+        return all(row.means and self.keeps(row, column) for column in self.limited)
+
+    def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
+        """Tell whether a traced point keeps the limit of a column.
+
+        Parameters
+        ----------
+        row : Row
+        column : Column
+        errors : float
+            By so many standard errors the value is taken to be worse.
+        """
+        value, error = row.means[column.name]
+        sign = 1.0 if column.harm(1.0) > 0.0 else -1.0
+        return column.keeps(value + sign * errors * error if errors else value, self.plan.study.limits[column.name])
+
+    @property
+    def limited(self) -> tuple[Column, ...]:
+        """Columns that have a limit."""
+        return tuple(column for column in self.columns if column.name in self.plan.study.limits)
+
+    @property
+    def drawn(self) -> list[Row]:
+        """Points of the design that were tried, without the reference and what is searched."""
+        rows = (row for row in self.rows if row.point.number and row.point.searched is None)
+        return [row for row in rows if row.fault != "not done"]
 
     def yield_share(self) -> Share | None:
-        """Return the share of good cameras, of those that were drawn at random; None where there are no limits.
+        """Return the share of good cameras, of those with all errors together; None where there are none or no limits.
 
         The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
-        more evenly, it is wider than need be.
+        more evenly, it is wider than need be. Its ends are those of the cameras that are good, and bad, beyond what
+        their standard errors leave open.
         """
-        drawn = [row for row in self.rows if row.point.number and row.fault != "not done"]
+        drawn = self.drawn
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
             return None
-        return share_of(sum(map(self.is_good, drawn)), len(drawn))
+
+        def good(errors: float) -> int:
+            return sum(all(row.means and self.keeps(row, column, errors) for column in self.limited) for row in drawn)
+
+        shares = [share_of(good(errors), len(drawn)) for errors in (DOUBT, 0.0, -DOUBT)]
+        return shares[1]._replace(low=shares[0].low, high=shares[2].high)
 
     def breaking(self) -> list[tuple[str, Any]]:
         """Return the axes that break a limit by themselves, with the value nearest to the reference's that does."""
         found: list[tuple[str, Any]] = []
         for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
-            bad = [self.value_of(row, i) for row in self.along(i) if row.point.number and not self.is_good(row)]
+            rows = [row for row in self.along(i) if row.point.number and row.point.searched is None]
+            bad = [self.value_of(row, i) for row in rows if row.means and not self.is_good(row)]
             start = self.plan.reference_values[i]
             if bad:
                 near = (
@@ -224,6 +269,15 @@ class Table:
                 )
                 found.append((axis.path, near))
         return found
+
+    def allowed(self) -> list[Row]:
+        """Return the points at which the largest change of an axis was searched and found."""
+        return [row for row in self.rows if row.allowed is not None]
+
+    def _searched(self, row: Row) -> str | None:
+        if row.point.searched is None:
+            return None
+        return self.plan.axes[row.point.searched].path
 
     def efficiency(self) -> list[tuple[Row, float, float]]:
         """Return each row with its efficiency 1/(noise² · time), 1/s, and the standard error of that."""
@@ -259,17 +313,18 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
         fault = faults.get(point.number, "not done")
     found = in_order(warning for outcome in known for warning in outcome.warnings)
     if fault:
-        return Row(point, {}, fault, warnings=found)
-    estimates = {
-        column.name: column.estimate(_joined([outcome.columns[column.name] for outcome in known]))
-        for column in columns_of(plan.metrics)
-    }
+        return Row(point, {}, {}, fault, warnings=found)
+    columns = columns_of(plan.metrics)
+    means = {each.name: combined(_joined([outcome.columns[each.name] for outcome in known])) for each in columns}
+    estimates = {column.name: column.estimate(means[column.name]) for column in columns}
     maps = {
         name: np.mean([outcome.maps[name] for outcome in known], axis=0)
         for name in known[0].maps
         if all(name in outcome.maps for outcome in known)
     }
-    return Row(point, estimates, "", sum(outcome.seconds for outcome in known), maps, known[0].preview, found)
+    seconds = sum(outcome.seconds for outcome in known)
+    first = known[0]
+    return Row(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed)
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:

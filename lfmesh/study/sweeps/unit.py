@@ -18,12 +18,16 @@ from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_
 from lfmesh.files.sealed import read_sealed, unsealed, write_sealed
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.provenance import program, refuse_other
-from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, pictures_of
+from lfmesh.scene import Scene
+from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, metric_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, films
+from lfmesh.study.sweeps.statistics import Estimate, combined
+from lfmesh.study.tolerances.compensators import Compensator, compensated
+from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
 
 Array = NDArray[np.float64]
 
-FORMAT = 2
+FORMAT = 3
 """Of the bytes of an outcome; a reader refuses any other."""
 
 PREVIEW_PX = 200
@@ -50,6 +54,10 @@ class Unit:
         In which it is traced; does not change the outcome.
     program : dict of str
         That planned it, see `lfmesh.provenance.program`.
+    compensators : tuple of Compensator
+        Which adjust every camera but the reference.
+    search : Search or None
+        What is searched; the camera is then the farthest one.
     """
 
     study: str
@@ -61,6 +69,8 @@ class Unit:
     replicates: range
     threads: int = 0
     program: dict[str, str] = field(default_factory=program)
+    compensators: tuple[Compensator, ...] = ()
+    search: Search | None = None
 
     def compute(self, given: "Reference") -> bytes:
         """Return the unit's outcome as bytes, given the reference's films.
@@ -93,6 +103,10 @@ class Outcome:
         Upright picture of the raw image.
     warnings : tuple of PictureWarning
         Of the pictures that its values are made of, those of the reference left out.
+    adjusted : tuple of float
+        Changes by the compensators.
+    allowed : Allowed or None
+        What a search has found; all else is of the camera there.
     """
 
     point: int
@@ -103,6 +117,8 @@ class Outcome:
     maps: dict[str, Array] = field(default_factory=dict)
     preview: NDArray[np.uint8] | None = None
     warnings: tuple[PictureWarning, ...] = ()
+    adjusted: tuple[float, ...] = ()
+    allowed: Allowed | None = None
 
 
 @dataclass(frozen=True)
@@ -159,23 +175,73 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
 
 
 def _outcome(unit: Unit, reference: Traced) -> Outcome:
-    began = time.perf_counter()
-    known = reference.films
-    if unit.point == 0:
-        own: Films = known
-        seconds = reference.seconds
-    else:
-        own = films(_in_threads(unit.camera, unit.threads), pictures_of(unit.metrics), unit.replicates)
+    bench = _Bench(unit, reference.films)
+    camera, own, seconds = unit.reference, reference.films, reference.seconds
+    allowed: Allowed | None = None
+    adjusted: tuple[float, ...] = ()
+    if unit.point:
+        scene = unit.camera.scene
+        if unit.search is not None:
+            allowed = bench.searched(unit.search)
+            scene = scene.changed({unit.search.path: allowed.value})
+        scene, adjusted = bench.adjusted(scene)
+        camera = Camera(scene, unit.camera.edge_distance_mm)
+        began = time.perf_counter()
+        own = bench.traced(camera, unit.metrics)
         seconds = time.perf_counter() - began
-    pair = Comparison(unit.camera, unit.reference, own, known, len(unit.replicates))
-    columns: dict[str, Array] = {}
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for name in unit.metrics:
-            values = METRICS[name].compute(pair)
-            for number, column in enumerate(METRICS[name].columns):
-                columns[column.name] = np.ascontiguousarray(values[:, number])
-    preview = _preview(unit, own, known) if "scene" in own else None
-    return Outcome(unit.point, unit.batch, columns, seconds, None, dict(pair.maps), preview)
+    pair, columns = bench.compared(camera, own, unit.metrics)
+    preview = _preview(unit, pair.films, reference.films) if "scene" in pair.films else None
+    maps = dict(pair.maps)
+    return Outcome(unit.point, unit.batch, columns, seconds, None, maps, preview, (), adjusted, allowed)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """A place where cameras are adjusted, traced and compared with the reference of a unit."""
+
+    unit: Unit
+    reference: Films
+
+    def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Films:
+        """Trace what some metrics need."""
+        return films(_in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
+
+    def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> tuple[Comparison, dict[str, Array]]:
+        """Return a camera beside the reference, and the pseudo-values of some metrics by their columns."""
+        pair = Comparison(camera, self.unit.reference, own, self.reference, len(self.unit.replicates))
+        columns: dict[str, Array] = {}
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for name in metrics:
+                values = METRICS[name].compute(pair)
+                for number, column in enumerate(METRICS[name].columns):
+                    columns[column.name] = np.ascontiguousarray(values[:, number])
+        return pair, columns
+
+    def means(self, scene: Scene | None, metrics: tuple[str, ...]) -> dict[str, Estimate]:
+        """Trace a camera, or take the reference for None, and return the means of the pseudo-values."""
+        camera = self.unit.reference if scene is None else Camera(scene, self.unit.camera.edge_distance_mm)
+        own = self.reference if scene is None else self.traced(camera, metrics)
+        return {name: combined(values) for name, values in self.compared(camera, own, metrics)[1].items()}
+
+    def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
+        """Return a camera as its compensators leave it, and their changes."""
+        columns = {column.name: column for column in columns_of(self.unit.metrics)}
+
+        def merit(adjusted: Scene, name: str) -> float:
+            return columns[name].harm(self.means(adjusted, (metric_of(name),))[name].value)
+
+        adjusted, changes = compensated(scene, self.unit.compensators, merit)
+        return adjusted, tuple(changes)
+
+    def searched(self, search: Search) -> Allowed:
+        """Find the largest change that keeps the limits, of cameras that are adjusted."""
+        columns = [column for column in columns_of(self.unit.metrics) if column.name in search.limits]
+        metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
+
+        def measured(value: float) -> dict[str, Estimate]:
+            return self.means(self.adjusted(self.unit.camera.scene.changed({search.path: value}))[0], metrics)
+
+        return largest_change(search, columns, self.means(None, metrics), measured, len(self.unit.replicates))
 
 
 def _in_threads(camera: Camera, threads: int) -> Camera:
@@ -205,6 +271,8 @@ def packed(outcome: Outcome, study: str) -> bytes:
         "seconds": outcome.seconds,
         "fault": outcome.fault,
         "warnings": _as_dicts(outcome.warnings),
+        "adjusted": outcome.adjusted,
+        "allowed": outcome.allowed,
     }
     arrays: dict[str, NDArray[Any]] = {f"column.{name}": values for name, values in outcome.columns.items()}
     arrays |= {f"map.{name}": values for name, values in outcome.maps.items()}
@@ -240,8 +308,11 @@ def unpacked(
     fault = facts["fault"]
     columns = {} if fault else {column.name: arrays[f"column.{column.name}"] for column in columns_of(metrics)}
     maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
-    found = _warnings_in(facts)
-    return Outcome(point, batch, columns, facts["seconds"], fault, maps, arrays.get("preview"), found)
+    found, allowed = _warnings_in(facts), facts["allowed"]
+    return Outcome(
+        point, batch, columns, facts["seconds"], fault, maps, arrays.get("preview"), found, tuple(facts["adjusted"]),
+        None if allowed is None else Allowed(*allowed),
+    )  # fmt: skip
 
 
 def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:

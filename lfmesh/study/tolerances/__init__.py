@@ -1,1 +1,1 @@
-"""Ready-made studies of installation and manufacturing errors."""
+"""Errors of cameras: ready-made studies, largest changes that keep limits, adjustments, and budgets."""

@@ -14,6 +14,7 @@ from lfmesh.assets import asset_path
 from lfmesh.scene.first_order.solve import air_thickness_mm
 from lfmesh.study.metrics.metrics import METRICS, Column, Comparison, columns_of
 from lfmesh.study.metrics.pictures import Camera, films, image_of
+from lfmesh.study.sweeps.statistics import Estimate, combined
 from lfmesh.study.sweeps.table import Table
 from tests.study.studies import small_scene
 
@@ -124,7 +125,7 @@ def pair_of(first: Array, second: Array, scene: lf.Scene) -> Comparison:
 
 def value(metric: str, pair: Comparison, column: int = 0) -> tuple[float, float]:
     pseudo = METRICS[metric].compute(pair)[:, column]
-    return METRICS[metric].columns[column].estimate(pseudo)
+    return METRICS[metric].columns[column].estimate(combined(pseudo))
 
 
 def test_psnr_and_correlation_are_those_of_the_pictures_without_their_noise() -> None:
@@ -139,7 +140,8 @@ def test_psnr_and_correlation_are_those_of_the_pictures_without_their_noise() ->
 
     pair = pair_of(noisy(other), noisy(truth), scene)
     psnr, error = value("psnr", pair)
-    expected = -10.0 * math.log10(((other - truth) ** 2).mean() / pair.brightest**2)
+    white = (truth**2).mean() / truth.mean()
+    expected = -10.0 * math.log10(((other - truth) ** 2).mean() / white**2)
     # Two z-tests at 3.3 sigma, 0.1 % each.
     assert abs(psnr - expected) < 3.3 * error
     assert error < 1.5
@@ -188,6 +190,35 @@ def test_paired_points_resolve_what_others_do_not(tmp_path: Path) -> None:
             variance[paired] += table.rows[1].estimates["light_ratio"].stderr ** 2 / len(seeds)
     degrees = len(seeds) * (replicates - 1)
     assert variance[False] / variance[True] > 9.0 * stats.f.ppf(1.0 - 1e-3, degrees, degrees)
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "expected"),
+    [
+        # Ten times its error, and twice: the logarithm of a mean square that may be half as large has no error.
+        ("psnr_db", (1e-3, 1e-4), (30.0, 10.0 / math.log(10.0) * 0.1)),
+        ("psnr_db", (1e-3, 5e-4), (30.0, math.nan)),
+        ("psnr_db", (0.0, 0.0), (math.nan, math.nan)),
+        ("psnr_db", (-1e-5, 1e-4), (math.nan, math.nan)),
+        ("centres_rms_px", (0.04, 0.004), (0.2, 0.01)),
+        ("centres_rms_px", (1e-4, 1e-4), (0.01, math.nan)),
+        ("centres_rms_px", (0.0, 0.0), (0.0, 0.0)),
+        ("ncc", (0.9, 0.01), (0.9, 0.01)),
+        ("ncc", (0.99, 0.01), (0.99, math.nan)),
+        ("ncc", (1.01, 0.02), (1.0, math.nan)),
+        ("ncc", (1.5, 0.02), (math.nan, math.nan)),
+        ("ncc", (1.0, 0.0), (1.0, 0.0)),
+        ("ghost_share", (-0.001, 0.002), (0.0, math.nan)),
+        ("ghost_share", (0.0, 0.0), (0.0, 0.0)),
+        # No ray has crossed, by chance.
+        ("crosstalk_share", (0.0, 0.0), (0.0, math.nan)),
+    ],
+)
+def test_a_value_is_possible_and_states_an_error_only_where_it_can(
+    name: str, mean: tuple[float, float], expected: tuple[float, float]
+) -> None:
+    column = next(column for column in columns_of(tuple(METRICS)) if column.name == name)
+    assert column.estimate(Estimate(*mean)) == pytest.approx(expected, nan_ok=True)
 
 
 def test_every_metric_names_its_columns_once() -> None:

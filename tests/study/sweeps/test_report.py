@@ -8,6 +8,7 @@ import pytest
 from pyarrow import parquet
 
 import lfmesh as lf
+from lfmesh.study.sweeps.figures import TITLE_LETTERS
 from tests.conftest import chromium
 from tests.processor_time import HANGS_S
 from tests.study.studies import SHIFT, shifted, small_scene
@@ -49,9 +50,9 @@ def test_it_shows_figures_pictures_fields_and_all_points(folder: Path) -> None:
 
 def test_a_worst_point_is_named_first(folder: Path) -> None:
     page = (folder / "report.html").read_text()
-    found = re.search(r"Worst by PSNR / dB: ([^,<]*),", page)
+    found = re.search(r"Worst by PSNR: ([^,<]*),", page)
     assert found is not None
-    assert found[1] in (f"{SHIFT} = -0.05", f"{SHIFT} = 0.05")
+    assert found[1] in ("decentre = -0.05 mm", "decentre = 0.05 mm")
 
 
 def test_parquet_holds_the_table(tmp_path: Path) -> None:
@@ -73,3 +74,19 @@ def test_a_browser_shows_the_page_without_errors(folder: Path, tmp_path: Path) -
     )
     assert done.returncode == 0
     assert shot.stat().st_size > 10_000
+
+
+def test_titles_of_panels_are_no_wider_than_their_panels(folder: Path) -> None:
+    """A panel is 3.3 inches wide, in which some 34 letters fit: longer titles have several lines."""
+    page = (folder / "report.html").read_text()
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", page)
+    assert any("chief rays: displacement, rms" in text for text in texts)
+    assert max(map(len, texts)) <= TITLE_LETTERS
+
+
+def test_a_report_names_a_parameter_in_one_way_and_says_why_a_table_is_empty(folder: Path) -> None:
+    page = re.sub(r"<svg.*?</svg>", "", (folder / "report.html").read_text(), flags=re.S)
+    # The path stands once below the heading of its figures; else the label is the name.
+    assert page.count(SHIFT) == 1
+    assert page.count("decentre = 0.05 mm") > 1
+    assert "No sensitivity: it takes three points" in page

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from lfmesh.study.sweeps.statistics import combined, independent_product, inner_products, pseudo_values, slope
+from lfmesh.study.sweeps.statistics import (
+    Array,
+    Numbers,
+    combined,
+    independent_product,
+    inner_products,
+    of_products,
+    pseudo_values,
+    slope,
+)
 
 
 def test_the_jackknife_of_a_mean_is_the_mean_with_its_standard_error() -> None:
@@ -46,3 +55,23 @@ def test_a_slope_needs_three_points_that_differ() -> None:
     assert slope(ones[:2], ones[:2], ones[:2]) is None
     assert slope(ones, np.arange(3.0), ones) is None
     assert slope(np.arange(3.0), np.array([1.0, np.nan, 2.0]), ones) is None
+
+
+@pytest.mark.parametrize("replicates", [4, 8])
+@pytest.mark.parametrize("mean", [0.0, 0.1, 0.5])
+def test_the_error_of_a_mean_square_holds_whatever_noise_is_in_it(replicates: int, mean: float) -> None:
+    """Stated over true error of 2000 draws of 100 noisy values: 0.8 to 1.3, where the jackknife's is up to 1.7."""
+    draw = np.random.default_rng(4)
+    found = []
+    for _ in range(2000):
+        products = inner_products(list(mean + draw.normal(size=(replicates, 100))))
+
+        def square(use: Numbers, products: Array = products) -> Array:
+            return np.array([independent_product(products[np.ix_(use, use)])])
+
+        found.append(combined(of_products(square, products)[:, 0]))
+    value, stated = np.transpose(found)
+    ratio = np.sqrt((stated**2).mean()) / value.std(ddof=1)
+    assert 0.8 < ratio < 1.3
+    # One z-test at 3.3 sigma, 0.1 %.
+    assert abs(value.mean() - mean**2) < 3.3 * value.std(ddof=1) / np.sqrt(len(value))

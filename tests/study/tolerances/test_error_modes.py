@@ -48,3 +48,11 @@ def test_a_template_without_what_it_is_about_is_refused(tmp_path: Path, capsys: 
     assert "there is none" in capsys.readouterr().err
     assert main(["study", "--template", "asembly", str(SCENE), "-o", "x.toml"]) == 2
     assert "did you mean 'assembly'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("pixels", "samples"), [(640, 8), (320, 16), (160, 32), (10, 128)])
+def test_templates_name_more_samples_where_there_are_fewer_pixels(pixels: int, samples: int) -> None:
+    """Noise of a mean square over pixels goes with 1/(samples · side)."""
+    lenslets = (max(1, pixels // 10),) * 2
+    scene = lf.load(SCENE).changed({"camera.sensor.pixels": (pixels, pixels), "camera.mla.count": lenslets})
+    assert TEMPLATES["assembly"](lf.solved(scene)).changes["transport.samples"] == samples

@@ -1,0 +1,316 @@
+"""A study in sentences: what a designer asked, with names and units; resolved effects before the others."""
+
+import math
+from collections.abc import Iterator
+
+from lfmesh.scene.literals import literal
+from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.sweeps.axes import name_and_unit
+from lfmesh.study.sweeps.table import CONFIDENCE, Row, Table
+from lfmesh.study.tolerances.budget import Budget, budget_of
+from lfmesh.study.tolerances.largest_change import Allowed
+
+NOT_KNOWN, NOT_RESOLVED = "not known", "not resolved"
+
+SMALL = 0.01
+"""Shares of a budget below this one are not named one by one."""
+
+MOST_NAMED = 6
+"""Parameters that a sentence names."""
+
+
+def in_short(table: Table) -> list[str]:
+    """Return the answers of a study, a sentence each."""
+    return [
+        _progress(table),
+        *_limits(table),
+        *_yield(table),
+        *largest_changes(table),
+        *_breaking(table),
+        *(budget_in_words(table, budget_of(table, column)) for column in table.limited or _judged(table)[:1]),
+        *_adjustments(table),
+        *_ends(table),
+        *_steepest(table),
+        *_efficiency(table),
+    ]
+
+
+def words_of(table: Table, row: Row) -> str:
+    """Return a point in words, with the names and units that reports use."""
+    plan, point = table.plan, row.point
+    if point.number == 0 or plan.scenes:
+        return plan.label(point)
+    words = []
+    for i, axis in enumerate(plan.axes):
+        value = table.value_of(row, i)
+        if point.values[i] is not None:
+            name, unit = name_and_unit(axis.title)
+            sign = "=" if value is not None else "up to"
+            value = point.values[i] if value is None else value
+            shown = f"{value:.6g}" if isinstance(value, float) else literal(value)
+            words.append(f"{name} {sign} {shown}{unit and ' ' + unit}")
+    return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
+
+
+def column_value(row: Row, column: Column) -> str:
+    """Return the value of a column with its standard error, or in words why there is none."""
+    value, error = row.estimates[column.name]
+    if column.is_square and math.isnan(error) and math.isfinite(row.means[column.name].value):
+        bound = column.bound(row.means[column.name])
+        if math.isnan(bound):
+            return "no difference"
+        return f"{'above' if column.worse == 'low' else 'below'} {bound:.3g}"
+    return written(value, error)
+
+
+def written(value: float, error: float) -> str:
+    """Return a value with its standard error, as many digits as that allows; "± ?" where the error cannot be told."""
+    if math.isnan(value):
+        return NOT_KNOWN
+    if math.isnan(error):
+        return f"{value:.2g} ± ?"
+    if not error > 0.0 or not math.isfinite(error):
+        return f"{value:.6g}"
+    digits = max(1, min(12, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2
+    return f"{value:.{digits}g} ± {error:.2g}"
+
+
+def first_column(table: Table) -> Column | None:
+    """Return the column by which points are called best and worst."""
+    return next(iter(_judged(table)), None)
+
+
+def ranked_by(rows: list[Row], column: Column) -> list[Row]:
+    """Return the points apart from the reference, the best first."""
+    known = [row for row in rows if row.point.number and not math.isnan(row.means[column.name].value)]
+    return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
+
+
+def _judged(table: Table) -> list[Column]:
+    return [column for column in table.columns if column.worse]
+
+
+def _progress(table: Table) -> str:
+    done, all_points = sum(not row.fault for row in table.rows), len(table.rows)
+    waiting = sum(row.fault == "not done" for row in table.rows)
+    words = [f"{done} of {all_points} points are done" if done < all_points else f"All {all_points} points are done"]
+    if failed := len(table.failed) - waiting:
+        words.append(f"{failed} could not be traced")
+    if waiting:
+        words.append(f"{waiting} are not computed yet")
+    return "; ".join(words) + "."
+
+
+def _limits(table: Table) -> Iterator[str]:
+    """Yield for every limit how many cameras keep it; one that nothing breaks is held."""
+    rows = [row for row in table.drawn if row.means]
+    for column in table.limited:
+        limit = _limit(table, column)
+        bad = [row for row in rows if not table.keeps(row, column)]
+        unsure = sum(table.keeps(row, column, 1.96) != table.keeps(row, column, -1.96) for row in rows)
+        doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
+        if not rows:
+            yield f"Nothing is known of the limit {limit} yet."
+        elif not bad:
+            yield f"The limit {limit} is held at all {len(rows)} cameras{doubt}."
+        else:
+            yield f"The limit {limit} is broken at {len(bad)} of {len(rows)} cameras{doubt}."
+
+
+def _limit(table: Table, column: Column) -> str:
+    side = "at least" if column.worse == "low" else "at most"
+    return f"{column.noun} {side} {table.plan.study.limits[column.name]:g}{column.unit}"
+
+
+def _yield(table: Table) -> Iterator[str]:
+    if good := table.yield_share():
+        yield (
+            f"Yield: {good.good} of {good.trials} cameras keep the limits, {good.value:.1%} "
+            f"({CONFIDENCE} interval {good.low:.1%} to {good.high:.1%})."
+        )
+    elif table.limited and table.plan.study.design == "one_at_a_time":
+        yield 'No yield: every error is studied by itself; design = "sobol" with a count draws all of them together.'
+
+
+def largest_changes(table: Table) -> Iterator[str]:
+    """Yield for every axis how far it may change, the tightest first, then those that reach no limit."""
+    sides: dict[int, list[Row]] = {}
+    for row in table.allowed():
+        assert row.point.searched is not None
+        sides.setdefault(row.point.searched, []).append(row)
+    bound = {i: [row for row in rows if _known(row).column] for i, rows in sides.items()}
+    for i in sorted((i for i in bound if bound[i]), key=lambda i: min(_tightness(table, row) for row in bound[i])):
+        name, unit = name_and_unit(table.plan.axes[i].title)
+        spans = [_span(table, row) for row in sides[i]]
+        yield f"{name} may change by {' and '.join(spans)}{unit and ' ' + unit}{_until(table, bound[i])}."
+    for i in (i for i in bound if not bound[i]):
+        name, unit = name_and_unit(table.plan.axes[i].title)
+        reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
+        yield f"{name} may change by {reach}{unit and ' ' + unit}, all that was studied: no limit is reached."
+
+
+def _breaking(table: Table) -> Iterator[str]:
+    """Yield the other axes that break a limit by themselves."""
+    searched = {table.plan.axes[row.point.searched].path for row in table.rows if row.point.searched is not None}
+    titles = {axis.path: axis.title for axis in table.plan.axes}
+    for path, value in table.breaking():
+        if path not in searched:
+            yield f"By itself, {titles[path]} breaks a limit at {literal(value)}."
+
+
+def _until(table: Table, rows: list[Row]) -> str:
+    reached = {_known(row).column for row in rows if change_of(table, row)}
+    if not reached:
+        return ": the reference itself is beyond a limit"
+    titles = {column.name: _limit(table, column) for column in table.limited}
+    return f", until a limit is reached: {', '.join(titles[name] for name in titles if name in reached)}"
+
+
+def _known(row: Row) -> Allowed:
+    assert row.allowed is not None
+    return row.allowed
+
+
+def change_of(table: Table, row: Row) -> float:
+    """Return the largest change that a row has found, from the reference's value."""
+    assert row.point.searched is not None
+    return _known(row).value - float(table.plan.reference_values[row.point.searched])
+
+
+def _tightness(table: Table, row: Row) -> float:
+    """Return the allowed change over what was studied."""
+    i = row.point.searched
+    assert i is not None
+    return change_of(table, row) / (row.point.values[i] - float(table.plan.reference_values[i]))
+
+
+def _span(table: Table, row: Row) -> str:
+    found, change = _known(row), change_of(table, row)
+    start = found.value - change
+    if not found.column:
+        return f"{change:+.4g} (all that was studied)"
+    return f"{change:+.4g} ({found.low - start:+.3g} to {found.high - start:+.3g})"
+
+
+def tolerance_rows(table: Table) -> list[list[str]]:
+    """Return the searched largest changes, a row each, with what sensitivities predict and the metric there."""
+    columns = {column.name: column for column in table.limited}
+    budgets = {name: budget_of(table, column) for name, column in columns.items()}
+    lines = []
+    for row in table.allowed():
+        i, found = row.point.searched, _known(row)
+        assert i is not None
+        start = float(table.plan.reference_values[i])
+        far = row.point.values[i] - start
+        said = {
+            name: effect.predicted(columns[name], table.rows[0].means[name], table.plan.study.limits[name], far)
+            for name, budget in budgets.items()
+            for effect in budget.effects
+            if effect.axis == i
+        }
+        nearest = min(said.values(), key=abs, default=math.nan)
+        predicted = NOT_KNOWN if math.isnan(nearest) else f"{nearest:+.4g}" if abs(nearest) <= abs(far) else "none"
+        interval = f"{found.low - start:+.4g} to {found.high - start:+.4g}" if found.column else "all that was studied"
+        at = columns.get(found.column)
+        at_limit = ["", "no limit is reached"] if at is None else [column_value(row, at), _limit(table, at)]
+        lines.append(
+            [
+                *[table.plan.axes[i].title, f"{found.value - start:+.4g}", interval, predicted],
+                *at_limit,
+            ]
+        )
+    return lines
+
+
+def budget_in_words(table: Table, budget: Budget) -> str:
+    """Return who uses up the budget of a column, resolved effects first."""
+    column = budget.column
+    if budget.reason:
+        return f"No budget of {column.noun}: {budget.reason}."
+    names = {effect.axis: name_and_unit(table.plan.axes[effect.axis].title)[0] for effect in budget.effects}
+    resolved = [effect for effect in budget.effects if effect.is_resolved]
+    large = [effect for effect in resolved if budget.share(effect).value >= SMALL][:MOST_NAMED]
+    small = len(resolved) - len(large)
+    shares = [f"{names[e.axis]} {budget.share(e).value:.1%} (± {budget.share(e).stderr:.1%})" for e in large]
+    words = f"The mean square {_what(column)} is used up by {', '.join(shares)}" if shares else (
+        f"No parameter has a resolved effect on {column.noun}"
+    )  # fmt: skip
+    if small and shares:
+        words += f", {small} other{'s' if small > 1 else ''} less"
+    open_ones = [names[effect.axis] for effect in budget.effects if not effect.is_resolved]
+    if open_ones:
+        more = f" and {len(open_ones) - MOST_NAMED} more" if len(open_ones) > MOST_NAMED else ""
+        words += f"; {NOT_RESOLVED}: {', '.join(open_ones[:MOST_NAMED])}{more}"
+    if resolved:
+        words += f". All together (RSS): {_amount(budget, budget.square)}"
+        if math.isfinite(budget.drawn):
+            words += f"; the cameras with all errors: {_amount(budget, budget.drawn)}"
+    return words + "."
+
+
+def _what(column: Column) -> str:
+    """Return what adds up by its squares, in words."""
+    return {"psnr": f"difference behind {column.noun}", "root": f"of {column.noun}"}.get(
+        column.of, f"change of {column.noun}"
+    )
+
+
+def _amount(budget: Budget, square: float) -> str:
+    change = "" if budget.column.is_square else "a change of "
+    value = budget.written(square)
+    return f"{change}{value:.3g}{budget.column.unit}" if math.isfinite(value) else NOT_RESOLVED
+
+
+def budget_rows(table: Table, budget: Budget) -> list[list[str]]:
+    """Return the effects of a budget, a row each."""
+    return [
+        [
+            table.plan.axes[effect.axis].title,
+            _amount(budget, effect.square.value) if effect.is_resolved else NOT_RESOLVED,
+            written(100.0 * budget.share(effect).value, 100.0 * budget.share(effect).stderr),
+            written(*effect.linear),
+            written(*effect.quadratic),
+        ]
+        for effect in budget.effects
+    ]
+
+
+def _adjustments(table: Table) -> Iterator[str]:
+    for i, each in enumerate(table.plan.study.compensators):
+        changes = [row.adjusted[i] for row in table.rows if row.adjusted]
+        name, unit = name_and_unit(each.title)
+        if changes:
+            yield (
+                f"{name} was adjusted at every camera to the best {each.metric}, by {min(changes):+.3g} to "
+                f"{max(changes):+.3g}{unit and ' ' + unit}."
+            )
+
+
+def _ends(table: Table) -> Iterator[str]:
+    column = first_column(table)
+    rows = [row for row in table.rows if row.estimates and row.point.searched is None]
+    ranked = ranked_by(rows, column) if column is not None else []
+    if column is None or not ranked:
+        return
+    for which, row in (("Best", ranked[0]), ("Worst", ranked[-1])):
+        value = column_value(row, column)
+        yield f"{which} by {column.noun}: {words_of(table, row)}, {value}{column.unit if value[0].isdigit() else ''}."
+
+
+def _steepest(table: Table) -> Iterator[str]:
+    """Yield the resolved sensitivities of the first column with the largest effect over what was studied."""
+    column, titles = first_column(table), {axis.path: axis.title for axis in table.plan.axes}
+    known = [each for each in table.sensitivities() if each.column == column and each.slope.low * each.slope.high > 0.0]
+    for each in sorted(known, key=lambda one: -abs(one.slope.value))[:3]:
+        name, unit = name_and_unit(titles[each.path])
+        size = "of the size " if each.column.magnitude else ""
+        yield (
+            f"{each.column.noun} changes by {each.slope.value:.3g}{each.column.unit} for each {unit or 'unit'} "
+            f"{size}of {name} ({each.slope.low:.3g} to {each.slope.high:.3g})."
+        )
+
+
+def _efficiency(table: Table) -> Iterator[str]:
+    if efficiency := table.efficiency():
+        row, rate, error = max(efficiency, key=lambda one: one[1])
+        yield f"Most efficient: {words_of(table, row)}, 1/(noise² · time) = {written(rate, error)} 1/s."

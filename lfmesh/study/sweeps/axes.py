@@ -42,7 +42,7 @@ class Axis(Model):
 
     @property
     def title(self) -> str:
-        """What reports call the axis, with its unit."""
+        """Name of the axis in reports, with its unit."""
         return titled(self.path, self.label)
 
     @property

@@ -44,7 +44,7 @@ class Compensator(Model):
 
     @property
     def title(self) -> str:
-        """What reports call the compensator, with its unit."""
+        """Name of the compensator in reports, with its unit."""
         return titled(self.path, self.label)
 
     def applied(self, scene: Scene, change: float) -> Scene:

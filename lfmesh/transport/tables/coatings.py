@@ -55,8 +55,11 @@ def absorbs(scene: Scene, name: str, wavelengths_nm: Sequence[float]) -> bool:
         Of the coating.
     wavelengths_nm : sequence of float
     """
-    layers = scene.all_coatings[name].layers or ()
-    return any(stack_of(layers, wavelength).absorbs for wavelength in wavelengths_nm)
+    return _absorbs(scene.all_coatings[name], wavelengths_nm)
+
+
+def _absorbs(coating: Coating, wavelengths_nm: Sequence[float]) -> bool:
+    return any(stack_of(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
 
 
 def coating_table(
@@ -93,7 +96,7 @@ def _tabulated(
     measured = read_reflectance(path) if path is not None else None
     if (rows := coating.measured) is not None:
         measured = ReflectanceTable.of(rows.wavelengths_nm, rows.angles_deg, rows.reflectance)
-    lossy = any(stack_of(coating.layers or (), wavelength).absorbs for wavelength in wavelengths_nm)
+    lossy = _absorbs(coating, wavelengths_nm)
     tables: list[ShareTable] = []
     try:
         # All wavelengths have the same pieces: those of the one that needs the most.

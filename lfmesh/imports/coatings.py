@@ -6,7 +6,7 @@ glass, as in a scene; between two glasses from the object to the sensor.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,12 +64,15 @@ class CoatingFile:
     path : Path
     materials : dict
         Complex index by name.
+    unusable : dict
+        Reason by name of the materials that make no sense.
     entries : dict of str to (str, list of list of str)
         Kind of each coating, and the words of its lines after the first; of an `IDEAL` one, of its only line.
     """
 
     path: Path
     materials: dict[str, MeasuredIndex] = field(default_factory=dict)
+    unusable: dict[str, str] = field(default_factory=dict)
     entries: dict[str, tuple[str, list[list[str]]]] = field(default_factory=dict)
 
     @classmethod
@@ -105,7 +108,7 @@ class CoatingFile:
         Raises
         ------
         SceneError
-            It cannot be read, or a material of it makes no sense.
+            It cannot be read.
         """
         file = cls(path)
         for kind, name, lines in _blocks(path):
@@ -115,7 +118,7 @@ class CoatingFile:
             try:
                 file.materials[name] = _material(lines)
             except (ValueError, SceneError) as error:
-                raise SceneError(f"{path}: MATE {name}: {error}") from None
+                file.unusable[name] = f"MATE {name}: {error}"
         return file
 
     def coating(self, name: str, primary_nm: float) -> FoundCoating:
@@ -140,12 +143,15 @@ class CoatingFile:
             if kind == "COAT":
                 return self._layers(lines, primary_nm)
             if kind == "IDEAL":
-                transmitted, reflected = numbers(lines[0][:2])
+                transmitted, reflected = numbers([*lines[0], "", ""][:2])
+                if not min(transmitted, reflected) >= 0.0:
+                    raise ValueError("a share below 0")
                 return _fixed(reflected, transmitted)
             if kind == "TABLE":
                 return _by_angle(lines)
         except (ValueError, IndexError, SceneError) as error:
-            raise UnreadableCoatingError(f"{self.path.name}: {error or 'it is cut short'}") from None
+            cut = isinstance(error, IndexError)
+            raise UnreadableCoatingError(f"{self.path.name}: {'it is cut short' if cut else error}") from None
         raise UnreadableCoatingError(f"{self.path.name} has it as {kind}, which is not read")
 
     def _layers(self, lines: list[list[str]], primary_nm: float) -> FoundCoating:
@@ -154,7 +160,9 @@ class CoatingFile:
         for words in lines:
             material = self.materials.get(words[0].upper())
             if material is None:
-                raise ValueError(f"material {words[0]} is not in the file")
+                raise ValueError(self.unusable.get(words[0].upper(), f"material {words[0]} is not in the file"))
+            if len(words) < 2:
+                raise ValueError(f"a layer of {words[0]} has no thickness")
             thickness = number(words[1])
             if len(words) > 2 and number(words[2]):
                 nm = 1000.0 * thickness
@@ -202,19 +210,21 @@ def lens_coatings(
                 bare = "no coating, since it has the same medium on both sides"
             else:
                 try:
-                    found = found_coating(name, primary_nm, file)
+                    found = found_coating(name, primary_nm, file, file_name or USUAL_FILE)
                 except UnreadableCoatingError as error:
                     bare = f"{error}; the surface is traced bare"
             if found is not None:
-                names[-1] = name_in_scene(name)
-                coatings[name_in_scene(name)] = found.coating
+                free = _free_name(name_in_scene(name), found.coating, coatings)
+                names[-1], coatings[free] = free, found.coating
             how = bare or (found.how if found is not None else "")
             report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
         before = medium
     return coatings, names
 
 
-def found_coating(name: str, primary_nm: float, file: CoatingFile | None) -> FoundCoating | None:
+def found_coating(
+    name: str, primary_nm: float, file: CoatingFile | None, wanted: str = USUAL_FILE
+) -> FoundCoating | None:
     """Return the coating that a Zemax file means by a name; None: bare.
 
     Parameters
@@ -224,6 +234,8 @@ def found_coating(name: str, primary_nm: float, file: CoatingFile | None) -> Fou
         Primary wavelength, in which quarter waves count.
     file : CoatingFile, optional
         The coating file, whose definitions come before the built-in ones.
+    wanted : str
+        Its name.
 
     Raises
     ------
@@ -242,8 +254,17 @@ def found_coating(name: str, primary_nm: float, file: CoatingFile | None) -> Fou
         return FoundCoating(Coating(reflectance=1.0), "a metal's coating; taken as one that reflects everything")
     if _IDEAL.fullmatch(name):
         return _fixed(1.0 - float(name[1:]), float(name[1:]))
-    where = f"{file.path.name} has no such coating" if file is not None else f"no {USUAL_FILE} beside the file"
+    where = f"{file.path.name} has no such coating" if file is not None else f"no {wanted} beside the file"
     raise UnreadableCoatingError(where)
+
+
+def _free_name(name: str, coating: Coating, taken: Mapping[str, Coating]) -> str:
+    """Return a name that no other coating has: with a number behind it, where two would have one."""
+    free, number = name, 1
+    while taken.get(free, coating) != coating:
+        number += 1
+        free = f"{name}-{number}"
+    return free
 
 
 def name_in_scene(name: str) -> str:
@@ -324,6 +345,8 @@ def _by_angle(lines: list[list[str]]) -> FoundCoating:
             angle = number(words[1])
         elif words[0].upper() == "WAVE":
             micrometres, *shares = numbers(words[1:6])
+            if len(shares) < 4 or not 0.0 <= min(shares) <= max(shares) <= 1.0:
+                raise ValueError("a line WAVE needs a wavelength and four shares from 0 to 1")
             reflected, passed = 0.5 * (shares[0] + shares[1]), 0.5 * (shares[2] + shares[3])
             lost = max(lost, 1.0 - reflected - passed)
             rows.setdefault(float(f"{micrometres * 1000.0:.10g}"), {})[angle] = reflected

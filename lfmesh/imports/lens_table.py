@@ -25,16 +25,30 @@ _NAMES = {
     "glass": ("glass", "material", "medium"),
     "index": ("n", "nd", "index", "refractiveindex"),
     "abbe": ("v", "vd", "vno", "vnumber", "abbe", "abbenumber"),
-    "semi-diameter": ("sa", "sd", "semidiameter", "semidiametermm", "semiaperture", "semidia", "clearradius"),
+    "semi-diameter": (
+        "sa",
+        "sd",
+        "semidiameter",
+        "semidiametermm",
+        "semiaperture",
+        "semidia",
+        "clearsemidia",
+        "clearradius",
+    ),
     "diameter": ("d", "dia", "diameter", "diametermm", "clearaperture"),
     "conic": ("k", "cc", "conic", "conicconstant"),
     "stop": ("stop",),
 }
 _COLUMNS = {name: column for column, names in _NAMES.items() for name in names}
-_WITHOUT_EFFECT = ("", "surface", "number", "no", "id", "comment", "label", "name", "description")
+_LABELS = ("surface", "surf", "number", "no", "id")
+"""Columns that number the surfaces, and may name the object, the stop and the image."""
+_WITHOUT_EFFECT = ("", "comment", "name", "description")
+_TYPES = ("", "standard", "sphere", "spherical", "conic", "asphere", "evenasphere", "evenasph", "plane", "stop")
 _AIR = ("", "air", "vacuum")
 _FLAT = ("", "inf", "infinity", "plano", "flat")
 _DELIMITERS = ";\t,"
+UNREAD = "unread "
+"""Before the name of a column that bends light and is not read."""
 
 
 def read(
@@ -65,16 +79,31 @@ def read(
     made = Prescription()
     for at, line in filled[1:]:
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        if any(cell.strip() for cell in cells[len(columns) :]):
+            report.refuse(at, line, f"more cells than the {len(columns)} columns of the first line")
+            continue
         values = {column: cell.strip() for column, cell in zip(columns, cells, strict=False) if cell.strip()}
         # A comma that parts no columns is a decimal one.
         if delimiter != ",":
             values = {column: cell.replace(",", ".") for column, cell in values.items()}
+        label = values.get("label", "").lower()
         try:
+            if label.startswith(("ima", "img")):
+                report.add(at, line, Verdict.TAKEN, "the image")
+                continue
+            if not label.startswith("obj") and "thickness" not in values and at != filled[-1][0]:
+                raise ValueError("it has no thickness")
             made.surfaces.append(_surface(at, line, values))
             report.add(at, line, Verdict.TAKEN)
         except ValueError as error:
             report.refuse(at, line, str(error))
-    if made.surfaces and abs(made.surfaces[0].thickness) < FAR_MM:
+    stops = [surface for surface in made.surfaces if surface.stop]
+    for surface in stops[1:]:
+        report.refuse(surface.line, surface.text, f"line {stops[0].line} is the stop already")
+    if not stops:
+        report.notes.append("no row is marked as the stop: the first surface is taken for it")
+    object_given = filled[1:] and "label" in columns and _is_object(columns, filled[1][1], delimiter)
+    if made.surfaces and not object_given and abs(made.surfaces[0].thickness) < FAR_MM:
         made.surfaces.insert(0, FileSurface(filled[0][0], "object", thickness=math.inf))
     made.surfaces.append(FileSurface(filled[-1][0], "image"))
     return lens_of(made, report, glasses), report
@@ -89,8 +118,15 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
         power = plain.removeprefix("a")
         if plain in _COLUMNS:
             columns.append(_COLUMNS[plain])
+        elif plain in _LABELS:
+            columns.append("label")
+        elif plain in ("type", "surfacetype", "surftype"):
+            columns.append("type")
         elif plain.startswith("a") and power.isdigit() and int(power) >= 4 and int(power) % 2 == 0:
             columns.append(f"a{power}")
+        elif plain.startswith("a") and power.isdigit():
+            # Not of an even asphere: it must be 0.
+            columns.append(f"{UNREAD}{name.strip()}")
         else:
             columns.append("")
             if plain not in _WITHOUT_EFFECT:
@@ -103,14 +139,24 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
             f"{report.path}: line {at}: no prescription: its first line must name columns, a radius or curvature and "
             "a thickness among them"
         )
-    if "stop" not in columns:
-        report.notes.append("no column marks the stop: the first surface is taken for it")
     return columns
+
+
+def _is_object(columns: list[str], line: str, delimiter: str) -> bool:
+    """Tell whether a row is the object's by its label."""
+    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    return dict(zip(columns, cells, strict=False)).get("label", "").strip().lower().startswith("obj")
 
 
 def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
     """Return the surface of a row."""
     surface = FileSurface(at, line)
+    kind = "".join(sign for sign in values.get("type", "").lower() if sign.isalnum())
+    if kind not in _TYPES:
+        raise ValueError(f"surfaces of type {values['type']} are not read from tables")
+    for column, cell in values.items():
+        if column.startswith(UNREAD) and number(cell):
+            raise ValueError(f"{column.removeprefix(UNREAD)} is not read: even aspheres begin with A4")
     radius = values.get("radius", "")
     if radius.lower() not in _FLAT and number(radius):
         surface.curvature = 1.0 / number(radius)
@@ -120,11 +166,14 @@ def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
     surface.thickness = math.inf if thickness.lower() in _FLAT else number(thickness)
     size = values.get("semi-diameter")
     half = number(size) if size is not None else 0.5 * number(values.get("diameter", "0"))
-    surface.aperture = abs(half) or None
+    if half < 0.0:
+        raise ValueError("a semi-diameter or diameter below 0")
+    surface.aperture = half or None
     surface.conic = number(values.get("conic", "0"))
     powers = sorted(int(column[1:]) for column in values if column[:1] == "a" and column[1:].isdigit())
     surface.asphere = [number(values.get(f"a{power}", "0")) for power in range(4, max(powers, default=2) + 1, 2)]
-    surface.stop = values.get("stop", "").lower() not in ("", "0", "no", "false", "-")
+    marked = values.get("stop", "").lower() not in ("", "0", "no", "false", "-")
+    surface.stop = marked or kind == "stop" or values.get("label", "").lower().startswith(("sto", "*"))
     _fill(surface, values)
     return surface
 

@@ -189,7 +189,11 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     radii = [shortest_radius(surface.curvature / unit) for surface in made.kept]
     apertures = _apertures_mm(prescription, made, paraxial, stop_mm, report)
     for surface, aperture in zip(made.kept, apertures, strict=True):
-        if surface.rewritten is not None and not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
+        if surface.rewritten is None:
+            continue
+        # A scene may open the stop as far as the file draws the surface.
+        aperture = max(aperture, unit * (surface.extent or 0.0))
+        if not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
             raise SceneError(
                 f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
                 f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"

@@ -65,7 +65,7 @@ def load_lens(path: str | Path) -> Lens:
     Parameters
     ----------
     path : str or Path
-        A `.toml`, `.zmx` or `.seq` file, or "lib:" and the name of a lens that comes with lfmesh.
+        A `.toml`, `.zmx`, `.seq` or `.csv` file, or "lib:" and the name of a lens that comes with lfmesh.
 
     Raises
     ------
@@ -217,6 +217,8 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}
     if any(key in lens for key in STOP_SIZES):
         held = {key: value for key, value in held.items() if key not in STOP_SIZES}
+    if isinstance(lens.get("coatings"), dict):
+        lens["coatings"] = {**held.get("coatings", {}), **lens["coatings"]}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
     return [], {f"{_LENS}.surfaces": file}
 

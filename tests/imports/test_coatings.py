@@ -9,7 +9,6 @@ import pytest
 import lfmesh as lf
 from lfmesh.errors import LensFileWarning, SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
-from lfmesh.imports.coatings import CoatingFile
 from lfmesh.imports.report import Verdict
 from lfmesh.scene import load_lens
 
@@ -240,12 +239,34 @@ def test_coatings_survive_conversion_and_come_with_the_lens_of_a_scene(tmp_path:
     assert lf.load(tmp_path / "scene.toml").camera.lens.coatings == lens.coatings
 
 
-@pytest.mark.parametrize(
-    "rows", ["MATE X\n", "MATE X\n0.5 1.5 0.1\n", "MATE X\n0.5 a 0\n", "MATE X\n0.5 1.5\n0.5 1.6\n", "MATE X\n-1 1.5\n"]
-)
-def test_a_coating_file_with_an_impossible_material_is_refused_with_its_name(tmp_path: Path, rows: str) -> None:
-    path = tmp_path / "COATING.DAT"
-    path.write_text(rows)
-    with pytest.raises(SceneError, match=r"COATING\.DAT: MATE X: ") as refusal:
-        CoatingFile.read(path)
-    assert len(str(refusal.value).splitlines()) == 1
+@pytest.mark.parametrize("rows", ["", "0.5 1.5 0.1\n", "0.5 a 0\n", "0.5 1.5\n0.5 1.6\n", "-1 1.5\n"])
+def test_an_impossible_material_matters_only_to_coatings_that_have_it(tmp_path: Path, rows: str) -> None:
+    file = f"MATE X\n{rows}MATE Y\n0.5 1.4 0\nCOAT BAD\nX 0.25\nCOAT GOOD\nY 0.25\n"
+    lens, report = read(tmp_path, "GOOD", "BAD", file)
+    assert [surface.coating for surface in lens.surfaces] == ["GOOD", "none"]
+    (said,) = report.of(Verdict.APPROXIMATED)
+    assert said.how.startswith("Coating.dat: MATE X: ")
+    assert said.how.endswith("; the surface is traced bare")
+
+
+def test_coatings_whose_names_become_one_stay_apart(tmp_path: Path) -> None:
+    file = "MATE A\n0.5 2.0 0\nMATE B\n0.5 1.5 0\nCOAT Q.1\nA 0.25\nCOAT Q_1\nB 0.25\n"
+    lens, _ = read(tmp_path, "Q.1", "Q_1", file)
+    indices = [lens.coatings[surface.coating].layers[0].index_at(500.0).real for surface in lens.surfaces]
+    assert indices == [2.0, 1.5]
+
+
+def test_a_named_coating_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    (tmp_path / "COATING.DAT").write_text(FILE)
+    text = PLATE.format(front="STACK", back="NONE").replace("UNIT MM", "COFN QF OTHER.DAT\nUNIT MM")
+    (tmp_path / "plate.zmx").write_text(text)
+    (said,) = read_lens_file(tmp_path / "plate.zmx")[1].of(Verdict.APPROXIMATED)
+    assert said.how == "no OTHER.DAT beside the file; the surface is traced bare"
+
+
+def test_a_scene_may_give_a_lens_of_a_file_coatings_beside_its_own(tmp_path: Path) -> None:
+    read(tmp_path, "STACK")
+    own = "coatings = { extra = { reflectance = 0.5 } }"
+    text = f'camera = {{ focus_mm = 500.0, lens = {{ file = "plate.zmx", {own} }}, '
+    (tmp_path / "scene.toml").write_text(text + "sensor = { pixels = [4, 4], pixel_mm = 1.0 } }")
+    assert set(lf.load(tmp_path / "scene.toml").camera.lens.coatings) == {"STACK", "extra"}

@@ -9,7 +9,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file
 from lfmesh.imports.lens_table import read
 from lfmesh.imports.report import Verdict
-from lfmesh.scene import Paraxial, load_lens
+from lfmesh.scene import Paraxial, load, load_lens
 
 ROWS = [
     ("surface", "radius", "thickness", "material", "index", "v-no", "sa", "stop", "conic", "A4", "A6"),
@@ -48,10 +48,30 @@ def test_curvatures_diameters_and_an_object_row_are_understood() -> None:
     assert [surface.semi_diameter_mm for surface in lens.surfaces] == [8.0, 8.0]
     assert Paraxial.of(lens, 587.6).efl_mm == pytest.approx(1 / (0.5 * (0.02 + 0.0125 - 0.5 * 4 * 0.02 * 0.0125 / 1.5)))
     assert [line.text for line in report.of(Verdict.UNKNOWN)] == ["column Colour"]
-    assert "no column marks the stop: the first surface is taken for it" in report.notes
+    assert "no row is marked as the stop: the first surface is taken for it" in report.notes
+
+
+def test_the_columns_of_opticstudio_are_understood() -> None:
+    header = "Surf,Type,Radius,Thickness,Material,Clear Semi-Dia,Conic"
+    rows = [
+        "OBJECT,STANDARD,Infinity,Infinity,,0,0", "1,STANDARD,50,4,N-BK7,8,0", "2,STANDARD,-80,3,,8,0",
+        "STO,STANDARD,Infinity,40,,3,0", "IMAGE,STANDARD,Infinity,-,,3,0",
+    ]  # fmt: skip
+    lens, report = read(FILE, [header, *rows])
+    assert [surface.stop for surface in lens.surfaces] == [False, False, True]
+    assert [surface.semi_diameter_mm for surface in lens.surfaces] == [8.0, 8.0, 3.0]
+    assert any("image: 40 mm" in note for note in report.notes)
+    rows[1] = "1,TOROIDAL,50,4,N-BK7,8,0"
+    with pytest.raises(SceneError, match="surfaces of type TOROIDAL are not read from tables"):
+        read(FILE, [header, *rows])
 
 
 REFUSED = {
+    "radius;thickness;index\n50;2;1.5\n-50;;\n60;2;1.5\n-60;40;": "line 3: -50;;: it has no thickness",
+    "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres begin with A4",
+    "radius;thickness;index;sa\n50;2;1.5;-5\n-50;40;;5": "a semi-diameter or diameter below 0",
+    "radius;thickness;index;stop\n50;2;1.5;x\n-50;40;;x": "line 3: -50;40;;x: line 2 is the stop already",
+    "radius;thickness;index\n50;2;1.5;9\n-50;40;;": "line 2: 50;2;1.5;9: more cells than the 3 columns",
     "": "no prescription: it is empty",
     "a;b\n1;2": "line 1: no prescription: its first line must name columns",
     "radius;thickness;radius\n1;2;3": "line 1: two columns give the radius",
@@ -71,6 +91,9 @@ def test_what_is_no_prescription_is_refused_in_one_line(lines: str) -> None:
 
 def test_a_scene_takes_a_table_and_unknown_endings_are_named(tmp_path: Path) -> None:
     (tmp_path / "lens.csv").write_text("\n".join(text(";")))
+    sensor = "sensor = { pixels = [4, 4], pixel_mm = 1.0 }"
+    (tmp_path / "scene.toml").write_text(f'camera = {{ focus_mm = 500.0, lens = {{ file = "lens.csv" }}, {sensor} }}')
+    assert len(load(tmp_path / "scene.toml").camera.lens.surfaces) == 5
     assert load_lens(tmp_path / "lens.csv") == read_lens_file(tmp_path / "lens.csv")[0]
     (tmp_path / "lens.oth").write_text("radius")
     with pytest.raises(

@@ -431,6 +431,13 @@ def test_a_term_in_r2_is_put_into_the_others_without_a_change_of_shape(seed):
         assert sag == pytest.approx(truth, abs=2e-9)
 
 
+def test_a_term_in_r2_holds_as_far_as_the_file_draws_the_surface():
+    text = ASPHERE_ZMX.format(
+        kind="EVENASPH", unit="MM", curvature=0.2, conic=0.0, terms="  PARM 1 0.1\n", radius=4.0, epd=0.2
+    )
+    assert "its term in r² can be written without it to" in refusal_of(text.replace("  FLAP 0 4.0\n", ""))
+
+
 def test_a_term_in_r2_that_a_steep_surface_cannot_be_rid_of_is_refused():
     text = ASPHERE_ZMX.format(
         kind="EVENASPH", unit="MM", curvature=0.09, conic=0.0, terms="  PARM 1 1e-3\n", radius=10.0, epd=20.0

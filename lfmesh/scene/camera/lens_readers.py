@@ -8,7 +8,7 @@ from lfmesh.scene.camera.lens import Lens
 
 Reader = Callable[[Path], Lens]
 
-_PARTS = {".zmx": "lfmesh.imports", ".seq": "lfmesh.imports"}
+_PARTS = dict.fromkeys((".zmx", ".seq", ".csv"), "lfmesh.imports")
 """Part that registers the reader of an ending when it is imported; by name, for the scene knows nothing of it."""
 
 _readers: dict[str, Reader] = {}

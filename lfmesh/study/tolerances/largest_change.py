@@ -111,4 +111,6 @@ def largest_change(
     error = column.room_error(known[value][column.name]) / room[column.name]
     width = float(student.ppf(0.975, max(replicates - 1, 1))) * error / slope if slope else abs(reach)
     width = min(width + PRECISION * abs(reach), abs(reach))
-    return Allowed(value, value - width, value + width, column.name)
+    # No smaller than no change, and no larger than what was studied.
+    least, most = sorted((search.start, search.far))
+    return Allowed(value, max(least, value - width), min(most, value + width), column.name)

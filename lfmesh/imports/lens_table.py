@@ -7,6 +7,7 @@ and a mark of the stop. Lengths are mm. The last row's thickness leads to the im
 
 import csv
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription, lens_
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 _NAMES = {
     "radius": ("r", "radius", "radiusmm", "radiusofcurvature", "roc"),
@@ -47,6 +49,9 @@ _TYPES = ("", "standard", "sphere", "spherical", "conic", "asphere", "evenaspher
 _AIR = ("", "air", "vacuum")
 _FLAT = ("", "inf", "infinity", "plano", "flat")
 _DELIMITERS = ";\t,"
+_TERM = re.compile(r"a([0-9]{1,3})")
+_POWERS = range(4, 2 * MOST_ASPHERE_TERMS + 3, 2)
+"""Powers of r whose coefficients a table may give."""
 UNREAD = "unread "
 """Before the name of a column that bends light and is not read."""
 
@@ -77,6 +82,7 @@ def read(
     delimiter = max(_DELIMITERS, key=filled[0][1].count)
     columns = _columns(report, filled[0], delimiter)
     made = Prescription()
+    object_given = False
     for at, line in filled[1:]:
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
         if any(cell.strip() for cell in cells[len(columns) :]):
@@ -91,7 +97,9 @@ def read(
             if label.startswith(("ima", "img")):
                 report.add(at, line, Verdict.TAKEN, "the image")
                 continue
-            if not label.startswith("obj") and "thickness" not in values and at != filled[-1][0]:
+            is_object = label.startswith("obj")
+            object_given |= is_object
+            if not is_object and "thickness" not in values and at != filled[-1][0]:
                 raise ValueError("it has no thickness")
             made.surfaces.append(_surface(at, line, values))
             report.add(at, line, Verdict.TAKEN)
@@ -102,7 +110,6 @@ def read(
         report.refuse(surface.line, surface.text, f"line {stops[0].line} is the stop already")
     if not stops:
         report.notes.append("no row is marked as the stop: the first surface is taken for it")
-    object_given = filled[1:] and "label" in columns and _is_object(columns, filled[1][1], delimiter)
     if made.surfaces and not object_given and abs(made.surfaces[0].thickness) < FAR_MM:
         made.surfaces.insert(0, FileSurface(filled[0][0], "object", thickness=math.inf))
     made.surfaces.append(FileSurface(filled[-1][0], "image"))
@@ -115,16 +122,16 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
     columns = []
     for name in next(csv.reader([line], delimiter=delimiter)):
         plain = "".join(sign for sign in name.lower() if sign.isalnum())
-        power = plain.removeprefix("a")
+        power = int(found[1]) if (found := _TERM.fullmatch(plain)) else None
         if plain in _COLUMNS:
             columns.append(_COLUMNS[plain])
         elif plain in _LABELS:
             columns.append("label")
         elif plain in ("type", "surfacetype", "surftype"):
             columns.append("type")
-        elif plain.startswith("a") and power.isdigit() and int(power) >= 4 and int(power) % 2 == 0:
+        elif power in _POWERS:
             columns.append(f"a{power}")
-        elif plain.startswith("a") and power.isdigit():
+        elif power is not None:
             # Not of an even asphere: it must be 0.
             columns.append(f"{UNREAD}{name.strip()}")
         else:
@@ -142,12 +149,6 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
     return columns
 
 
-def _is_object(columns: list[str], line: str, delimiter: str) -> bool:
-    """Tell whether a row is the object's by its label."""
-    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    return dict(zip(columns, cells, strict=False)).get("label", "").strip().lower().startswith("obj")
-
-
 def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
     """Return the surface of a row."""
     surface = FileSurface(at, line)
@@ -156,7 +157,7 @@ def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
         raise ValueError(f"surfaces of type {values['type']} are not read from tables")
     for column, cell in values.items():
         if column.startswith(UNREAD) and number(cell):
-            raise ValueError(f"{column.removeprefix(UNREAD)} is not read: even aspheres begin with A4")
+            raise ValueError(f"{column.removeprefix(UNREAD)} is not read: even aspheres have A4 to A{_POWERS[-1]}")
     radius = values.get("radius", "")
     if radius.lower() not in _FLAT and number(radius):
         surface.curvature = 1.0 / number(radius)
@@ -170,8 +171,7 @@ def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
         raise ValueError("a semi-diameter or diameter below 0")
     surface.aperture = half or None
     surface.conic = number(values.get("conic", "0"))
-    powers = sorted(int(column[1:]) for column in values if column[:1] == "a" and column[1:].isdigit())
-    surface.asphere = [number(values.get(f"a{power}", "0")) for power in range(4, max(powers, default=2) + 1, 2)]
+    surface.asphere = [number(values.get(f"a{power}", "0")) for power in _POWERS]
     marked = values.get("stop", "").lower() not in ("", "0", "no", "false", "-")
     surface.stop = marked or kind == "stop" or values.get("label", "").lower().startswith(("sto", "*"))
     _fill(surface, values)

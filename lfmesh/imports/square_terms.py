@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass
 
-TERMS = 10
-"""Even terms of a scene's asphere, from r⁴ on."""
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 
 def without_square(
@@ -28,14 +27,14 @@ def without_square(
     """
     new = curvature + 2.0 * square
     bend = (1.0 + conic) * curvature**2
-    made = terms + [0.0] * (TERMS - len(terms))
+    made = terms + [0.0] * (MOST_ASPHERE_TERMS - len(terms))
     if new == 0.0:
         left = curvature
         new_conic = 0.0
     else:
         left = -2.0 * square
         new_conic = bend / new**2 - 1.0
-    for place in range(TERMS):
+    for place in range(MOST_ASPHERE_TERMS):
         made[place] += _share(place + 2) * bend ** (place + 1) * left
     return new, new_conic, made
 
@@ -66,7 +65,7 @@ class SquareTerm:
         if not abs(bend) < 1.0:
             return math.inf
         left = self.curvature if self.curvature + 2.0 * self.square == 0.0 else -2.0 * self.square
-        return abs(sum(_share(m) * bend ** (m - 1) * left * radius**2 for m in range(TERMS + 2, 400)))
+        return abs(sum(_share(m) * bend ** (m - 1) * left * radius**2 for m in range(MOST_ASPHERE_TERMS + 2, 400)))
 
 
 def _share(m: int) -> float:

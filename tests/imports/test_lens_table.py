@@ -68,7 +68,8 @@ def test_the_columns_of_opticstudio_are_understood() -> None:
 
 REFUSED = {
     "radius;thickness;index\n50;2;1.5\n-50;;\n60;2;1.5\n-60;40;": "line 3: -50;;: it has no thickness",
-    "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres begin with A4",
+    "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres have A4 to A22",
+    "radius;thickness;index;A800\n50;2;1.5;1e-4\n-50;40;;": "A800 is not read: even aspheres have A4 to A22",
     "radius;thickness;index;sa\n50;2;1.5;-5\n-50;40;;5": "a semi-diameter or diameter below 0",
     "radius;thickness;index;stop\n50;2;1.5;x\n-50;40;;x": "line 3: -50;40;;x: line 2 is the stop already",
     "radius;thickness;index\n50;2;1.5;9\n-50;40;;": "line 2: 50;2;1.5;9: more cells than the 3 columns",
@@ -79,6 +80,12 @@ REFUSED = {
     "radius;thickness;glass\n50;2;NO-SUCH\n;40;": "NO-SUCH",
     "radius;thickness\n": "holds no lens",
 }
+
+
+@pytest.mark.parametrize("name", ["A²", "a" + "9" * 5000])
+def test_a_column_that_is_no_term_is_left_out_and_said(name: str) -> None:
+    _, report = read(FILE, [f"radius;thickness;index;sa;{name}", "50;2;1.5;5;1", "-50;40;;5;"])
+    assert len(report.of(Verdict.UNKNOWN)) == 1
 
 
 @pytest.mark.parametrize("lines", REFUSED)

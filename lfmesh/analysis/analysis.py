@@ -37,7 +37,7 @@ FINEST_MTF = 0.5
 """Frequency over the cut-off of diffraction up to which the geometric MTF is given."""
 
 DEFINITIONS = (
-    "image plane: the array's apexes, or the sensor; not refocused",
+    "image plane: the array's apexes, what the lenslets of a focused camera image, or the sensor; not refocused",
     "fields: chief rays at shares of the paraxial image height, meridional plane; objects below the axis",
     "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
     "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",

@@ -56,9 +56,6 @@ CANDIDATES = 5
 MOST_PATCHES = 25
 """Lenslets that see a point of the main image."""
 
-FOCUSED_BLUR_PX = 1.0
-"""Lenslets whose image of the distant pupil is blurred by more image the main image, not the pupil."""
-
 SHARES = (1.5, 1.22, 1.0, 0.82, 0.67)
 """Of the shift at which lenslets are sharp: those of the planes of a focused plenoptic camera."""
 
@@ -203,9 +200,9 @@ def analyse_light_field(world: World, object_mm: float, heights_mm: Array) -> Li
         The array cannot be decoded: it has cylindrical lenslets, or lenslets on both faces.
     """
     scene = world.scene
-    model = RayModel.of(scene)
-    rays = ArrayRays(world, solved_camera(scene).report.image_z_mm)
-    by_patches = min(lenslet_blur_px(scene, FAR * model.efl_mm)) > FOCUSED_BLUR_PX
+    model, facts = RayModel.of(scene), solved_camera(scene).report
+    rays = ArrayRays(world, facts.lenslets_z_mm or 0.0)
+    by_patches = bool(facts.focused)
     finest = abs(_sharp_shift_mm(scene, model)) if by_patches else model.lenslet_pitch_mm
     frequencies = np.linspace(0.0, 1.0 / finest, FREQUENCIES)
     photographs = []

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import reach_in_words
+from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
-from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
+from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.model import format_path
 from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 from lfmesh.scene.scene import Scene
@@ -31,8 +32,9 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
     return (
         *(str(each) for each in doubtful(scene, facts)),
         *_focus(scene, facts),
+        *_covering(facts),
         *_sections(facts),
-        *_apertures(scene),
+        *_apertures(scene, facts),
         *_beyond_norm(scene),
         *_micro_images(scene, facts),
         *_coverage(scene),
@@ -115,10 +117,38 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         quotient(1, focus), quotient(0.01, abs(facts.efl_mm))
     ):
         beyond = given - focus if focus < math.inf else 0.0
+        if facts.focused:
+            yield _refocus_lenslets(scene, facts, focus)
+            return
         yield (
             f"focus_mm = {given:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
             f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
         )
+
+
+def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str:
+    """Say where the array of a focused camera has to stand for the plane that `focus_mm` names."""
+    camera, middle = scene.camera, middle_of(facts.focused)
+    lens = Paraxial.of(camera.lens, scene.primary_nm)
+    behind = lens.image_mm(focus_mm) + middle.main_image_mm - (facts.lenslets_z_mm or 0.0) + lens.length_mm
+    distance = (camera.mla.distance_mm if camera.mla is not None and camera.mla.distance_mm else 0.0) + behind
+    found = (
+        f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at {facts.object_distance_mm:.6g} mm"
+    )
+    if camera.focus_from == "first_vertex" and 0.0 < distance < math.inf:
+        return f"{found}; give mla.distance_mm = {distance:.6g}"
+    return f"{found}; give mla.distance_mm, and leave focus_mm out"
+
+
+def _covering(facts: "FirstOrder") -> Iterator[str]:
+    """Name lenslets of a focused camera that leave gaps in what they image sharply."""
+    for at in facts.focused:
+        if abs(at.virtual_depth) < at.covering_depth:
+            which = f"lenslets of focal length {at.focal_length_mm:.4g} mm" if len(facts.focused) > 1 else "lenslets"
+            yield (
+                f"{which} leave gaps between what each sees of the plane they are focused on: its virtual depth is "
+                f"{abs(at.virtual_depth):.3g}, and all of it is covered from {at.covering_depth:.3g} on"
+            )
 
 
 def _sections(facts: "FirstOrder") -> Iterator[str]:
@@ -143,12 +173,12 @@ def _sections(facts: "FirstOrder") -> Iterator[str]:
         )
 
 
-def _apertures(scene: Scene) -> Iterator[str]:
+def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     """Compare the axial beam that the stop lets through with every clear aperture, by real rays."""
     camera, wavelength = scene.camera, scene.primary_nm
     surfaces = camera.lens.surfaces
     lens = Paraxial.of(camera.lens, wavelength)
-    distance = lens.object_mm(image_plane_mm(camera, wavelength))
+    distance = facts.object_distance_mm
     radius = surfaces[lens.stop].semi_diameter_mm or math.nan
     marginal = lens.marginal_ray(distance, radius)
     heights = lens.heights_mm(marginal)
@@ -224,8 +254,8 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _diffraction(facts: "FirstOrder") -> Iterator[PictureWarning]:
     """Say where diffraction, which is not traced, blurs more than what samples the image."""
-    mla = facts.microlens_f_number is not None
-    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, "lenslets" if mla else "pixels")]
+    sample = "lenslets" if facts.microlens_f_number is not None and not facts.focused else "pixels"
+    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, sample)]
     if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None:
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels"))
     for whose, f_number, width, samples in disks:
@@ -265,7 +295,7 @@ def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
                 f"{' × '.join(f'{2 * half:.4g}' for half in half_field_mm(z, facts))} mm round the axis"
             )
         elif not facts.near_mm <= -z + reach or not -z - reach <= facts.far_mm:
-            kind = "can be refocused" if facts.microlens_f_number is not None else "is sharp"
+            kind = "is sharp" if facts.focused or facts.microlens_f_number is None else "can be refocused"
             sharp = reach_in_words(facts.near_mm, facts.far_mm)
             yield f"{name} stands at {-z:g} mm, out of the range that {kind}: {sharp}"
 

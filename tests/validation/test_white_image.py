@@ -12,7 +12,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.scene.first_order.report import lenslet_to_sensor_mm
+from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 
 PITCH_TOLERANCE = 2e-4
 

@@ -23,7 +23,7 @@ from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.rays.chief_rays import refuse_undecodable
 from lfmesh.lightfield.rays.lens_alone import focus_shift
 from lfmesh.scene import Scene
-from lfmesh.scene.first_order.report import lenslet_to_sensor_mm
+from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ class RayModel:
         refuse_undecodable(mla)
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
-        array_z = facts.image_z_mm + mla.pose.shift_mm[2]
+        array_z = (facts.lenslets_z_mm or 0.0) + mla.pose.shift_mm[2]
         shift, slope = focus_shift(scene)
         return cls(
             efl_mm=facts.efl_mm,

@@ -59,6 +59,8 @@ def focused(
     if not 1 <= len(reductions) <= MOST_TYPES or not all(1.0 < r < 1e3 for r in reductions):
         raise LfmeshError(f"reduction = {reductions}: give 1 to {MOST_TYPES} numbers above 1")
     assert camera.mla is not None
+    if solved_camera(scene).report.focused:
+        raise LfmeshError("the camera is a focused plenoptic one already: give a standard one, see `lfmesh check`")
     b = model.lenslet_to_sensor_mm
     toward = 1.0 if kind == "keplerian" else -1.0
     distance = (camera.mla.distance_mm or 0.0) + toward * sorted(reductions)[len(reductions) // 2] * b

@@ -8,10 +8,14 @@ from typing import Any
 from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.lenslet_optics import lenslet_optics, sections
+from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
+from lfmesh.scene.first_order.lenslets import LensletSection, lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
-from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, rear_principal_mm, solved
+from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
 from lfmesh.scene.scene import Scene
+
+CONVENTIONAL, STANDARD = "conventional", "standard plenoptic"
+KEPLERIAN, GALILEAN = "focused plenoptic, Keplerian", "focused plenoptic, Galilean"
 
 AIRY_RING = 1.2196698912665045
 """First zero of the Bessel function J₁ over π."""
@@ -26,23 +30,6 @@ class AtWavelength:
     bfl_mm: float
     image_shift_mm: float
     """How far behind that of the primary wavelength the image of the plane in focus lies."""
-
-
-@dataclass(frozen=True)
-class LensletSection:
-    """Lenslets of the first type in one section through their axis."""
-
-    section: str
-    """"x": the section x–z, "y": the section y–z; "": all, of lenslets of revolution."""
-    focal_length_mm: float
-    """Of both faces of the plate; inf where neither bends rays."""
-    focus_behind_mm: float
-    """Of collimated light, behind the array's face towards the sensor."""
-    f_number: float | None
-    """Distance from the sensor, in air, over the pitch in this section; None where rays are not bent."""
-    micro_image_pitch_px: float | None
-    """As those of the report, in this section; None where there is no micro-image."""
-    micro_image_diameter_px: float | None
 
 
 @dataclass(frozen=True)
@@ -67,16 +54,21 @@ class FirstOrder(Shown):
     entrance_pupil_diameter_mm: float
     exit_pupil_z_mm: float
     exit_pupil_diameter_mm: float
+    kind: str
+    """Of camera: "conventional"; "standard plenoptic" (1.0), whose lenslets image the pupil onto the sensor; "focused
+    plenoptic, Keplerian" or "focused plenoptic, Galilean" (2.0), whose lenslets image the main image."""
     object_distance_mm: float
-    """The plane in focus, before the first vertex: what the apexes of the array (or the sensor) are the image
-    of."""
+    """The plane in focus, before the first vertex: what is imaged onto the apexes of a standard camera's array, by the
+    lenslets (of the middle focal length) of a focused one onto the sensor, or onto a conventional camera's sensor."""
     image_z_mm: float
-    """The plane the lens focuses on: the apexes, seen through the plate where its flat face looks at the
-    lens, or the sensor of a conventional camera."""
+    """Where the lens images this plane: the apexes, seen through the plate where its flat face looks at the lens;
+    before or behind them in a focused camera; or the sensor of a conventional one."""
+    lenslets_z_mm: float | None
+    """The apexes, seen through the plate where its flat face looks at the lens."""
     magnification: float
     """Transverse, between these two planes; negative for an inverted image."""
     working_f_number: float
-    """On the image side, at the actual focus: 1 / (2 u') of the paraxial marginal ray."""
+    """On the image side, 1 / (2 u') of the paraxial marginal ray that meets the axis at the lenslets or the sensor."""
     microlens_f_number: float | None
     """Distance from the lenslet to the sensor, reduced to air, over the pitch: f/p in the microlens focal
     plane."""
@@ -85,27 +77,30 @@ class FirstOrder(Shown):
     micro_image_diameter_px: float | None
     """Diameter of a micro-image, the image of the exit pupil, in pixels."""
     object_sampling_mm: float
-    """Size of a lenslet, or of a pixel in a conventional camera, on the plane in focus."""
+    """Size of a lenslet on the plane in focus; of a pixel in a conventional camera, and through the lenslets in a
+    focused one."""
     field_of_view_mm: tuple[float, float]
     """Width and height that array and sensor see of the plane in focus."""
     airy_wavelength_nm: float
     """The longest wavelength of the scene, for which the Airy disks are given: theirs are the largest."""
     airy_disk_mm: float
-    """Diameter of the lens's Airy disk, to its first dark ring, on the array's apexes or the sensor. What is traced is
+    """Diameter of the lens's Airy disk, to its first dark ring, where it images the plane in focus. What is traced is
     geometric optics, without it."""
     airy_disk_samples: float
-    """The same in lenslet pitches, or in pixels in a conventional camera."""
+    """The same in lenslet pitches, or in pixels in a conventional camera; in a focused one in pixels as the lenslets
+    image them."""
     microlens_airy_disk_px: float | None
     """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
     near_mm: float
-    """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of
-    field."""
+    """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
+    of what lenslets of any type image sharply to a pixel."""
     far_mm: float
     """The farthest one; inf where it reaches infinity."""
     view_spacing_mm: float | None = None
-    """Distance of neighbouring views, a pixel of a micro-image apart, on the entrance pupil: their stereo baseline."""
+    """Distance of neighbouring views, a pixel of a micro-image apart, on the entrance pupil: their stereo baseline.
+    Of a standard plenoptic camera."""
     views_across: float | None = None
-    """Views side by side on the diameter of the pupil."""
+    """Views side by side on the diameter of the pupil; of a standard plenoptic camera."""
     refocused_mm: tuple[tuple[float, float, float], ...] = ()
     """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
     refocus range, the plane in focus, the far end. Of a photograph of all views."""
@@ -119,7 +114,9 @@ class FirstOrder(Shown):
     other figures are."""
     image_x_shift_mm: float | None = None
     """How far behind the image plane the section x–z has the image of the plane in focus."""
-    lenslet_sections: tuple["LensletSection", ...] = ()
+    focused: tuple[FocusedLenslets, ...] = ()
+    """Lenslets of a focused plenoptic camera, by type."""
+    lenslet_sections: tuple[LensletSection, ...] = ()
     """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
     the lenslets above are those of the section in which the curved face bends rays."""
     poses: tuple[str, ...] = ()
@@ -135,9 +132,10 @@ class FirstOrder(Shown):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the report without its warnings: the name of every property, and its value with its unit."""
-        mla = self.microlens_f_number is not None
+        mla, standard = self.microlens_f_number is not None, self.kind == STANDARD
         width, height = self.field_of_view_mm
         rows = [
+            ("camera", self.kind),
             ("wavelength", f"{self.wavelength_nm:g} nm"),
             ("effective focal length", _mm(self.efl_mm)),
             ("back focal length", f"{_mm(self.bfl_mm)} behind the last vertex"),
@@ -149,7 +147,7 @@ class FirstOrder(Shown):
             ("entrance pupil", _pupil(self.entrance_pupil_z_mm, self.entrance_pupil_diameter_mm)),
             ("exit pupil", _pupil(self.exit_pupil_z_mm, self.exit_pupil_diameter_mm)),
             ("plane in focus", f"{_mm(self.object_distance_mm)} before the first vertex"),
-            ("image plane", f"z = {_mm(self.image_z_mm)}"),
+            ("image plane", f"z = {_mm(self.image_z_mm)}" + self._lenslets_in_words()),
             ("magnification", f"{self.magnification:.6g}"),
             ("working f-number", f"{self.working_f_number:.4g}"),
         ]
@@ -162,16 +160,17 @@ class FirstOrder(Shown):
                 ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
             ]
             rows += [_section_row(at) for at in self.lenslet_sections]
+            rows += [row for at in self.focused for row in _focused_rows(at, len(self.focused) > 1)]
         rows += [
-            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if mla else 'pixel'}"),
+            ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if standard else 'pixel'}"),
             ("field of view", f"{_mm(width)} × {_mm(height)}"),
             (
                 "Airy disk, lens",
-                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if mla else 'pixels'}, "
+                f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if standard else 'pixels'}, "
                 f"at {self.airy_wavelength_nm:g} nm",
             ),
             *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if mla else []),
-            ("refocus range" if mla else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
+            ("refocus range" if standard else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         if self.view_spacing_mm is not None:
             rows.append(
@@ -198,6 +197,10 @@ class FirstOrder(Shown):
             rows.append(("", "the figures above are those of the lens without poses"))
         return rows
 
+    def _lenslets_in_words(self) -> str:
+        """Return where the lenslets of a focused camera stand."""
+        return f", lenslets at z = {_mm(self.lenslets_z_mm or math.nan)}" if self.focused else ""
+
     def lines(self) -> list[str]:
         """Return the report, a line a property, warnings last."""
         return [f"{name:<23}{value}" for name, value in self.rows()] + [f"warning: {text}" for text in self.warnings]
@@ -208,7 +211,8 @@ class FirstOrder(Shown):
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name, as plain values."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        nested = {name: tuple(asdict(at) for at in values[name]) for name in ("by_wavelength", "lenslet_sections")}
+        names = ("by_wavelength", "focused", "lenslet_sections")
+        nested = {name: tuple(asdict(at) for at in values[name]) for name in names}
         return values | nested
 
 
@@ -246,28 +250,43 @@ def report_of_solved(scene: Scene) -> FirstOrder:
     camera, wavelength = scene.camera, scene.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
-    image = image_plane_mm(camera, wavelength)
-    distance = lens.object_mm(image)
-    magnification = lens.magnification(distance)
     entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
     exit_z, exit_diameter = lens.exit_pupil(stop_radius)
-    pupil_to_image = lens.length_mm + image - exit_z if math.isfinite(exit_z) else math.inf
-    angle = lens.whole(lens.marginal_ray(distance, stop_radius)).angle
-    f_number = 1 / (2 * abs(angle)) if angle else math.inf
-    micro = _micro_image(camera, wavelength, pupil_to_image, f_number)
-    blur = camera.mla.pitch_mm if camera.mla is not None else camera.sensor.pixel_mm
+    plane = image_plane_mm(camera, wavelength)
+    pupil_to_plane = lens.length_mm + plane - exit_z if math.isfinite(exit_z) else math.inf
+
+    def cone(distance_mm: float) -> float:
+        angle = lens.whole(lens.marginal_ray(distance_mm, stop_radius)).angle
+        return 1 / (2 * abs(angle)) if angle else math.inf
+
+    f_number = cone(lens.object_mm(plane))
+    micro = micro_image(camera, wavelength, pupil_to_plane, f_number)
+    focused = focused_lenslets(camera, wavelength, lens, micro[2] * camera.sensor.pixel_mm) if micro else ()
+    standard = micro is not None and not focused
+    image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
+    kind = STANDARD if standard else CONVENTIONAL
+    if focused:
+        middle = middle_of(focused)
+        image, sample = plane - middle.main_image_mm, sample * abs(middle.virtual_depth)
+        kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
+    distance = lens.object_mm(image)
+    magnification = lens.magnification(distance)
     depth = _refocus_depth_mm(camera, wavelength, f_number)
 
     def reach(behind_mm: float, before_mm: float) -> tuple[float, float]:
-        return _distances(lens, image, pupil_to_image, behind_mm, before_mm)
+        return _distances(lens, image, pupil_to_plane, behind_mm, before_mm)
 
     near, far = reach(depth, -depth)
     refocused: tuple[tuple[float, float, float], ...] = ()
-    if camera.mla is not None:
+    if focused:
+        near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
+    elif camera.mla is not None:
         sharp = camera.mla.pitch_mm * f_number
         planes = ((near, depth), (distance, 0.0), (far, -depth))
         refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
+    seen = quotient(pupil_to_plane + image - plane, pupil_to_plane) if math.isfinite(pupil_to_plane) else 1.0
     longest = scene.reach_nm[1]
+    airy = airy_disk_mm(longest, cone(distance))
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -279,32 +298,35 @@ def report_of_solved(scene: Scene) -> FirstOrder:
         entrance_pupil_diameter_mm=entrance_diameter,
         exit_pupil_z_mm=exit_z,
         exit_pupil_diameter_mm=exit_diameter,
+        kind=kind,
         object_distance_mm=distance,
         image_z_mm=lens.length_mm + image,
+        lenslets_z_mm=lens.length_mm + plane if micro else None,
         magnification=magnification,
         working_f_number=f_number,
         microlens_f_number=micro[0] if micro else None,
         micro_image_pitch_px=micro[1] if micro else None,
         micro_image_diameter_px=micro[2] if micro else None,
-        object_sampling_mm=_on_object(blur, magnification),
-        field_of_view_mm=_field_of_view_mm(camera, magnification),
+        object_sampling_mm=_on_object(sample, magnification),
+        field_of_view_mm=_field_of_view_mm(camera, quotient(magnification, seen)),
         airy_wavelength_nm=longest,
-        airy_disk_mm=airy_disk_mm(longest, f_number),
-        airy_disk_samples=airy_disk_mm(longest, f_number) / blur,
+        airy_disk_mm=airy,
+        airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
         near_mm=near,
         far_mm=far,
-        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro else None,
-        views_across=micro[2] if micro else None,
+        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
+        views_across=micro[2] if micro and standard else None,
         refocused_mm=refocused,
         cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
-        lenslet_sections=tuple(_lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
+        focused=focused,
+        lenslet_sections=tuple(lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
         poses=tuple(_pose_lines(camera)),
     )
     if camera.lens.number_off_revolution is not None:
         across = Paraxial.of(camera.lens, wavelength, section_x=True)
-        width = _field_of_view_mm(camera, _chief_scale(across, distance, image))[0]
+        width = _field_of_view_mm(camera, quotient(_chief_scale(across, distance, image), seen))[0]
         facts = replace(
             facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
             field_of_view_mm=(width, facts.field_of_view_mm[1]),
@@ -321,54 +343,6 @@ def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
     return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
 
 
-def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
-    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
-
-    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
-    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
-    """
-    if camera.mla is None or camera.sensor.distance_mm is None:
-        return math.nan
-    inside = rear_principal_mm(camera.mla, wavelength_nm)
-    return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
-
-
-def _micro_image(
-    camera: Camera, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
-) -> tuple[float, float, float] | None:
-    """Return microlens f-number, and pitch and diameter of the micro-images in pixels."""
-    if camera.mla is None:
-        return None
-    pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
-    to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
-    return (
-        to_sensor / pitch,
-        pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
-        quotient(to_sensor, f_number) / pixel,
-    )
-
-
-def _lenslet_sections(
-    camera: Camera, wavelength_nm: float, exit_z_mm: float, lens_length_mm: float, f_number: float
-) -> Iterator[LensletSection]:  # fmt: skip
-    """Yield the lenslets section by section, where they are cylinders or stand on both faces."""
-    mla, sensor = camera.mla, camera.sensor
-    if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
-        return
-    for section in sections(mla):
-        at = lenslet_optics(mla, wavelength_nm, section=section)
-        number = pitch = diameter = None
-        if at.power_per_mm != 0.0:
-            inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
-            pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
-            apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
-            pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
-            diameter = quotient(inside, f_number) / sensor.pixel_mm
-            number = inside / apart
-        name = section if len(sections(mla)) > 1 else ""
-        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)
-
-
 def _section_row(at: LensletSection) -> tuple[str, str]:
     """Return a row of the report about the lenslets in one section."""
     name = f"lenslets, {at.section}–z" if at.section else "lenslets, both faces"
@@ -379,6 +353,25 @@ def _section_row(at: LensletSection) -> tuple[str, str]:
         f"focal length {_mm(at.focal_length_mm)}, f/{at.f_number:.4g}, focus {_mm(at.focus_behind_mm)} behind the "
         "array; "
         f"micro-images {at.micro_image_diameter_px:.4g} pixels wide, {at.micro_image_pitch_px:.6g} apart",
+    )
+
+
+def _focused_rows(at: FocusedLenslets, several: bool) -> Iterator[tuple[str, str]]:
+    """Yield the rows of the report about a type of lenslet of a focused camera."""
+    yield (
+        f"lenslets, {_mm(at.focal_length_mm)}" if several else "lenslets",
+        f"in focus {_mm(at.in_focus_mm)}, sharp from {_mm(at.near_mm)} to {_mm(at.far_mm)}, "
+        f"{_mm(at.sampling_mm)} a pixel",
+    )
+    side, beyond = ("before", "farther") if at.main_image_mm > 0.0 else ("behind", "nearer")
+    yield (
+        "virtual depth",
+        f"{abs(at.virtual_depth):.4g}: main image {_mm(abs(at.main_image_mm))} {side} the lenslets, a point seen by "
+        f"{at.seen_by:.3g}",
+    )
+    yield (
+        "total covering",
+        f"of virtual depths from {at.covering_depth:.4g} on: {_mm(at.covering_mm)} and {beyond}",
     )
 
 

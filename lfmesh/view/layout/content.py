@@ -13,11 +13,10 @@ from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.first_order.report import lenslet_to_sensor_mm
+from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.solve import (
     air_thickness_mm,
     front_principal_mm,
-    image_plane_mm,
     lenslet_focal_length_mm,
     rear_principal_mm,
 )
@@ -50,9 +49,6 @@ IMAGE_FAN = 15
 
 FAR = 1e4
 """In focal lengths: rays from farther off are drawn as collimated."""
-
-STRONGEST_REDUCTION = 20.0
-"""Main image to lenslet, over lenslet to sensor: beyond, the lenslets image the pupil (a standard plenoptic camera)."""
 
 LEAST_LENSLETS, MOST_LENSLETS = 4, 16
 """In the close-up."""
@@ -194,7 +190,7 @@ def layout(scene: Scene) -> Layout:
     glass_targets = [t.model_dump() for t in drawn.targets if t.refractor is not None]
     unpolarised = {"transport.polarisation": False, "camera.polariser_deg": None}
     world = build(drawn.changed({"targets": glass_targets, "lights": (), "media": (), "particles": (), **unpolarised}))
-    distance = focus_distance_mm(drawn, given=scene.camera.focus_mm is not None and _is_solved(scene))
+    distance = _focus_mm(facts)
     aim = Aim(world, distance)
     moves = world.tables.frames
     shape = world.lens_shape
@@ -211,43 +207,14 @@ def layout(scene: Scene) -> Layout:
         _sensor_section(drawn, moves),
         _cover_section(drawn, moves),
         _target_sections(drawn, moves),
-        _detail(drawn, world, aim),
+        _detail(drawn, facts, world, aim),
     )
 
 
-def _is_solved(scene: Scene) -> bool:
-    """Tell whether `focus_mm` says where the array or the sensor stands."""
-    camera = scene.camera
-    return (camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm) is None
-
-
-def focus_distance_mm(scene: Scene, *, given: bool) -> float:
-    """Return the object distance before the first vertex that a solved camera shows most sharply, paraxially.
-
-    Where the lenslets image a plane near them onto the sensor (a focused plenoptic camera), what that plane is the
-    image of, unless the camera's focus was given; else what the apexes, or the sensor, are the image of.
-    """
-    primary = scene.primary_nm
-    behind = image_plane_mm(scene.camera, primary)
-    if not given:
-        behind -= main_image_mm(scene) or 0.0
-    lens = solved_camera(scene).paraxial
-    distance = lens.object_mm(behind)
-    return distance if abs(distance) < FAR * abs(lens.efl_mm) else math.inf
-
-
-def main_image_mm(scene: Scene) -> float | None:
-    """Return how far before the lenslets of the first type the plane lies that they image onto the sensor.
-
-    Negative behind them, where it is a virtual object. None where lenslets image the pupil, or there are none.
-    """
-    mla = scene.camera.mla
-    if mla is None:
-        return None
-    primary = scene.primary_nm
-    focal_length, to_sensor = lenslet_focal_length_mm(mla, primary)[0], lenslet_to_sensor_mm(scene.camera, primary)
-    vergence = 1.0 / focal_length - 1.0 / to_sensor
-    return 1.0 / vergence if abs(vergence) * STRONGEST_REDUCTION * to_sensor > 1.0 else None
+def _focus_mm(facts: FirstOrder) -> float:
+    """Return the object distance before the first vertex that a camera shows most sharply; inf where it is very far."""
+    distance = facts.object_distance_mm
+    return distance if abs(distance) < FAR * abs(facts.efl_mm) else math.inf
 
 
 def _field_bundles(scene: Scene, facts: FirstOrder, aim: Aim) -> list[Bundle]:
@@ -316,11 +283,13 @@ def _target_sections(scene: Scene, moves: Array) -> list[TargetSection]:
     return sections
 
 
-def _detail(scene: Scene, world: World, aim: Aim) -> Detail:
-    return _pixels_close_up(scene, world, aim) if scene.camera.mla is None else _lenslets_close_up(scene, world, aim)
+def _detail(scene: Scene, facts: FirstOrder, world: World, aim: Aim) -> Detail:
+    if scene.camera.mla is None:
+        return _pixels_close_up(scene, world, aim)
+    return _lenslets_close_up(scene, facts, world, aim)
 
 
-def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
+def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) -> Detail:
     """Lay out the lenslets nearest the axis, the pixels behind them, and what the rays do there."""
     mla = scene.camera.mla
     assert mla is not None
@@ -337,7 +306,7 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
     x = float(apex[middle, 0])
     # Rows of a hexagonal array stand in the plane of the section by turns.
     step = mla.count[0] * (2 if lenslets.lattice.hexagonal else 1)
-    image = main_image_mm(scene) if not _standard(scene, aim) else None
+    image = middle_of(facts.focused).main_image_mm if facts.focused else None
     if image is not None:
         bundles = _bundles(["main image"], aim, aim.slopes_to(apex[[middle]]), _fan(IMAGE_FAN))
     else:
@@ -371,12 +340,6 @@ def _lenslets_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
         x, window, plate, *_sensor_close_up(sensor, scene, window), bundles, heights, lengths,
         _array_caption(x, image, len(bundles)),
     )  # fmt: skip
-
-
-def _standard(scene: Scene, aim: Aim) -> bool:
-    """Tell whether the rays' object plane is imaged onto the lenslets themselves."""
-    onto = aim.paraxial.object_mm(image_plane_mm(scene.camera, aim.wavelength_nm))
-    return math.isclose(aim.vergence, 1.0 / onto, rel_tol=1e-9, abs_tol=1e-15)
 
 
 def _nearest_axis(apex: Array, pitch: float) -> int:
@@ -434,7 +397,8 @@ def _array_dimensions(
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
-    focal = lenslet_focal_length_mm(mla, scene.primary_nm)[0]
+    types = lenslet_focal_length_mm(mla, scene.primary_nm)
+    focal = sorted(types)[len(types) // 2] if image is not None else types[0]
     # From the rear principal plane, which lies at the apex where light leaves there.
     principal = back - rear_principal_mm(mla, scene.primary_nm)
     if focal > 0.0:

@@ -26,7 +26,8 @@ from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.scene import Scene
-from lfmesh.scene.first_order.report import LensletSection
+from lfmesh.scene.first_order.lenslets import LensletSection
+from lfmesh.scene.first_order.report import STANDARD
 from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
@@ -588,7 +589,7 @@ def _object_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, 
     facts = drawn.facts
     if facts.near_mm < reach:
         far = min(facts.far_mm, reach + 0.03 * long)
-        what = "refocus range" if drawn.mla is not None else "depth of field"
+        what = "refocus range" if facts.kind == STANDARD else "depth of field"
         until = _length(facts.far_mm) if math.isfinite(facts.far_mm) else "infinity"
         words = f"{what} {_length(facts.near_mm)} to {until}"
         dimensions.append(Dimension(np.array([-far, 0.0]), np.array([-facts.near_mm, 0.0]), words, far < facts.far_mm))

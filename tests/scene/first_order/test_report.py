@@ -308,8 +308,8 @@ def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     # Principal planes, pupils (two figures each), refocus range and the lens's Airy disk (three figures) share lines;
     # so do the two of the views. Three refocused planes have a line each; no element has a pose; one wavelength has no
     # line of its own, without a cover there is no line of it, and none of two figures of another section in x, nor of
-    # lenslets' sections.
-    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 12
+    # lenslets' sections. The image plane is that of the lenslets, and there are none of a focused camera.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 14
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 
 

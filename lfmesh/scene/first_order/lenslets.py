@@ -1,0 +1,97 @@
+"""Lenslets in the first-order report: their distance to the sensor, their micro-images, and cylinders by section."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.lenslet_optics import lenslet_optics, sections
+from lfmesh.scene.first_order.paraxial import quotient
+from lfmesh.scene.first_order.solve import cover_shift_mm, rear_principal_mm
+
+
+@dataclass(frozen=True)
+class LensletSection:
+    """Lenslets of the first type in one section through their axis."""
+
+    section: str
+    """"x": the section x–z, "y": the section y–z; "": all, of lenslets of revolution."""
+    focal_length_mm: float
+    """Of both faces of the plate; inf where neither bends rays."""
+    focus_behind_mm: float
+    """Of collimated light, behind the array's face towards the sensor."""
+    f_number: float | None
+    """Distance from the sensor, in air, over the pitch in this section; None where rays are not bent."""
+    micro_image_pitch_px: float | None
+    """As those of the report, in this section; None where there is no micro-image."""
+    micro_image_diameter_px: float | None
+
+
+def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
+    """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
+
+    The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
+    and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
+    """
+    if camera.mla is None or camera.sensor.distance_mm is None:
+        return math.nan
+    inside = rear_principal_mm(camera.mla, wavelength_nm)
+    return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
+
+
+def micro_image(
+    camera: Camera, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
+) -> tuple[float, float, float] | None:
+    """Return microlens f-number, and pitch and diameter of the micro-images in pixels.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved.
+    wavelength_nm : float
+    pupil_to_image_mm : float
+        From the exit pupil to the lenslets.
+    f_number : float
+        Of the cone of light that meets at a lenslet.
+    """
+    if camera.mla is None:
+        return None
+    pitch, pixel = camera.mla.pitch_mm, camera.sensor.pixel_mm
+    to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
+    return (
+        to_sensor / pitch,
+        pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
+        quotient(to_sensor, f_number) / pixel,
+    )
+
+
+def lenslet_sections(
+    camera: Camera, wavelength_nm: float, exit_z_mm: float, lens_length_mm: float, f_number: float
+) -> Iterator[LensletSection]:  # fmt: skip
+    """Yield the lenslets section by section, where they are cylinders or stand on both faces.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved.
+    wavelength_nm : float
+    exit_z_mm, lens_length_mm : float
+        The exit pupil, and the last vertex of the lens, from the first one.
+    f_number : float
+        Of the cone of light that meets at a lenslet.
+    """
+    mla, sensor = camera.mla, camera.sensor
+    if mla is None or not (len(sections(mla)) > 1 or mla.has_back):
+        return
+    for section in sections(mla):
+        at = lenslet_optics(mla, wavelength_nm, section=section)
+        number = pitch = diameter = None
+        if at.power_per_mm != 0.0:
+            inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
+            pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
+            apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
+            pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
+            diameter = quotient(inside, f_number) / sensor.pixel_mm
+            number = inside / apart
+        name = section if len(sections(mla)) > 1 else ""
+        yield LensletSection(name, at.focal_length_mm, at.focus_behind_mm, number, pitch, diameter)

@@ -1,13 +1,14 @@
 """`lf.optimise`: a camera whose numbers are varied until its merit is the best."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lfmesh.errors import LfmeshError
 from lfmesh.notebook import Shown
 from lfmesh.scene import Scene
 from lfmesh.scene.files import load
@@ -19,6 +20,10 @@ from lfmesh.study.optimise.search import Say, Search
 
 REACHED = 1e-3
 """Deviation from a target, over its size, up to which it counts as reached."""
+
+
+UNLIKE, NOTHING = 0.1, 1e-6
+"""Difference of two values of a figure of rays, over the larger, that is noted; and values so small that it is not."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +275,7 @@ def optimise_design(design: DesignFile, scene: Scene, name: str, progress: Say |
         starts=search.starts,
         seconds=time.perf_counter() - began,
         complete=complete,
-        notes=_notes(problem),
+        notes=(*_notes(problem), *_differences(problem, best)),
     )
 
 
@@ -313,6 +318,22 @@ def _notes(problem: Problem) -> tuple[str, ...]:
     if "render" in sources:
         notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
     return tuple(notes)
+
+
+def _differences(problem: Problem, best: Rated) -> Iterator[str]:
+    """Yield which figures of rays are others when more rays, of those that pass the best camera, are sent."""
+    try:
+        again = problem.looked_at_again(best.place)
+    except LfmeshError as error:
+        yield f"the best camera cannot be looked at with other rays: {error}"
+        return
+    for goal, value in again.items():
+        searched = shown_value(goal.metric, best.figures[goal].value)
+        if abs(value - searched) > UNLIKE * max(abs(value), abs(searched)) and abs(value - searched) > NOTHING:
+            yield (
+                f"{goal.title} is {searched:.4g} by the rays of the search, but {value:.4g} by twice as many across, "
+                "of those that pass the best camera: raise across in [rays], or look at its clear apertures"
+            )
 
 
 def _facts(result: TermResult) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from lfmesh.scene import Scene, solved
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.report import facts_of_solved
 from lfmesh.study.metrics.metrics import METRICS, metric_of
-from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term
+from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term
 from lfmesh.study.optimise.figures import FIGURES, camera_values, shown_value
-from lfmesh.study.optimise.jet import Jet
+from lfmesh.study.optimise.jet import Jet, constant
 from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of
 from lfmesh.study.optimise.ray_figures import RayFigures, ray_figures_of
 from lfmesh.study.optimise.renders import Renders
@@ -153,9 +153,12 @@ class Problem:
     @cached_property
     def rays(self) -> RayFigures | None:
         """The rays of the design; None where no figure is of rays."""
-        goals = [goal for goal in self.goals if FIGURES[goal.metric].source == "rays"]
-        shares = tuple(goal.field for goal in goals if goal.field is not None)
-        return ray_figures_of(self._solved(self.scene), self.design.rays, shares) if goals else None
+        return self._rays_of(self.scene, self.design.rays) if self.of_rays else None
+
+    @property
+    def of_rays(self) -> list[Goal]:
+        """Terms and constraints of rays."""
+        return [goal for goal in self.goals if FIGURES[goal.metric].source == "rays"]
 
     @cached_property
     def renders(self) -> Renders | None:
@@ -223,6 +226,32 @@ class Problem:
         excess = float(self.excess(rated).value.max(initial=0.0)) if self.design.constraints else 0.0
         return excess if excess > KEPT else 0.0
 
+    def looked_at_again(self, place: Place) -> dict[Goal, float]:
+        """Return figures of rays by more than twice as many rays across, of those that pass the camera itself.
+
+        Twice as many would have the same moiré.
+
+        Parameters
+        ----------
+        place : Place
+
+        Raises
+        ------
+        LfmeshError
+            Rays of a field do not pass it.
+        """
+        if not self.of_rays:
+            return {}
+        scene, asked = self.scene_at(place), self.design.rays
+        rays = self._rays_of(scene, asked.model_copy(update={"across": 2 * asked.across + 3}))
+        numbers = constant(rays.layout.numbers_of(self._solved(scene)), 0)
+        landed = rays.landed(numbers)
+        return {goal: shown_value(goal.metric, rays.values(goal, landed, numbers).value) for goal in self.of_rays}
+
+    def _rays_of(self, scene: Scene, asked: Rays) -> RayFigures:
+        shares = tuple(goal.field for goal in self.of_rays if goal.field is not None)
+        return ray_figures_of(self._solved(scene), asked, shares)
+
     def _solved(self, scene: Scene) -> Scene:
         return solved(measured(scene))
 
@@ -259,9 +288,8 @@ class Problem:
         if self.rays is not None:
             of_lens = numbers.picked(slice(0, lens))
             landed = self.rays.landed(of_lens)
-            for goal in self.goals:
-                if FIGURES[goal.metric].source == "rays":
-                    found[goal] = self.rays.values(goal, landed, of_lens)
+            for goal in self.of_rays:
+                found[goal] = self.rays.values(goal, landed, of_lens)
         for goal in self.goals:
             if self.renders is not None and goal.metric in self.renders.columns:
                 at = self.renders.columns.index(goal.metric)
@@ -273,14 +301,13 @@ class Problem:
         # The first camera must be valid: what is wrong with it is said in its own words.
         self._numbers(self.start)
         rated = self.rated(self.start)
-        faults = []
-        for key, goals in (("merit", self.design.merit), ("constraints", self.design.constraints)):
-            for i, goal in enumerate(goals):
-                value = shown_value(goal.metric, rated.figures[goal].value)
-                if not np.isfinite(rated.figures[goal].value).all():
-                    faults.append(
-                        f"{key}[{i}].metric: {goal.metric} is {value:g} in the camera to begin with; change it"
-                    )
+        faults = [
+            f"{key}[{i}].metric: {goal.metric} is {shown_value(goal.metric, rated.figures[goal].value):g} in the "
+            "camera to begin with; begin with one where it is a number"
+            for key, goals in (("merit", self.design.merit), ("constraints", self.design.constraints))
+            for i, goal in enumerate(goals)
+            if not np.isfinite(rated.figures[goal].value).all()
+        ]
         if faults:
             raise refused(name, faults)
 

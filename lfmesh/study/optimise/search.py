@@ -31,6 +31,9 @@ FALL = 0.25
 SETTLED = 1e-10
 """Relative change of merit and places at which a search by least squares ends."""
 
+NO_GRADIENT = float(np.finfo(np.float64).eps)
+"""Gradient at which a search ends at once: that of variables that change nothing."""
+
 MOST_COMBINATIONS = 24
 """Combinations of choices that are all searched; of more, one choice at a time is changed while that helps."""
 
@@ -89,7 +92,7 @@ class Search:
         if self.rank(rated) < self.rank(self.best):
             self.best = rated
         first, best = (self.problem.merit(each) for each in (self.first, self.best))
-        self.say(f"{self.problem.evaluations} cameras tried, merit {best:.4g} ({first:.4g} at first)")
+        self.say(f"cameras tried: {self.problem.evaluations}, merit {best:.4g} ({first:.4g} at first)")
         return rated
 
     def _places(self, count: int, seed: int) -> Iterator[Place]:
@@ -173,7 +176,7 @@ class Search:
 
         found = least_squares(
             values, np.clip(rated.place.at, 0.0, 1.0), slopes, bounds=(0.0, 1.0), x_scale="jac", ftol=SETTLED,
-            xtol=SETTLED, gtol=None, max_nfev=problem.design.search.evaluations,
+            xtol=SETTLED, gtol=NO_GRADIENT, max_nfev=problem.design.search.evaluations,
         )  # fmt: skip
         return self._rated(found.x, picks)
 

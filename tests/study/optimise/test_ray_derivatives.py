@@ -35,6 +35,8 @@ def asphere(**surface: Any) -> lf.Scene:
     )
 
 
+POSE = {"tilt_deg": [0.3, 0.2, 0.0], "shift_mm": [0.02, 0.1, 0.0]}
+THIN_LENS = {"paraxial": True, "focal_length_mm": 60.0, "thickness_mm": 5.0, "semi_diameter_mm": 15.0}
 SURFACE = "lens.surfaces[0]"
 CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
     "spheres": (
@@ -62,9 +64,7 @@ CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
         {"across": 6},
     ),
     "tilted and decentred element, f-number": (
-        camera(
-            "tessar_50mm", 46.0, elements=[{"surfaces": [2, 3], "pose": {"tilt_deg": [0.3, 0.2, 0.0], "shift_mm": [0.02, 0.1, 0.0]}}]
-        ),
+        camera("tessar_50mm", 46.0, elements=[{"surfaces": [2, 3], "pose": POSE}]),
         [
             variable("lens.elements[0].pose.tilt_deg[0]", -1.0, 1.0),
             variable("lens.elements[0].pose.shift_mm[1]", -0.5, 0.5),
@@ -78,7 +78,7 @@ CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
             camera={
                 "focus_mm": 300.0,
                 "lens": {
-                    "surfaces": [{"paraxial": True, "focal_length_mm": 60.0, "thickness_mm": 5.0, "semi_diameter_mm": 15.0},
+                    "surfaces": [THIN_LENS,
                                  {"radius_mm": 80.0, "index": 1.5, "thickness_mm": 4.0, "semi_diameter_mm": 15.0},
                                  {"semi_diameter_mm": 15.0}],
                     "f_number": 4.0,

@@ -30,11 +30,14 @@ def optimise(
     Ctrl-C keeps the best camera so far.
     """
     with defer_interrupt():
+        from lfmesh.study.fits.fit_files import make_folder
         from lfmesh.study.optimise.design_files import write_optimum
-        from lfmesh.study.optimise.optimise import optimise_file
+        from lfmesh.study.optimise.optimise import best_of, load_design
 
+    problem = load_design(design)
+    make_folder(out)
     with status() as say:
-        found = optimise_file(design, say)
+        found = best_of(problem, say)
     with defer_interrupt():
         paths = write_optimum(found, out)
     for line in found.lines():

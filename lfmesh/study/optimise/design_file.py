@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -11,6 +11,9 @@ from lfmesh.scene.quantities import Count, FractionOfOne, Number, ObjectDistance
 from lfmesh.study.optimise.figures import FIGURES, LISTED_FIGURES, figure_named
 from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.study_file import read_tables
+
+MOST_ACROSS, MOST_STARTS = 100, 10_000
+"""Bounds of what is asked of a search: more rays, or cameras to begin with, would fill the memory."""
 
 
 class Variable(Model):
@@ -144,8 +147,8 @@ class Rays(Model):
     """Largest image height; half the diagonal of what sensor and array use, if omitted."""
     wavelengths_nm: tuple[Positive, ...] | None = None
     """An odd number, ascending, the primary one in the middle; those of the scene if omitted."""
-    across: Count = 10
-    """Rays on a diameter of the stop."""
+    across: Annotated[int, Field(strict=True, ge=2, le=MOST_ACROSS)] = 10
+    """Rays on a diameter of the stop, 2 to 100."""
 
 
 class Search(Model):
@@ -154,7 +157,7 @@ class Search(Model):
     method: Literal["local", "global"] = "local"
     """"local": least squares from the scene and from further `starts`; "global": differential evolution over all
     ranges and values first, least squares from its best."""
-    starts: Count = 1
+    starts: Annotated[int, Field(strict=True, ge=1, le=MOST_STARTS)] = 1
     """Cameras that a local search begins with: that of the scene, and others drawn from the ranges."""
     seed: Whole = 0
     """Of what is drawn."""

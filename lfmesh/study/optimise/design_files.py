@@ -6,14 +6,14 @@ from pathlib import Path
 import lfmesh
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
-from lfmesh.study.fits.fit_files import make_folder, write_files
+from lfmesh.study.fits.fit_files import write_files
 from lfmesh.study.optimise.optimise import Optimum
 
 SCENE, FACTS, TEXT = "optimised.toml", "optimum.json", "optimum.txt"
 
 
 def write_optimum(found: Optimum, folder: Path) -> list[Path]:
-    """Write ``optimised.toml``, ``optimum.json`` and ``optimum.txt``.
+    """Write ``optimised.toml``, ``optimum.json`` and ``optimum.txt`` into a folder.
 
     Returns
     -------
@@ -24,7 +24,6 @@ def write_optimum(found: Optimum, folder: Path) -> list[Path]:
     FileError
         The folder cannot be written.
     """
-    make_folder(folder)
     facts = {"lfmesh_version": lfmesh.__version__, **found.as_dict()}
     contents: dict[str, str | bytes] = {
         SCENE: within(found.scene, folder).dump_toml(),

@@ -226,11 +226,11 @@ def optimise(
         scene="scene", variables=tuple(variables), merit=tuple(merit), constraints=tuple(constraints),
         rays=rays or {}, search=search or {},
     )  # fmt: skip
-    return optimise_design(design, scene, "design", progress)
+    return best_of(Problem(design, scene), progress)
 
 
-def optimise_file(path: str | Path, progress: Say | None = None) -> Optimum:
-    """Read a design file and its scene, and search for the best camera; see `optimise`.
+def load_design(path: str | Path) -> Problem:
+    """Read a design file and its scene.
 
     Raises
     ------
@@ -239,24 +239,19 @@ def optimise_file(path: str | Path, progress: Say | None = None) -> Optimum:
     """
     path = Path(path)
     design = read_design(path)
-    return optimise_design(design, load(path.parent / design.scene), str(path), progress)
+    return Problem(design, load(path.parent / design.scene), str(path))
 
 
-def optimise_design(design: DesignFile, scene: Scene, name: str, progress: Say | None) -> Optimum:
+def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
     """Search for the best camera of a design; see `optimise`.
 
     Parameters
     ----------
-    design : DesignFile
-    scene : Scene
-        The camera to begin with.
-    name : str
-        What messages call the design.
-    progress : callable or None
+    problem : Problem
+    progress : callable, optional
     """
     began = time.perf_counter()
-    problem = Problem(design, scene, name)
-    search = Search(problem, progress)
+    design, search = problem.design, Search(problem, progress)
     complete = True
     try:
         search.run()

@@ -58,6 +58,7 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     ),
     "infinite": ({"merit": [{"metric": "far_mm", "target": 900.0}], "focus": math.inf}, ["far_mm is inf"]),
     "search": ({"search": {"method": "best"}}, ['search.method = "best"', "'local' or 'global'"]),
+    "too many rays": ({"rays": {"across": 2147483647}}, ["rays.across = 2147483647", "100 or less"]),
     "wavelengths": (
         {"merit": [{"metric": "spot_rms_mm"}], "rays": {"wavelengths_nm": [500.0, 600.0]}}, ["wavelengths_nm", "odd"],
     ),

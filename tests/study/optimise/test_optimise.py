@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.study.optimise.optimise import optimise_file
+from lfmesh.study.optimise.optimise import best_of, load_design
 from tests.study.optimise.designs import (
     PUBLISHED_SENSOR_MM,
     TRIPLET_MM,
@@ -155,7 +155,7 @@ def test_a_detuned_triplet_comes_back_to_its_published_spots_or_better() -> None
 
 def test_a_camera_is_laid_out_for_a_depth_range_and_a_resolution() -> None:
     """The plane in focus is the harmonic mean of the ends of the range."""
-    found = optimise_file(DESIGNS / "plenoptic.toml")
+    found = best_of(load_design(DESIGNS / "plenoptic.toml"))
     facts = lf.first_order(found.scene)
     assert (facts.near_mm, facts.far_mm) == pytest.approx((350.0, 600.0), rel=1e-6)
     assert facts.object_distance_mm == pytest.approx(2.0 / (1.0 / 350.0 + 1.0 / 600.0), rel=1e-6)

@@ -1,4 +1,4 @@
-"""Tables, grids, profiles, pictures, studies, datasets, designs damaged at random are read or refused in clear lines."""
+"""Tables, grids, profiles, pictures, studies, datasets, designs damaged at random are read or refused clearly."""
 
 import functools
 import io

@@ -270,7 +270,7 @@ def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
         starts=search.starts,
         seconds=time.perf_counter() - began,
         complete=complete,
-        notes=(*_notes(problem), *_differences(problem, best)),
+        notes=(*_notes(problem, search), *_differences(problem, best)),
     )
 
 
@@ -300,9 +300,12 @@ def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableRes
     )
 
 
-def _notes(problem: Problem) -> tuple[str, ...]:
+def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     sources = {FIGURES[goal.metric].source for goal in problem.goals}
     notes = []
+    if search.cut:
+        most = problem.design.search.evaluations
+        notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
     if "rays" in sources:
         rays = problem.rays
         assert rays is not None

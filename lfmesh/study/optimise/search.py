@@ -17,22 +17,28 @@ from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem,
 
 Array = NDArray[np.float64]
 
-ROUNDS = 12
+ROUNDS = 20
 """Searches by least squares with constraints, each with more pressure."""
 
-PRESSURE = 100.0
-"""Stiffness of constraints at first, over the merit."""
+PRESSURE = 0.1
+"""Stiffness of constraints at first, over the merit: weak, so that the search is not forced along them from afar."""
 
-STIFFER = 10.0
+STIFFER = 4.0
 """Factor of the stiffness where a round has not brought the excess down to `FALL` of what it was."""
 
 FALL = 0.25
+
+STEADY = 1e-3
+"""Relative change of the multipliers of constraints at which they are taken as known."""
 
 SETTLED = 1e-10
 """Relative change of merit and places at which a search by least squares ends."""
 
 NO_GRADIENT = float(np.finfo(np.float64).eps)
 """Gradient at which a search ends at once: that of variables that change nothing."""
+
+COARSE = 1e-3
+"""The same in the first round of several, which get finer by `STIFFER`."""
 
 MOST_COMBINATIONS = 24
 """Combinations of choices that are all searched; of more, one choice at a time is changed while that helps."""
@@ -63,6 +69,8 @@ class Search:
     first, best : Rated
     starts : int
         Cameras that searches by least squares began with.
+    cut : bool
+        A search ended because it had tried as many cameras as it may, not because it had found its best.
     """
 
     def __init__(self, problem: Problem, say: Say | None = None) -> None:
@@ -70,6 +78,7 @@ class Search:
         self.say = say or (lambda _: None)
         self.first = self.best = problem.rated(problem.start)
         self.starts = 0
+        self.cut = False
 
     def run(self) -> None:
         """Search; the best camera is kept even if Ctrl-C ends it."""
@@ -137,21 +146,24 @@ class Search:
         size = len(self.problem.excess(rated).value) if constraints else 0
         pressure = Pressure(PRESSURE * max(self.problem.merit(rated), KEPT), np.zeros(size))
         before = math.inf
+        settled = COARSE if constraints else SETTLED
         for _ in range(ROUNDS if constraints else 1):
-            rated = self._least_squares(rated, pressure)
+            rated = self._least_squares(rated, pressure, settled)
             if not constraints:
                 break
             excess = self.problem.excess(rated).value
-            worst = float(excess.max())
-            multipliers = pressure.raised(excess)
-            settled = np.abs(multipliers - pressure.multipliers).max() <= KEPT * max(1.0, multipliers.max())
-            if worst <= KEPT and settled:
-                break
+            worst, multipliers = float(excess.max()), pressure.raised(excess)
+            change = np.abs(multipliers - pressure.multipliers).max()
+            if worst <= KEPT and change <= STEADY * multipliers.max():
+                if settled == SETTLED:
+                    break
+                settled = SETTLED
             stiffness = pressure.stiffness * (STIFFER if worst > max(FALL * before, KEPT) else 1.0)
             pressure, before = Pressure(stiffness, multipliers), worst
+            settled = max(SETTLED, settled / STIFFER)
         return rated
 
-    def _least_squares(self, rated: Rated, pressure: Pressure) -> Rated:
+    def _least_squares(self, rated: Rated, pressure: Pressure, settled: float) -> Rated:
         from scipy.optimize import least_squares
 
         problem, picks = self.problem, rated.place.picks
@@ -175,9 +187,10 @@ class Search:
             return slope if len(slope) == size and np.isfinite(slope).all() else np.zeros((size, len(at)))
 
         found = least_squares(
-            values, np.clip(rated.place.at, 0.0, 1.0), slopes, bounds=(0.0, 1.0), x_scale="jac", ftol=SETTLED,
-            xtol=SETTLED, gtol=NO_GRADIENT, max_nfev=problem.design.search.evaluations,
+            values, np.clip(rated.place.at, 0.0, 1.0), slopes, bounds=(0.0, 1.0), x_scale="jac", ftol=settled,
+            xtol=settled, gtol=NO_GRADIENT, max_nfev=problem.design.search.evaluations,
         )  # fmt: skip
+        self.cut |= found.status == 0
         return self._rated(found.x, picks)
 
     def _evolve(self) -> None:
@@ -186,7 +199,7 @@ class Search:
 
         problem = self.problem
         knobs, choices = len(problem.knobs), problem.choices
-        scale = PRESSURE * max(problem.merit(self.first), KEPT)
+        scale = max(problem.merit(self.first), KEPT) / KEPT
 
         def badness(variables: Array) -> float:
             rated = self._rated(variables[:knobs], tuple(int(pick) for pick in np.round(variables[knobs:])))

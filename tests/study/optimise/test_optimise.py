@@ -208,6 +208,17 @@ def test_starts_are_drawn_from_the_seed() -> None:
     assert found[0].scene == found[1].scene
 
 
+@pytest.mark.parametrize(("evaluations", "cut"), [(2, True), (200, False)])
+def test_a_search_that_is_cut_short_says_so(evaluations: int, cut: bool) -> None:
+    found = lf.optimise(
+        plano_convex(),
+        [{"path": RADIUS, "range": [20.0, 90.0]}],
+        focal_length(80.0),
+        search={"evaluations": evaluations},
+    )
+    assert any(f"evaluations = {evaluations}" in note for note in found.notes) == cut
+
+
 def test_an_interrupt_keeps_the_best_camera_so_far() -> None:
     scene = camera("cooke_triplet_50mm", 43.0)
     count = itertools.count()

@@ -106,12 +106,12 @@ class Search:
 
     def _places(self, count: int, seed: int) -> Iterator[Place]:
         """Yield the camera of the scene, and others drawn from the ranges."""
-        from scipy.stats import qmc
-
         start = self.problem.start
         yield start
         if count == 1 or not self.problem.knobs:
             return
+        from scipy.stats import qmc
+
         draws = qmc.LatinHypercube(len(self.problem.knobs), rng=np.random.default_rng(seed)).random(DRAWS * (count - 1))
         valid = (Place(at, start.picks) for at in draws if self._rated(at, start.picks).finite)
         yield from itertools.islice(valid, count - 1)

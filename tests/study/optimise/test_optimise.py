@@ -208,6 +208,12 @@ def test_starts_are_drawn_from_the_seed() -> None:
     assert found[0].scene == found[1].scene
 
 
+@pytest.mark.parametrize("design", ["plenoptic", "triplet"])
+def test_the_designs_that_come_with_lfmesh_have_a_camera_to_begin_with(design: str) -> None:
+    problem = load_design(DESIGNS / f"{design}.toml")
+    assert problem.rated(problem.start).finite
+
+
 @pytest.mark.parametrize(("evaluations", "cut"), [(2, True), (200, False)])
 def test_a_search_that_is_cut_short_says_so(evaluations: int, cut: bool) -> None:
     found = lf.optimise(

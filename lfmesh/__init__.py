@@ -105,6 +105,7 @@ if TYPE_CHECKING:
     from lfmesh.study.fits.board_fit import BoardFit, fit_boards
     from lfmesh.study.fits.board_pictures import Board
     from lfmesh.study.fits.fit import Fit, fit
+    from lfmesh.study.optimise.optimise import Optimum, optimise
     from lfmesh.study.sweeps.study import Study
     from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.render.image import Image
@@ -165,6 +166,7 @@ __all__ = [
     "MicrolensArray",
     "MissedLightWarning",
     "OpenLedgerWarning",
+    "Optimum",
     "OrderCheckWarning",
     "Particles",
     "Paths",
@@ -219,6 +221,7 @@ __all__ = [
     "open_projection_matrix",
     "open_run",
     "open_white",
+    "optimise",
     "particle_vectors",
     "patches_in_focus",
     "projection_matrix",
@@ -306,6 +309,7 @@ _HOMES = {
     "lfmesh.study.fits.board_fit": ["BoardFit", "fit_boards"],
     "lfmesh.study.fits.board_pictures": ["Board"],
     "lfmesh.study.fits.fit": ["Fit", "fit"],
+    "lfmesh.study.optimise.optimise": ["Optimum", "optimise"],
     "lfmesh.study.sweeps.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger"],

@@ -114,7 +114,7 @@ def test_every_option_of_every_command_is_one(folder: Path) -> None:
 
 
 SMALLER = {"render": ["--samples", "4", "--replicates", "2", "--split", "transmit"]}
-ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix"}
+ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix", "optimise"}
 """Run by their own tests, or by the pages' other commands; they take long, open a window, or need other scenes."""
 
 

@@ -32,6 +32,7 @@ COMMANDS = [
     *["lens sheet {}.toml -o o.pdf", "lens convert {}.toml o.zmx", "lens convert {}.zmx o.toml"],
     *["lens convert {}.seq o.toml", "camera-model {}.toml -o o.exr"],
     *["study {}.toml -o out", "study {}.toml --template assembly -o o.toml", "dataset {}.toml -o out"],
+    "optimise {}.toml -o out",
     *["matrix {}.toml --counts 2 2 2 --size-mm 1 1 1 -o o.npz", "matrix scene.toml --grid {}.npz -o o.npz"],
     *["fit {}.png scene.toml -o out", "fit {}.exr scene.toml -o out", "fit {}.run scene.toml -o out"],
     *["fit {}.png {}.toml -o out", "fit white.png scene.toml -o out --corners {}.csv"],

@@ -234,10 +234,10 @@ def analyse(
             "along one line; trace rays or render instead"
         )
     object_mm = facts.object_distance_mm if object_mm is None else float(object_mm)
-    waves = _wavelengths(scene, wavelengths_nm)
+    waves = wavelengths_of(scene, wavelengths_nm)
     if not 4 <= across <= 1000:
         raise LfmeshError(f"across = {across}: must be from 4 to 1000 rays")
-    height = _used_height_mm(camera.scene) if height_mm is None else float(height_mm)
+    height = used_height_mm(camera.scene) if height_mm is None else float(height_mm)
     if not 0.0 < height < math.inf:
         raise LfmeshError(f"height_mm = {height}: must be above 0 and finite")
     world = build(camera.scene.camera_alone())
@@ -280,7 +280,7 @@ def _light_field(world: World, object_mm: float, heights_mm: Array) -> tuple[Lig
         return None, str(error)
 
 
-def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
+def wavelengths_of(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, ...]:
     """Return the wavelengths of an analysis, in nm, ascending."""
     waves = tuple(sorted(scene.wavelengths_nm if given is None else map(float, given)))
     disperses = any(surface.glass is not None for surface in scene.camera.lens.surfaces)
@@ -293,7 +293,7 @@ def _wavelengths(scene: Scene, given: tuple[float, ...] | None) -> tuple[float, 
     return waves
 
 
-def _used_height_mm(scene: Scene) -> float:
+def used_height_mm(scene: Scene) -> float:
     """Return half the diagonal of the image that the sensor, and the array, use."""
     camera = scene.camera
     size = camera.sensor.size_mm if camera.mla is None else np.minimum(camera.sensor.size_mm, camera.mla.size_mm)

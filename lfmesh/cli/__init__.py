@@ -26,6 +26,7 @@ try:
             lens_sheet,
             lightfield,
             matrix,
+            optimise,
             render,
             schema,
             study,

@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-FileKind = Literal["scene", "lens", "study", "dataset"]
+FileKind = Literal["scene", "lens", "study", "dataset", "design"]
 
 _TAKEN_BY: dict[FileKind, str] = {
-    "scene": "lfmesh check, render, view and most other commands take it; studies and datasets name it by scene =",
+    "scene": "lfmesh check, render, view and most other commands take it; studies, datasets and designs name it by "
+    "scene =",
     "lens": "a scene names it by camera.lens = { file = ... }",
     "study": "lfmesh study takes it",
     "dataset": "lfmesh dataset takes it",
+    "design": "lfmesh optimise takes it",
 }
 
 
@@ -19,6 +21,8 @@ def kind_of(data: Mapping[str, Any]) -> FileKind | None:
         return "scene"
     if "random" in data:
         return "dataset"
+    if {"variables", "merit"} & data.keys():
+        return "design"
     if {"axes", "metrics", "scenes"} & data.keys():
         return "study"
     return "lens" if "surfaces" in data else None
@@ -29,7 +33,7 @@ def mistaken_for(wanted: FileKind, data: Mapping[str, Any]) -> str | None:
 
     Parameters
     ----------
-    wanted : {"scene", "lens", "study", "dataset"}
+    wanted : {"scene", "lens", "study", "dataset", "design"}
     data : mapping
         Its tables.
     """

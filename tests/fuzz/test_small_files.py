@@ -1,4 +1,4 @@
-"""Tables, grids, profiles, pictures, studies and datasets damaged at random are read or refused in one clear line."""
+"""Tables, grids, profiles, pictures, studies, datasets, designs damaged at random are read or refused clearly."""
 
 import functools
 import io
@@ -32,6 +32,7 @@ from lfmesh.optics.reflectance_table import read_reflectance
 from lfmesh.scene import solved
 from lfmesh.scene.light.particles import Particles, particle_places
 from lfmesh.study.fits.board_files import read_corners
+from lfmesh.study.optimise.optimise import load_design
 from tests.cameras import bench_camera
 from tests.fuzz.test_meshes import damaged, damages, kept
 
@@ -85,6 +86,34 @@ values = [0.2, 0.5]
 path = "targets[0].position_mm[0]"
 normal = [0.0, 1.0]
 relative = true
+"""
+DESIGN = """scene = "scene.toml"
+[changes]
+"camera.lens.surfaces[1].radius_mm" = 48.0
+[rays]
+object_mm = 400.0
+height_mm = 1.0
+across = 4
+[search]
+starts = 2
+evaluations = 3
+[[variables]]
+path = "camera.lens.surfaces[1].radius_mm"
+range = [30.0, 80.0]
+[[variables]]
+path = "camera.lens.surfaces[1].index"
+values = [1.5, 1.6]
+[[merit]]
+metric = "mtf"
+per_mm = 5.0
+field = 0.7
+[[merit]]
+metric = "efl_mm"
+target = 50.0
+weight = 0.1
+[[constraints]]
+metric = "edge_thickness_mm"
+least = 0.1
 """
 IES = """IESNA:LM-63-2002
 [TEST] a lamp
@@ -166,6 +195,11 @@ def dataset(path: Path) -> Any:
     return lf.Dataset.load(path)
 
 
+def design(path: Path) -> Any:
+    (path.parent / "scene.toml").write_text(SCENE)
+    return load_design(path)
+
+
 def lens(path: Path) -> Any:
     read_lens(path)
     scene = f"""[camera]
@@ -240,6 +274,7 @@ TEXTS: dict[str, Callable[[], Kind]] = {
     "study": lambda: Kind("toml", STUDY.encode(), study),
     "filling study": lambda: Kind("toml", FILLING.encode(), study),
     "dataset": lambda: Kind("toml", DATASET.encode(), dataset),
+    "design": lambda: Kind("toml", DESIGN.encode(), design),
     "particles": lambda: Kind("csv", PARTICLES.encode(), particles),
     "displacements": lambda: Kind("csv", DISPLACED.encode(), displaced),
     "profile": lambda: Kind("ies", IES.encode(), profile),
@@ -263,7 +298,7 @@ BINARIES: dict[str, Callable[[], Kind]] = {
 }
 
 
-WITH_SCENES = ("study", "filling study", "dataset", "lens", "zmx", "seq")
+WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq")
 """What names a scene, or is part of one: all faults are said at once."""
 
 

@@ -247,6 +247,12 @@ def first_order(scene: Scene) -> FirstOrder:
 
 def report_of_solved(scene: Scene) -> FirstOrder:
     """Return the first-order report of a scene that is solved already; see `first_order`."""
+    facts = facts_of_solved(scene)
+    return replace(facts, warnings=warnings(scene, facts))
+
+
+def facts_of_solved(scene: Scene) -> FirstOrder:
+    """Return the report of a scene that is solved already without its warnings, some of which trace rays."""
     camera, wavelength = scene.camera, scene.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
@@ -331,7 +337,7 @@ def report_of_solved(scene: Scene) -> FirstOrder:
             facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
             field_of_view_mm=(width, facts.field_of_view_mm[1]),
         )  # fmt: skip
-    return replace(facts, warnings=warnings(scene, facts))
+    return facts
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

@@ -124,4 +124,4 @@ def read_dataset(path: Path) -> DatasetFile:
     LfmeshError
         It cannot be read, is no TOML, or no valid dataset: one line for each fault.
     """
-    return read_tables(path, DatasetFile)
+    return read_tables(path, DatasetFile, "dataset")

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import Field, ValidationError
 
 from lfmesh.errors import LfmeshError
-from lfmesh.scene.file_kinds import mistaken_for
+from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.files import read_text
 from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
 from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
@@ -137,16 +137,17 @@ def read_study(path: Path) -> StudyFile:
     LfmeshError
         It cannot be read, is no TOML, or no valid study: one line for each fault.
     """
-    return read_tables(path, StudyFile)
+    return read_tables(path, StudyFile, "study")
 
 
-def read_tables(path: Path, kind: type[Tables]) -> Tables:
+def read_tables(path: Path, kind: type[Tables], called: FileKind) -> Tables:
     """Read a TOML file that holds one model.
 
     Parameters
     ----------
     path : Path
     kind : type of Model
+    called : {"study", "dataset", "design"}
 
     Raises
     ------
@@ -159,7 +160,7 @@ def read_tables(path: Path, kind: type[Tables]) -> Tables:
         raise LfmeshError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise LfmeshError(f"{path}: not valid TOML: {error}") from None
-    if words := mistaken_for("study" if kind is StudyFile else "dataset", data):
+    if words := mistaken_for(called, data):
         raise LfmeshError(f"{path}: {words}")
     try:
         return kind.model_validate(data)

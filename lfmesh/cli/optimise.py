@@ -1,0 +1,48 @@
+"""A camera designed: `lfmesh optimise`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import code_of_last, defer_interrupt
+from lfmesh.cli.printing import list_files, say_note
+from lfmesh.cli.progress import status
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh optimise design.toml -o best/
+    lfmesh lens sheet best/optimised.toml -o sheet.pdf
+"""
+)
+def optimise(
+    design: Annotated[Path, Parameter(name="design", help="Design file (TOML): scene, variables, merit, constraints.")],
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the best scene and the report.")],
+) -> int:
+    """Vary numbers of a camera until its merit is the best: optimised.toml, optimum.json, optimum.txt.
+
+    Ctrl-C keeps the best camera so far.
+    """
+    with defer_interrupt():
+        from lfmesh.study.fits.fit_files import make_folder
+        from lfmesh.study.optimise.design_files import write_optimum
+        from lfmesh.study.optimise.optimise import best_of, load_design
+
+    problem = load_design(design)
+    make_folder(out)
+    with status() as say:
+        found = best_of(problem, say)
+    with defer_interrupt():
+        paths = write_optimum(found, out)
+    for line in found.lines():
+        print(line)
+    if not found.complete:
+        say_note("stopped; the best camera so far is written")
+    list_files(paths)
+    return 0 if found.complete else code_of_last()

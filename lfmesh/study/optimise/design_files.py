@@ -1,0 +1,33 @@
+"""Files of an optimised camera: its scene, the outcome as JSON and as text."""
+
+import json
+from pathlib import Path
+
+import lfmesh
+from lfmesh.files.inputs import within
+from lfmesh.files.json_values import plain_json
+from lfmesh.study.fits.fit_files import write_files
+from lfmesh.study.optimise.optimise import Optimum
+
+SCENE, FACTS, TEXT = "optimised.toml", "optimum.json", "optimum.txt"
+
+
+def write_optimum(found: Optimum, folder: Path) -> list[Path]:
+    """Write ``optimised.toml``, ``optimum.json`` and ``optimum.txt`` into a folder.
+
+    Returns
+    -------
+    list of Path
+
+    Raises
+    ------
+    FileError
+        The folder cannot be written.
+    """
+    facts = {"lfmesh_version": lfmesh.__version__, **found.as_dict()}
+    contents: dict[str, str | bytes] = {
+        SCENE: within(found.scene, folder).dump_toml(),
+        FACTS: json.dumps(plain_json(facts), indent=1, ensure_ascii=False) + "\n",
+        TEXT: "\n".join(found.lines()) + "\n",
+    }
+    return write_files(contents, folder)

@@ -1,0 +1,142 @@
+"""Variables of a design as numbers from 0 to 1, and their places in the scene."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lfmesh.scene import Scene
+from lfmesh.scene.literals import literal
+from lfmesh.study.optimise.design_file import Variable
+from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.paths import value_at
+from lfmesh.study.sweeps.plan import path_faults
+
+AT_BOUND = 1e-3
+"""Share of a range within which a value counts as at its end."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number of the scene that varies within a range; a radius as its curvature.
+
+    Attributes
+    ----------
+    variable : Variable
+    start : float
+        Value in the scene to begin with.
+    """
+
+    variable: Variable
+    start: float
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        low, high = self.variable.range or (0.0, 0.0)
+        if not self.variable.is_radius:
+            return low, high
+        # Between radii of one sign the curvature falls; from a negative one to a positive one it rises through 0.
+        return (1.0 / low, 1.0 / high) if low < 0.0 < high else (1.0 / high, 1.0 / low)
+
+    def value(self, place: float) -> float:
+        """Return the scene's value at a place of the range, from 0 to 1; exactly its ends there."""
+        low, high = self._ends
+        at = high if place == 1.0 else low + place * (high - low)
+        if not self.variable.is_radius:
+            return at
+        return 1.0 / at if at else math.inf
+
+    def place(self, value: float) -> float:
+        """Return the place in the range of a value of the scene."""
+        low, high = self._ends
+        at = 1.0 / value if self.variable.is_radius else value
+        return (at - low) / (high - low)
+
+    def bound_in_words(self, place: float) -> str:
+        """Say at which end of its range a value is, if at one."""
+        if not (place <= AT_BOUND or place >= 1.0 - AT_BOUND):
+            return ""
+        return f"at the end of its range, {self.value(0.0 if place <= AT_BOUND else 1.0):.6g}"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A field of the scene that takes one of some values.
+
+    Attributes
+    ----------
+    variable : Variable
+    start : int
+        Number of the value in the scene to begin with.
+    """
+
+    variable: Variable
+    start: int
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """The values to choose from."""
+        return self.variable.values or ()
+
+
+def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], list[Choice], list[str]]:
+    """Find the variables in the scene to begin with.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+    scene : Scene
+        Its lens read from its file.
+
+    Returns
+    -------
+    knobs : list of Knob
+    choices : list of Choice
+    faults : list of str
+        What is wrong, a line each.
+    """
+    knobs: list[Knob] = []
+    choices: list[Choice] = []
+    faults: list[str] = []
+    for i, variable in enumerate(variables):
+        found = [f"variables[{i}].{line}" for line in _faults(variable, scene)]
+        faults += found
+        if found:
+            continue
+        value = value_at(scene, variable.path)
+        if variable.range is not None:
+            knobs.append(Knob(variable, float(value)))
+        else:
+            choices.append(Choice(variable, [_same(value, each) for each in variable.values or ()].index(True)))
+    return knobs, choices, faults
+
+
+def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
+    where = list(path_faults({variable.path: None}, scene, "path"))
+    yield from where
+    if where:
+        return
+    value = value_at(scene, variable.path)
+    named = f"path: {variable.path} is {_shown(value)} in the scene"
+    if variable.range is None:
+        if not any(_same(value, each) for each in variable.values or ()):
+            yield f"{named}, which is not among the values; add it, the search begins there"
+        return
+    flat = variable.is_radius and value == math.inf
+    if value is None:
+        yield f"{named}, which is solved or left out; give it a number to begin with"
+    elif not is_number(value) and not flat:
+        yield f"{named}, no number; give values to choose from in place of a range"
+    elif isinstance(value, int):
+        yield f"{named}, a whole number; give values to choose from in place of a range"
+    elif not 0.0 <= Knob(variable, value).place(value) <= 1.0:
+        low, high = variable.range
+        yield f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside of it"
+
+
+def _same(value: Any, other: Any) -> bool:
+    return bool(value == other or (isinstance(other, list) and value == tuple(other)))
+
+
+def _shown(value: Any) -> str:
+    return "not given" if value is None else literal(value) if isinstance(value, (str, float, int)) else "a table"

@@ -1,0 +1,199 @@
+"""The numbers of a solved lens that its rays follow from, as one vector, so that anything may be differentiated.
+
+Whatever the variables of a design are, rays depend on them through these numbers alone: shapes, places and indices of
+the surfaces, the stop, the object and the image plane.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.analysis.analysis import FIELDS, used_height_mm
+from lfmesh.analysis.field_curves import chief_scale_mm
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Scene
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.first_order.solve import focus_wished_mm, image_plane_mm
+from lfmesh.study.optimise.jet import Jet
+
+Array = NDArray[np.float64]
+
+
+class SurfaceNumbers(NamedTuple):
+    """One surface.
+
+    Attributes
+    ----------
+    curvature, conic, thin_power : Jet
+        Of the vertex, 1/mm; conic constant; power of an ideal thin lens, 1/mm.
+    pose : Jet
+        (3, 4): rotation and place of its frame, whose origin is the vertex.
+    terms : Jet
+        Coefficients of the powers of r that are added to the conic.
+    """
+
+    curvature: Jet
+    conic: Jet
+    thin_power: Jet
+    pose: Jet
+    terms: Jet
+
+
+class LensNumbers(NamedTuple):
+    """A lens, its object points and its image plane.
+
+    Attributes
+    ----------
+    surfaces : list of SurfaceNumbers
+    indices : Jet
+        (wavelengths, surfaces + 1): before the first surface and after each.
+    stop_radius, vergence, image_z : Jet
+        Of the stop, mm; one over the object distance, 1/mm; image plane, mm.
+    slopes, heights : Jet
+        (fields,): of the object points, see `LensRays.starts`; paraxial image heights, mm.
+    """
+
+    surfaces: list[SurfaceNumbers]
+    indices: Jet
+    stop_radius: Jet
+    vergence: Jet
+    image_z: Jet
+    slopes: Jet
+    heights: Jet
+
+
+@dataclass(frozen=True)
+class RayLayout:
+    """Properties of a lens that stay as they are while its numbers vary, and the rays that are sent.
+
+    Attributes
+    ----------
+    powers : tuple of tuple of int
+        Of each surface: the powers of r that are added to its conic.
+    stop : int
+        Number of the surface that is the stop.
+    pure_stop : bool
+        It is no interface.
+    waves_nm : tuple of float
+        The primary one in the middle.
+    fields : tuple of float
+        Shares of the largest image height.
+    object_mm : float or None
+        Distance of the object plane; None: as the camera is focused.
+    height_mm : float or None
+        Largest image height; None: half the diagonal of what sensor and array use.
+    """
+
+    powers: tuple[tuple[int, ...], ...]
+    stop: int
+    pure_stop: bool
+    waves_nm: tuple[float, ...]
+    fields: tuple[float, ...] = FIELDS
+    object_mm: float | None = None
+    height_mm: float | None = None
+
+    def numbers_of(self, scene: Scene) -> Array:
+        """Return the numbers of a solved scene, (n,), in the order in which `opened` takes them.
+
+        Raises
+        ------
+        LfmeshError
+            There is no image of the object plane, or the lens is another one than laid out.
+        """
+        camera, primary = scene.camera, scene.primary_nm
+        lens, paraxial = camera.lens, Paraxial.of(camera.lens, primary)
+        image = image_plane_mm(camera, primary)
+        object_mm = self.object_mm or focus_wished_mm(camera, primary) or paraxial.object_mm(image)
+        if not object_mm > 0.0:
+            raise LfmeshError(
+                f"the plane in focus lies {object_mm:.6g} mm before the lens: give object_mm in [rays], above 0 or inf"
+            )
+        if powers_of(lens) != self.powers or lens.stop_index != self.stop:
+            raise LfmeshError("the surfaces have other terms, or another stop, than at the start")
+        heights = (self.height_mm or used_height_mm(scene)) * np.array(self.fields)
+        image_z = paraxial.length_mm + image
+        slopes = heights / chief_scale_mm(Paraxial.of(lens, self.waves_nm[len(self.waves_nm) // 2]), object_mm, image_z)
+        per_surface = [
+            number
+            for k, surface in enumerate(lens.surfaces)
+            for number in (
+                *(surface.curvature_per_mm, surface.vertex_conic, surface.thin_lens_power_per_mm),
+                *_frame_of(lens, k).ravel(),
+                *(coefficient for _, coefficient in surface.powers_mm),
+            )
+        ]
+        indices = [
+            index
+            for wave in self.waves_nm
+            for index in (1.0, *(refractive_index(s.medium, wave) for s in lens.surfaces))
+        ]
+        stop = lens.surfaces[self.stop].semi_diameter_mm or math.nan
+        return np.array([*per_surface, *indices, stop, 1.0 / object_mm, image_z, *slopes, *heights])
+
+    def opened(self, numbers: Jet) -> LensNumbers:
+        """Return the numbers by their meaning.
+
+        Parameters
+        ----------
+        numbers : Jet
+            (n,), as `numbers_of` gives them.
+        """
+        at = 0
+
+        def taken(*shape: int) -> Jet:
+            nonlocal at
+            first, at = at, at + math.prod(shape)
+            part = numbers.picked(slice(first, at))
+            return Jet(part.value.reshape(shape), part.slope.reshape(*shape, numbers.slope.shape[-1]))
+
+        surfaces = [SurfaceNumbers(taken(), taken(), taken(), taken(3, 4), taken(len(each))) for each in self.powers]
+        indices = taken(len(self.waves_nm), len(self.powers) + 1)
+        fields = len(self.fields)
+        return LensNumbers(surfaces, indices, taken(), taken(), taken(), taken(fields), taken(fields))
+
+
+def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None, height_mm: float | None) -> RayLayout:
+    """Return the layout of a solved scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    waves_nm, object_mm, height_mm
+        As for `RayLayout`.
+
+    Raises
+    ------
+    LfmeshError
+        The lens has surfaces that are meshes, or not of revolution.
+    """
+    lens = scene.camera.lens
+    if lens.has_meshes:
+        raise LfmeshError("the lens has surfaces that are meshes: terms of rays need surfaces with formulas")
+    if (number := lens.number_off_revolution) is not None:
+        key = lens.surfaces[number].section_key
+        raise LfmeshError(
+            f"camera.lens.surfaces[{number}].{key}: terms of rays are those of surfaces of revolution, as the lens "
+            "sheet's are"
+        )
+    stop = lens.stop_index or 0
+    return RayLayout(
+        powers_of(lens), stop, lens.is_pure_stop(stop), waves_nm, object_mm=object_mm, height_mm=height_mm
+    )  # fmt: skip
+
+
+def powers_of(lens: Lens) -> tuple[tuple[int, ...], ...]:
+    """Return the powers of r that are added to the conic of each surface."""
+    return tuple(tuple(power for power, _ in surface.powers_mm) for surface in lens.surfaces)
+
+
+def _frame_of(lens: Lens, number: int) -> Array:
+    """Return the frame of a surface, (3, 4), with its vertex as origin, in the camera frame."""
+    vertex = np.column_stack([np.eye(3), [0.0, 0.0, lens.vertices_mm[number]]])
+    return frame.compose(pose_of(lens, number), vertex)

@@ -1,0 +1,351 @@
+"""`lf.optimise`: a camera whose numbers are varied until its merit is the best."""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import LfmeshError
+from lfmesh.notebook import Shown
+from lfmesh.scene import Scene
+from lfmesh.scene.files import load
+from lfmesh.scene.literals import literal
+from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term, Variable, read_design
+from lfmesh.study.optimise.figures import FIGURES, shown_value
+from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, term_residuals
+from lfmesh.study.optimise.search import Say, Search
+
+REACHED = 1e-3
+"""Deviation from a target, over its size, up to which it counts as reached."""
+
+
+UNLIKE, NOTHING = 0.1, 1e-6
+"""Difference of two values of a figure of rays, over the larger, that is noted; and values so small that it is not."""
+
+
+@dataclass(frozen=True)
+class TermResult:
+    """A term of the merit, or a constraint, before and after.
+
+    Attributes
+    ----------
+    goal : Term or Constraint
+    before, after : float
+        The figure; of several values as reports show it.
+    share_before, share_after : float
+        What a term adds to the merit; of a constraint the largest excess over its limit, over the limit's size, 0 where
+        it is kept.
+    """
+
+    goal: Term | Constraint
+    before: float
+    after: float
+    share_before: float
+    share_after: float
+
+    @property
+    def missed(self) -> str:
+        """Target that is not reached or limit that is not kept, in words; "" where there is none."""
+        goal = self.goal
+        if isinstance(goal, Constraint):
+            return f"{goal.title} = {self.after:.6g} violates {goal.in_words}" if self.share_after else ""
+        off = abs(self.after - goal.wanted)
+        if goal.target is None or off <= REACHED * (abs(goal.target) or abs(self.before)):
+            return ""
+        return f"{goal.title} = {self.after:.6g} is {off:.4g} from its target {goal.target:g}"
+
+
+@dataclass(frozen=True)
+class VariableResult:
+    """A variable before and after.
+
+    Attributes
+    ----------
+    variable : Variable
+    before, after : object
+        Values of the scene.
+    note : str
+        At which end of its range it is, if at one.
+    """
+
+    variable: Variable
+    before: Any
+    after: Any
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Optimum(Shown):
+    """The best camera that a search has found.
+
+    Attributes
+    ----------
+    scene : Scene
+        The camera; distances that the scene leaves to `focus_mm` are left to it.
+    first : Scene
+        The camera to begin with.
+    merit_before, merit_after : float
+        Sum of the terms: (weight · (value − target))².
+    terms, constraints : tuple of TermResult
+    variables : tuple of VariableResult
+    evaluations : int
+        Cameras that were tried, those for derivatives left out.
+    starts : int
+        Searches by least squares.
+    seconds : float
+        Wall-clock time.
+    complete : bool
+        False if Ctrl-C ended the search.
+    notes : tuple of str
+        How derivatives were made, and what the merit does not know of.
+    """
+
+    scene: Scene
+    first: Scene
+    merit_before: float
+    merit_after: float
+    terms: tuple[TermResult, ...]
+    constraints: tuple[TermResult, ...]
+    variables: tuple[VariableResult, ...]
+    evaluations: int
+    starts: int
+    seconds: float
+    complete: bool
+    notes: tuple[str, ...] = ()
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Targets that are not reached and limits that are not kept, a line each."""
+        return tuple(each.missed for each in (*self.terms, *self.constraints) if each.missed)
+
+    def __repr__(self) -> str:
+        return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
+
+    def lines(self) -> list[str]:
+        """Return the outcome for a terminal, a line each."""
+        lines = [f"merit {self.merit_before:.6g} before, {self.merit_after:.6g} after"]
+        wide = max(len(each.goal.title) for each in (*self.terms, *self.constraints)) + 2
+        lines.append(f"{'term':<{wide}}{'target':>12}{'before':>14}{'after':>14}{'of the merit':>14}")
+        for each in self.terms:
+            assert isinstance(each.goal, Term)
+            numbers = f"{each.goal.wanted:>12.6g}{each.before:>14.6g}{each.after:>14.6g}{each.share_after:>14.4g}"
+            lines.append(f"{each.goal.title:<{wide}}{numbers}")
+        for each in self.constraints:
+            assert isinstance(each.goal, Constraint)
+            state = f"violates {each.goal.in_words}" if each.share_after else f"keeps {each.goal.in_words}"
+            lines.append(f"{each.goal.title:<{wide}}{'':>12}{each.before:>14.6g}{each.after:>14.6g}  {state}")
+        wide = max(len(each.variable.title) for each in self.variables) + 2
+        lines.append(f"{'variable':<{wide}}{'before':>18}{'after':>18}")
+        for found in self.variables:
+            note = f"  {found.note}" if found.note else ""
+            lines.append(f"{found.variable.title:<{wide}}{_shown(found.before):>18}{_shown(found.after):>18}{note}")
+        lines += [f"not reached: {line}" for line in self.missed]
+        lines += [f"note: {line}" for line in self.notes]
+        ended = "" if self.complete else "; stopped before the search had ended"
+        searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
+        lines.append(f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}")
+        return lines
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the outcome as plain values."""
+        return {
+            "merit_before": self.merit_before,
+            "merit_after": self.merit_after,
+            "terms": [_facts(each) for each in self.terms],
+            "constraints": [_facts(each) for each in self.constraints],
+            "variables": [
+                {"path": each.variable.path, "before": each.before, "after": each.after, "note": each.note}
+                for each in self.variables
+            ],
+            "not_reached": list(self.missed),
+            "cameras_tried": self.evaluations,
+            "searches": self.starts,
+            "seconds": self.seconds,
+            "complete": self.complete,
+            "notes": list(self.notes),
+        }
+
+
+def optimise(
+    scene: Scene,
+    variables: Sequence[Variable | Mapping[str, Any]],
+    merit: Sequence[Term | Mapping[str, Any]],
+    *,
+    constraints: Sequence[Constraint | Mapping[str, Any]] = (),
+    rays: Mapping[str, Any] | None = None,
+    search: Mapping[str, Any] | None = None,
+    progress: Say | None = None,
+) -> Optimum:
+    """Vary numbers of a camera until its merit is the best.
+
+    The tables are those of a design file, which `lfmesh/study/README.md` describes.
+
+    Parameters
+    ----------
+    scene : Scene
+        The camera to begin with.
+    variables : sequence of dict
+        With the keys of `[[variables]]`: path, and range or values.
+    merit : sequence of dict
+        With the keys of `[[merit]]`: metric, target, weight, field, per_mm.
+    constraints : sequence of dict
+        With the keys of `[[constraints]]`: metric, least, most, field, per_mm.
+    rays : dict, optional
+        With the keys of `[rays]`: object_mm, height_mm, wavelengths_nm, across.
+    search : dict, optional
+        With the keys of `[search]`: method, starts, seed, evaluations.
+    progress : callable, optional
+        Is told, in words, how far the search is.
+
+    Returns
+    -------
+    Optimum
+        After Ctrl-C the best camera so far.
+
+    Raises
+    ------
+    LfmeshError
+        With one line for each fault.
+
+    Examples
+    --------
+    >>> found = lf.optimise(
+    ...     scene,
+    ...     [{"path": "camera.lens.surfaces[0].radius_mm", "range": [15.0, 40.0]}],
+    ...     [{"metric": "spot_rms_mm"}, {"metric": "efl_mm", "target": 50.0}],
+    ... )
+    >>> lf.save(found.scene, "best.toml")
+    """
+    design = DesignFile(
+        scene="scene", variables=tuple(variables), merit=tuple(merit), constraints=tuple(constraints),
+        rays=rays or {}, search=search or {},
+    )  # fmt: skip
+    return best_of(Problem(design, scene), progress)
+
+
+def load_design(path: str | Path) -> Problem:
+    """Read a design file and its scene.
+
+    Raises
+    ------
+    LfmeshError
+        With one line for each fault.
+    """
+    path = Path(path)
+    design = read_design(path)
+    return Problem(design, load(path.parent / design.scene), str(path))
+
+
+def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
+    """Search for the best camera of a design; see `optimise`.
+
+    Parameters
+    ----------
+    problem : Problem
+    progress : callable, optional
+    """
+    began = time.perf_counter()
+    design, search = problem.design, Search(problem, progress)
+    complete = True
+    try:
+        search.run()
+    except KeyboardInterrupt:
+        complete = False
+    first, best = search.first, search.best
+    return Optimum(
+        scene=problem.scene_at(best.place),
+        first=problem.scene,
+        merit_before=problem.merit(first),
+        merit_after=problem.merit(best),
+        terms=tuple(_compared(goal, first, best) for goal in design.merit),
+        constraints=tuple(_compared(goal, first, best) for goal in design.constraints),
+        variables=_variables(problem, first, best),
+        evaluations=problem.evaluations,
+        starts=search.starts,
+        seconds=time.perf_counter() - began,
+        complete=complete,
+        notes=(*_notes(problem, search), *_differences(problem, best)),
+    )
+
+
+def _compared(goal: Term | Constraint, first: Rated, best: Rated) -> TermResult:
+    values, shares = [], []
+    for rated in (first, best):
+        jet = rated.figures[goal]
+        values.append(shown_value(goal.metric, jet.value))
+        if isinstance(goal, Term):
+            residuals = term_residuals(goal, jet).value
+            shares.append(float(residuals @ residuals))
+        else:
+            excess = float(excess_of(goal, jet).value.max())
+            shares.append(excess if excess > KEPT else 0.0)
+    return TermResult(goal, values[0], values[1], shares[0], shares[1])
+
+
+def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableResult, ...]:
+    before, after = (problem.values_at(rated.place) for rated in (first, best))
+    notes = {
+        knob.variable.path: knob.bound_in_words(float(at))
+        for knob, at in zip(problem.knobs, best.place.at, strict=True)
+    }
+    return tuple(
+        VariableResult(each, before[each.path], after[each.path], notes.get(each.path, ""))
+        for each in problem.design.variables
+    )
+
+
+def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
+    sources = {FIGURES[goal.metric].source for goal in problem.goals}
+    notes = []
+    if search.cut:
+        most = problem.design.search.evaluations
+        notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
+    if "rays" in sources:
+        rays = problem.rays
+        assert rays is not None
+        notes.append(
+            f"derivatives of rays are those of traced rays; the {rays.passed} rays are those that pass the lens at "
+            "first, all of one weight; apertures take none of them later: lfmesh lens sheet tells what passes at last"
+        )
+    if "render" in sources:
+        notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
+    return tuple(notes)
+
+
+def _differences(problem: Problem, best: Rated) -> Iterator[str]:
+    """Yield which figures of rays are others when more rays, of those that pass the best camera, are sent."""
+    try:
+        again = problem.looked_at_again(best.place)
+    except LfmeshError as error:
+        yield f"the best camera cannot be looked at with other rays: {error}"
+        return
+    for goal, value in again.items():
+        searched = shown_value(goal.metric, best.figures[goal].value)
+        if abs(value - searched) > UNLIKE * max(abs(value), abs(searched)) and abs(value - searched) > NOTHING:
+            yield (
+                f"{goal.title} is {searched:.4g} by the rays of the search, but {value:.4g} by twice as many across, "
+                "of those that pass the best camera: raise across in [rays], or look at its clear apertures"
+            )
+
+
+def _facts(result: TermResult) -> dict[str, Any]:
+    goal: Goal = result.goal
+    asked = {key: value for key, value in goal.model_dump().items() if value is not None}
+    return {
+        **asked,
+        "title": FIGURES[goal.metric].title,
+        "before": result.before,
+        "after": result.after,
+        "merit_before" if isinstance(goal, Term) else "excess_before": result.share_before,
+        "merit_after" if isinstance(goal, Term) else "excess_after": result.share_after,
+    }
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.7g}" if isinstance(value, float | np.floating) else literal(value)

@@ -1,0 +1,392 @@
+"""A design as a problem of least squares: residuals of its merit and their derivatives, by the places of its knobs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.objects.refractors import measured
+from lfmesh.scene import Scene, solved
+from lfmesh.scene.files import with_lens_file
+from lfmesh.scene.first_order.report import facts_of_solved
+from lfmesh.study.metrics.metrics import METRICS, metric_of
+from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term
+from lfmesh.study.optimise.figures import FIGURES, camera_values, shown_value
+from lfmesh.study.optimise.jet import Jet, constant
+from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of
+from lfmesh.study.optimise.ray_figures import RayFigures, ray_figures_of
+from lfmesh.study.optimise.renders import Renders
+from lfmesh.study.sweeps.plan import path_faults
+from lfmesh.study.sweeps.study_file import refused
+
+Array = NDArray[np.float64]
+
+DIFFERENCE = 1e-5
+"""Share of a range by which a knob is moved for the derivatives of numbers in closed form, by central differences."""
+
+RENDERED_DIFFERENCE = 1e-2
+"""The same for figures of pictures, which have noise, with the same random numbers."""
+
+KEPT = 1e-6
+"""Excess over a limit, over the limit's size, up to which a constraint is kept."""
+
+Picks = tuple[int, ...]
+"""Number of the value of every choice."""
+
+
+class Place(NamedTuple):
+    """A camera of a design.
+
+    Attributes
+    ----------
+    at : (n,) float64
+        Of every knob in its range, from 0 to 1.
+    picks : tuple of int
+    """
+
+    at: Array
+    picks: Picks
+
+
+class Rated(NamedTuple):
+    """A camera with its figures.
+
+    Attributes
+    ----------
+    place : Place
+    figures : dict of Jet
+        By the terms and constraints that name them.
+    """
+
+    place: Place
+    figures: dict[Goal, Jet]
+
+    @property
+    def finite(self) -> bool:
+        """True if the camera is valid, all rays have a path and all figures a value."""
+        return all(np.isfinite(jet.value).all() for jet in self.figures.values())
+
+
+@dataclass(frozen=True)
+class Pressure:
+    """Augmented Lagrangian: how hard constraints press on the merit.
+
+    Attributes
+    ----------
+    stiffness : float
+    multipliers : (k,) float64
+        Of each excess.
+    """
+
+    stiffness: float
+    multipliers: Array
+
+    def residuals(self, excess: Jet) -> Jet:
+        """Return √µ max(0, c + λ/µ) of excesses c over limits, (k,)."""
+        root = float(np.sqrt(self.stiffness))
+        pressed = (excess + self.multipliers / self.stiffness) * root
+        active = pressed.value > 0.0
+        return Jet(np.where(active, pressed.value, 0.0), np.where(active[:, None], pressed.slope, 0.0))
+
+    def raised(self, excess: Array) -> Array:
+        """Return the multipliers after a search that ended with some excesses."""
+        return np.maximum(0.0, self.multipliers + self.stiffness * excess)
+
+
+class Problem:
+    """A design whose variables, merit and constraints are known to be sound.
+
+    Parameters
+    ----------
+    design : DesignFile
+    scene : Scene
+        The camera to begin with.
+    name : str
+        What messages call the design.
+
+    Raises
+    ------
+    LfmeshError
+        With one line for each fault.
+    """
+
+    def __init__(self, design: DesignFile, scene: Scene, name: str = "design") -> None:
+        lens = with_lens_file(scene.camera.lens, scene.folder)
+        if lens is not scene.camera.lens:
+            scene = scene.changed({"camera.lens": lens.model_dump()})
+        faults = list(path_faults(design.changes, scene, "changes"))
+        if faults:
+            raise refused(name, faults)
+        self.scene = scene.changed(design.changes) if design.changes else scene
+        self.design = design
+        self.knobs: list[Knob]
+        self.choices: list[Choice]
+        self.knobs, self.choices, faults = knobs_of(design.variables, self.scene)
+        solved_scene = self._solved(self.scene)
+        faults += [
+            f"{key}[{i}].metric: {goal.metric} needs a camera with a microlens array"
+            for key, goals in (("merit", design.merit), ("constraints", design.constraints))
+            for i, goal in enumerate(goals)
+            if solved_scene.camera.mla is None and _is_of_array(goal.metric)
+        ]
+        if faults:
+            raise refused(name, faults)
+        self.evaluations = 0
+        self._last: Rated | None = None
+        self._refuse_unknown_values(name)
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """Terms of the merit, then constraints."""
+        return (*self.design.merit, *self.design.constraints)
+
+    @cached_property
+    def start(self) -> Place:
+        """The camera to begin with."""
+        at = np.array([knob.place(knob.start) for knob in self.knobs])
+        return Place(at, tuple(choice.start for choice in self.choices))
+
+    @cached_property
+    def rays(self) -> RayFigures | None:
+        """The rays of the design; None where no figure is of rays."""
+        return self._rays_of(self.scene, self.design.rays) if self.of_rays else None
+
+    @property
+    def of_rays(self) -> list[Goal]:
+        """Terms and constraints of rays."""
+        return [goal for goal in self.goals if FIGURES[goal.metric].source == "rays"]
+
+    @cached_property
+    def renders(self) -> Renders | None:
+        """The pictures of the design; None where no figure is of pictures."""
+        columns = dict.fromkeys(goal.metric for goal in self.goals if FIGURES[goal.metric].source == "render")
+        return Renders(self._solved(self.scene), tuple(columns)) if columns else None
+
+    def scene_at(self, place: Place) -> Scene:
+        """Return the scene of a camera, with what it leaves to be solved.
+
+        Raises
+        ------
+        LfmeshError
+            It is not valid.
+        """
+        return self.scene.changed(self.values_at(place)) if self.design.variables else self.scene
+
+    def values_at(self, place: Place) -> dict[str, Any]:
+        """Return the values of all variables, by their paths, in their order; that of the scene where it is kept."""
+        found: dict[str, Any] = {}
+        for knob, at, first in zip(self.knobs, place.at, self.start.at, strict=True):
+            found[knob.variable.path] = knob.start if at == first else knob.value(float(at))
+        for choice, pick in zip(self.choices, place.picks, strict=True):
+            found[choice.variable.path] = choice.values[pick]
+        return {variable.path: found[variable.path] for variable in self.design.variables}
+
+    def rated(self, place: Place, *, slopes: bool = False) -> Rated:
+        """Return a camera's figures, NaN where it is not valid, with their derivatives by the knobs if wanted.
+
+        Derivatives of rays are those of traced rays by the numbers of the lens; those of these numbers, and of figures
+        of the solved scene, are central differences of their closed forms; those of pictures are differences with
+        common random numbers.
+
+        Parameters
+        ----------
+        place : Place
+        slopes : bool
+        """
+        if not slopes and self._last is not None and _same(self._last.place, place):
+            return self._last
+        self.evaluations += not slopes
+        numbers = _with_slopes(self._numbers, place, DIFFERENCE if slopes else 0.0)
+        pictures = _with_slopes(self._pictures, place, RENDERED_DIFFERENCE if slopes else 0.0)
+        figures = self._figures(numbers, pictures)
+        rated = Rated(place, figures)
+        if not slopes:
+            self._last = rated
+        return rated
+
+    def residuals(self, rated: Rated) -> Jet:
+        """Return the residuals of the merit, which is the sum of their squares."""
+        return joined([term_residuals(term, rated.figures[term]) for term in self.design.merit])
+
+    def excess(self, rated: Rated) -> Jet:
+        """Return by how much limits are exceeded, over their size; below 0 inside; (k,), with derivatives."""
+        return joined([excess_of(each, rated.figures[each]) for each in self.design.constraints])
+
+    def merit(self, rated: Rated) -> float:
+        """Return the merit, the smaller the better."""
+        residuals = self.residuals(rated).value
+        return float(residuals @ residuals)
+
+    def violation(self, rated: Rated) -> float:
+        """Return the largest excess over a limit; 0 where all are kept."""
+        excess = float(self.excess(rated).value.max(initial=0.0)) if self.design.constraints else 0.0
+        return excess if excess > KEPT else 0.0
+
+    def looked_at_again(self, place: Place) -> dict[Goal, float]:
+        """Return figures of rays by more than twice as many rays across, of those that pass the camera itself.
+
+        Twice as many would have the same moiré.
+
+        Parameters
+        ----------
+        place : Place
+
+        Raises
+        ------
+        LfmeshError
+            Rays of a field do not pass it.
+        """
+        if not self.of_rays:
+            return {}
+        scene, asked = self.scene_at(place), self.design.rays
+        rays = self._rays_of(scene, asked.model_copy(update={"across": 2 * asked.across + 3}))
+        numbers = constant(rays.layout.numbers_of(self._solved(scene)), 0)
+        landed = rays.landed(numbers)
+        return {goal: shown_value(goal.metric, rays.values(goal, landed, numbers).value) for goal in self.of_rays}
+
+    def _rays_of(self, scene: Scene, asked: Rays) -> RayFigures:
+        shares = tuple(goal.field for goal in self.of_rays if goal.field is not None)
+        return ray_figures_of(self._solved(scene), asked, shares)
+
+    def _solved(self, scene: Scene) -> Scene:
+        return solved(measured(scene))
+
+    def _numbers(self, place: Place) -> Array:
+        """Return all that figures follow from in closed form: numbers of the lens, figures of the solved scene."""
+        scene = self._solved(self.scene_at(place))
+        lens = self.rays.layout.numbers_of(scene) if self.rays is not None else np.empty(0)
+        facts = facts_of_solved(scene)
+        return np.concatenate([lens, *(camera_values(goal.metric, scene, facts) for goal in self._of_camera)])
+
+    def _pictures(self, place: Place) -> Array:
+        return np.empty(0) if self.renders is None else self.renders.values(self._solved(self.scene_at(place)))
+
+    @property
+    def _of_camera(self) -> list[Goal]:
+        return [goal for goal in self.goals if FIGURES[goal.metric].source == "camera"]
+
+    @cached_property
+    def _sizes(self) -> tuple[int, list[int]]:
+        """Number of the lens's numbers, and of the values of each figure of the solved scene."""
+        scene = self._solved(self.scene)
+        facts = facts_of_solved(scene)
+        lens = len(self.rays.layout.numbers_of(scene)) if self.rays is not None else 0
+        return lens, [len(camera_values(goal.metric, scene, facts)) for goal in self._of_camera]
+
+    def _figures(self, numbers: Jet | None, pictures: Jet | None) -> dict[Goal, Jet]:
+        if numbers is None or pictures is None:
+            return dict.fromkeys(self.goals, Jet(np.full(1, np.nan), np.zeros((1, len(self.knobs)))))
+        lens, sizes = self._sizes
+        found: dict[Goal, Jet] = {}
+        ends = np.cumsum([lens, *sizes])
+        for goal, first, last in zip(self._of_camera, ends, ends[1:], strict=False):
+            found[goal] = numbers.picked(slice(int(first), int(last)))
+        if self.rays is not None:
+            of_lens = numbers.picked(slice(0, lens))
+            landed = self.rays.landed(of_lens)
+            for goal in self.of_rays:
+                found[goal] = self.rays.values(goal, landed, of_lens)
+        for goal in self.goals:
+            if self.renders is not None and goal.metric in self.renders.columns:
+                at = self.renders.columns.index(goal.metric)
+                found[goal] = pictures.picked(slice(at, at + 1))
+        return found
+
+    def _refuse_unknown_values(self, name: str) -> None:
+        """Refuse a design whose first camera has no merit."""
+        # The first camera must be valid: what is wrong with it is said in its own words.
+        self._numbers(self.start)
+        rated = self.rated(self.start)
+        faults = [
+            f"{key}[{i}].metric: {goal.metric} is {shown_value(goal.metric, rated.figures[goal].value):g} in the "
+            "camera to begin with; begin with one where it is a number"
+            for key, goals in (("merit", self.design.merit), ("constraints", self.design.constraints))
+            for i, goal in enumerate(goals)
+            if not np.isfinite(rated.figures[goal].value).all()
+        ]
+        if faults:
+            raise refused(name, faults)
+
+
+def term_residuals(term: Term, values: Jet) -> Jet:
+    """Return the residuals of a term, whose squares add up to (weight · (value − target))²."""
+    if FIGURES[term.metric].shown == "rms":
+        if term.wanted == 0.0:
+            return values * term.weight
+        square = Jet((values.value @ values.value)[None], 2.0 * (values.value @ values.slope)[None])
+        return (square.root() - term.wanted) * term.weight
+    return (values - term.wanted) * (term.weight / float(np.sqrt(len(values.value))))
+
+
+def excess_of(constraint: Constraint, values: Jet) -> Jet:
+    """Return by how much values exceed limits, over the size of these; of a limit of 0 in the unit of the values."""
+    if FIGURES[constraint.metric].shown == "rms":
+        values = Jet((values.value @ values.value)[None], 2.0 * (values.value @ values.slope)[None]).root()
+    beyond = []
+    if constraint.least is not None:
+        beyond.append((constraint.least - values) * (1.0 / (abs(constraint.least) or 1.0)))
+    if constraint.most is not None:
+        beyond.append((values - constraint.most) * (1.0 / (abs(constraint.most) or 1.0)))
+    return joined(beyond)
+
+
+def joined(parts: Sequence[Jet]) -> Jet:
+    """Return jets of one dimension one after the other."""
+    return Jet(np.concatenate([part.value for part in parts]), np.concatenate([part.slope for part in parts]))
+
+
+def _with_slopes(function: Callable[[Place], Array], place: Place, share: float) -> Jet | None:
+    """Return values with their derivatives by central differences; one-sided where a camera beyond is not valid.
+
+    Parameters
+    ----------
+    function : callable
+        Returns values of a camera, (k,); raises `LfmeshError` where it is not valid.
+    place : Place
+    share : float
+        Of each range; 0: no derivatives.
+
+    Returns
+    -------
+    Jet or None
+        None where the camera itself is not valid.
+    """
+    middle = _known(function, place)
+    if middle is None:
+        return None
+    slope = np.zeros((len(middle), len(place.at)))
+    for number in range(len(place.at) if share and len(middle) else 0):
+        step = np.zeros(len(place.at))
+        step[number] = share
+        before, after = (_known(function, Place(place.at + sign * step, place.picks)) for sign in (-1.0, 1.0))
+        if before is not None and after is not None:
+            slope[:, number] = (after - before) / (2.0 * share)
+            continue
+        sign, near = (1.0, after) if after is not None else (-1.0, before)
+        far = _known(function, Place(place.at + 2.0 * sign * step, place.picks))
+        if near is None or far is None:
+            return None
+        slope[:, number] = sign * (4.0 * near - far - 3.0 * middle) / (2.0 * share)
+    return Jet(middle, slope)
+
+
+def _known(function: Callable[[Place], Array], place: Place) -> Array | None:
+    try:
+        return function(place)
+    except LfmeshError:
+        return None
+
+
+def _same(place: Place, other: Place) -> bool:
+    return place.picks == other.picks and np.array_equal(place.at, other.at)
+
+
+def _is_of_array(metric: str) -> bool:
+    """Tell whether only a camera with a microlens array has a figure."""
+    if FIGURES[metric].source == "render":
+        return METRICS[metric_of(metric)].needs_mla
+    return metric.startswith(("micro", "view"))

@@ -1,0 +1,262 @@
+"""Rays of a lens with their derivatives by the variables, all rays at once.
+
+Rays run from their object points through given points of the stop to the image plane, along the same surfaces however
+the numbers vary: paths are fixed, and apertures take none of them. Newton's iterations, towards a surface and towards
+the point of the stop, are done on plain numbers; one more step with jets from where they ended is the implicit function
+theorem, and gives the derivatives of the solution.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.study.optimise.jet import Jet, Number, constant
+from lfmesh.study.optimise.lens_numbers import LensNumbers, RayLayout, SurfaceNumbers
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Vector = tuple[Number, Number, Number]
+
+STEPS = 30
+"""Of Newton's method, towards a surface or a point of the stop."""
+
+SETTLED = 1e-13
+"""Step of Newton's method, over the lengths that it is added to, at which it ends."""
+
+AIMED = 1e-9
+"""Distance from the point of the stop, in stop radii, at which a ray counts as aimed."""
+
+MOST_STEP = 0.5
+"""Longest step of the aim, in stop radii at the first vertex."""
+
+
+class RayFan(NamedTuple):
+    """Rays that are sent.
+
+    Attributes
+    ----------
+    pupil : (n, 2) float64
+        Points of the stop, in its radii.
+    field, wave : (n,) int64
+        Number of the field and of the wavelength.
+    """
+
+    pupil: Array
+    field: Whole
+    wave: Whole
+
+
+class Landed(NamedTuple):
+    """Rays at the image plane.
+
+    Attributes
+    ----------
+    x, y : Jet
+        (n,), mm; NaN where a ray does not arrive.
+    entry : (n, 2) float64
+        Where they cross the plane of the first vertex, mm.
+    """
+
+    x: Jet
+    y: Jet
+    entry: Array
+
+
+def land(layout: RayLayout, numbers: Jet, fan: RayFan, guess: Array) -> Landed:
+    """Follow rays through points of the stop to the image plane.
+
+    Parameters
+    ----------
+    layout : RayLayout
+    numbers : Jet
+        Those of the lens, with their derivatives by m variables; m may be 0.
+    fan : RayFan
+    guess : (n, 2) float64
+        About where the rays cross the plane of the first vertex, mm.
+
+    Returns
+    -------
+    Landed
+        With derivatives by the m variables, every ray aimed anew.
+    """
+    with np.errstate(all="ignore"):
+        entry = _aimed(layout, numbers.value, fan, guess)
+        variables = numbers.slope.shape[-1]
+        lens = layout.opened(Jet(numbers.value, np.pad(numbers.slope, ((0, 0), (0, 2)))))
+        x, y, stop = _followed(layout, lens, fan, _seeded(entry, variables), to_image=True)
+        # The ray stays at its point of the stop while variables move: what that takes of the entry.
+        off = [stop[k] - lens.stop_radius * fan.pupil[:, k] for k in (0, 1)]
+        slopes = np.stack([each.slope for each in off], axis=1)
+        moved = -np.linalg.solve(_regular(slopes[:, :, variables:]), slopes[:, :, :variables])
+        landed = [
+            Jet(at.value, at.slope[:, :variables] + np.einsum("nk,nkm->nm", at.slope[:, variables:], moved))
+            for at in (x, y)
+        ]
+    return Landed(landed[0], landed[1], entry)
+
+
+def _regular(matrices: Array) -> Array:
+    """Return matrices (n, 2, 2) with the identity in place of those that cannot be solved with."""
+    fine = np.abs(np.linalg.det(np.where(np.isfinite(matrices), matrices, 0.0))) > 0.0
+    return np.where(fine[:, None, None], matrices, np.eye(2))
+
+
+def _seeded(entry: Array, variables: int) -> tuple[Jet, Jet]:
+    """Return the entries of rays, which are the last two variables."""
+    x, y = (constant(entry[:, k], variables + 2) for k in (0, 1))
+    x.slope[:, variables] = 1.0
+    y.slope[:, variables + 1] = 1.0
+    return x, y
+
+
+def _aimed(layout: RayLayout, numbers: Array, fan: RayFan, guess: Array) -> Array:
+    """Return where rays must cross the plane of the first vertex, (n, 2) mm; NaN where none is found."""
+    lens = layout.opened(constant(numbers, 2))
+    radius = float(lens.stop_radius.value)
+    aim, entry = radius * fan.pupil, guess.copy()
+    for _ in range(STEPS):
+        _, _, stop = _followed(layout, lens, fan, _seeded(entry, 0), to_image=False)
+        off = np.stack([stop[0].value, stop[1].value], axis=1) - aim
+        matrix = np.stack([stop[0].slope, stop[1].slope], axis=1)
+        step = -np.linalg.solve(_regular(matrix), off[:, :, None])[:, :, 0]
+        length = np.hypot(*step.T)
+        most = MOST_STEP * radius
+        entry += step * np.where(length > most, most / length, 1.0)[:, None]
+        if not np.any(length > SETTLED * (radius + np.abs(entry).max(axis=1))):
+            break
+    # The last step was Newton's: what is left is its square.
+    return np.where((length <= AIMED * radius)[:, None], entry, np.nan)
+
+
+def _followed(
+    layout: RayLayout, lens: LensNumbers, fan: RayFan, entry: tuple[Jet, Jet], *, to_image: bool
+) -> tuple[Jet, Jet, tuple[Jet, Jet]]:
+    """Return where rays meet the image plane, and the surface of the stop, in its frame."""
+    p, d = _starts(lens, fan, entry)
+    stop: tuple[Jet, Jet] = entry
+    for number, surface in enumerate(lens.surfaces):
+        p, d = _into(surface.pose, p, d)
+        pure = number == layout.stop and layout.pure_stop
+        p = _met(surface, () if pure else layout.powers[number], p, d)
+        if number == layout.stop:
+            stop = (_as_jet(p[0]), _as_jet(p[1]))
+            if not to_image:
+                break
+        if not pure:
+            before, after = (lens.indices.picked((fan.wave, number + k)) for k in (0, 1))
+            d = _bent(surface, layout.powers[number], p, d, before / after)
+        p, d = _out_of(surface.pose, p, d)
+    if not to_image:
+        return *stop, stop
+    t = (lens.image_z - p[2]) / d[2]
+    return _as_jet(p[0] + t * d[0]), _as_jet(p[1] + t * d[1]), stop
+
+
+def _starts(lens: LensNumbers, fan: RayFan, entry: tuple[Jet, Jet]) -> tuple[Vector, Vector]:
+    """Return rays at the plane of the first vertex, with unit directions; see `LensRays.starts`."""
+    slope = lens.slopes.picked(fan.field)
+    x, y = entry[0] * lens.vergence, entry[1] * lens.vergence - slope
+    scale = 1.0 / (x * x + y * y + 1.0).root()
+    return (entry[0], entry[1], entry[0] * 0.0), (x * scale, y * scale, scale)
+
+
+def _is_upright(pose: Jet) -> bool:
+    return bool((pose.value[:, :3] == np.eye(3)).all() and not pose.slope[:, :3].any())
+
+
+def _into(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Return rays in the frame of a surface, at the plane of its vertex."""
+    p = tuple(p[i] - pose.picked((i, 3)) for i in range(3))  # type: ignore[assignment]
+    if not _is_upright(pose):
+        p, d = (_turned(pose, vector, back=True) for vector in (p, d))
+    t = -p[2] / d[2]
+    return (p[0] + t * d[0], p[1] + t * d[1], p[2] * 0.0), d
+
+
+def _out_of(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
+    """Return rays in the camera frame."""
+    if not _is_upright(pose):
+        p, d = (_turned(pose, vector, back=False) for vector in (p, d))
+    return tuple(p[i] + pose.picked((i, 3)) for i in range(3)), d  # type: ignore[return-value]
+
+
+def _turned(pose: Jet, vector: Vector, *, back: bool) -> Vector:
+    rows = range(3)
+    at = [[pose.picked((j, i) if back else (i, j)) for j in rows] for i in rows]
+    return tuple(sum((at[i][j] * vector[j] for j in rows), 0.0) for i in rows)  # type: ignore[return-value]
+
+
+def _met(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector) -> Vector:
+    """Return where rays, at the plane of the vertex, meet a surface.
+
+    The conic is met in closed form, other terms by Newton's method from there, on values. A last step with jets gives
+    the derivatives, -(∂F/∂variables)/(∂F/∂t) of F = z - sag.
+    """
+    values, ahead = [_value(each) for each in p], (_value(d[0]), _value(d[1]), _value(d[2]))
+    plain = SurfaceNumbers(*(constant(each.value, 0) for each in surface))
+    c, k = surface.curvature.value, surface.conic.value
+    square = c * (ahead[0] * ahead[0] + ahead[1] * ahead[1] + (1.0 + k) * ahead[2] * ahead[2])
+    linear = c * (values[0] * ahead[0] + values[1] * ahead[1]) - ahead[2]
+    rest = c * (values[0] * values[0] + values[1] * values[1])
+    t = rest / (np.sqrt(linear * linear - square * rest) - linear)
+    start: Vector = (constant(values[0], 0), constant(values[1], 0), constant(values[2], 0))
+    for _ in range(STEPS if powers else 0):
+        excess, fall = _excess(plain, powers, _moved(start, ahead, t), ahead)
+        step = _value(excess) / _value(fall)
+        t = np.asarray(t - step)
+        if not np.any(np.abs(step) > SETTLED * (1.0 + np.abs(t))):
+            break
+    at = _moved(p, d, t)
+    excess, fall = _excess(surface, powers, at, d)
+    return _moved(at, d, -excess / _value(fall))
+
+
+def _moved(p: Vector, d: Vector, t: Number) -> Vector:
+    return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
+
+
+def _excess(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector) -> tuple[Number, Number]:
+    """Return how far behind a surface points lie along z, and the derivative of that along rays."""
+    r2 = _as_jet(p[0] * p[0] + p[1] * p[1])
+    sag, double = _sag(surface, powers, r2)
+    return p[2] - sag, d[2] - double * (p[0] * d[0] + p[1] * d[1])
+
+
+def _sag(surface: SurfaceNumbers, powers: tuple[int, ...], r2: Jet) -> tuple[Number, Number]:
+    """Return the sag at heights whose squares are given, and its derivative by the height over the height."""
+    c = surface.curvature
+    root = (1.0 - (surface.conic + 1.0) * c * c * r2).root()
+    sag, double = c * r2 / (root + 1.0), c / root
+    if powers:
+        r = r2.root()
+        for number, power in enumerate(powers):
+            a = surface.terms.picked(number)
+            lower = r.power(power - 2)
+            sag, double = sag + a * lower * r2, double + a * lower * float(power)
+    return sag, double
+
+
+def _bent(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector, ratio: Jet) -> Vector:
+    """Return the directions of rays behind a surface: Snell's law in vectors, or the ideal thin lens."""
+    if surface.thin_power.value != 0.0 or surface.thin_power.slope.any():
+        x, y = (d[i] / d[2] - surface.thin_power * p[i] for i in (0, 1))
+        scale = 1.0 / (_as_jet(x * x + y * y + 1.0)).root()
+        return x * scale, y * scale, scale
+    _, double = _sag(surface, powers, _as_jet(p[0] * p[0] + p[1] * p[1]))
+    normal = (-double * p[0], -double * p[1], 1.0)
+    scale = 1.0 / _as_jet(normal[0] * normal[0] + normal[1] * normal[1] + 1.0).root()
+    normal = tuple(each * scale for each in normal)  # type: ignore[assignment]
+    cosine = sum((normal[i] * d[i] for i in range(3)), 0.0)
+    behind = (1.0 - ratio * ratio * (1.0 - cosine * cosine)).root()
+    along = behind - ratio * cosine
+    return tuple(ratio * d[i] + along * normal[i] for i in range(3))  # type: ignore[return-value]
+
+
+def _value(number: Number) -> Array:
+    return number.value if isinstance(number, Jet) else np.asarray(number, dtype=np.float64)
+
+
+def _as_jet(number: Number) -> Jet:
+    assert isinstance(number, Jet)
+    return number

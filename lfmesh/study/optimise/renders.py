@@ -1,0 +1,60 @@
+"""Figures of pictures: columns of a study's table, of a camera against the one to begin with."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.scene import Scene
+from lfmesh.study.metrics.metrics import METRICS, Comparison, metric_of, pictures_of
+from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, Films, films
+from lfmesh.study.sweeps.statistics import combined
+
+Array = NDArray[np.float64]
+
+
+class Renders:
+    """Renders cameras with the random numbers of the first one, so that differences are sharp.
+
+    Parameters
+    ----------
+    scene : Scene
+        The camera to begin with, solved.
+    columns : sequence of str
+        Of a study's table.
+    """
+
+    def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
+        self.columns = tuple(columns)
+        self.metrics = tuple(dict.fromkeys(metric_of(column) for column in columns))
+        edge_mm = min(solved_camera(scene).report.object_distance_mm, FARTHEST_MM)
+        self._reference = Camera(scene, edge_mm)
+
+    @cached_property
+    def _reference_films(self) -> Films:
+        return self._traced(self._reference)
+
+    def _traced(self, camera: Camera) -> Films:
+        return films(camera, pictures_of(self.metrics), range(camera.scene.transport.replicates))
+
+    def values(self, scene: Scene) -> Array:
+        """Return the columns of a solved camera, (k,); NaN where one is not known.
+
+        Raises
+        ------
+        LfmeshError
+            It cannot be traced.
+        """
+        camera = Camera(scene, self._reference.edge_distance_mm)
+        pair = Comparison(
+            camera, self._reference, self._traced(camera), self._reference_films, scene.transport.replicates
+        )
+        found = {}
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for name in self.metrics:
+                values = METRICS[name].compute(pair)
+                for number, column in enumerate(METRICS[name].columns):
+                    found[column.name] = column.estimate(combined(np.ascontiguousarray(values[:, number]))).value
+        return np.array([found[name] for name in self.columns])

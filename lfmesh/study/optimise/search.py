@@ -1,0 +1,221 @@
+"""The search for the best camera of a design: least squares within ranges, starts, choices, differential evolution.
+
+All of it is scipy's: `least_squares` (trust region reflective) with the derivatives of the problem, Latin hypercubes
+and `differential_evolution`. A camera that is not valid, or in which a ray loses its path, has no residuals; a step
+that leads to one is shortened.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.study.optimise.jet import Jet
+from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem, Rated, joined
+
+Array = NDArray[np.float64]
+
+ROUNDS = 20
+"""Searches by least squares with constraints, each with more pressure."""
+
+PRESSURE = 0.1
+"""Stiffness of constraints at first, over the merit: weak, so that the search is not forced along them from afar."""
+
+STIFFER = 4.0
+"""Factor of the stiffness where a round has not brought the excess down to `FALL` of what it was."""
+
+FALL = 0.25
+
+STEADY = 1e-3
+"""Relative change of the multipliers of constraints at which they are taken as known."""
+
+SETTLED = 1e-10
+"""Relative change of merit and places at which a search by least squares ends."""
+
+NO_GRADIENT = float(np.finfo(np.float64).eps)
+"""Gradient at which a search ends at once: that of variables that change nothing."""
+
+COARSE = 1e-3
+"""The same in the first round of several, which get finer by `STIFFER`."""
+
+MOST_COMBINATIONS = 24
+"""Combinations of choices that are all searched; of more, one choice at a time is changed while that helps."""
+
+DRAWS = 20
+"""Cameras drawn for each start, of which one must be valid."""
+
+POPULATION = 8
+"""Members of the population of differential evolution, for each variable."""
+
+NONE = 1e300
+"""In place of the merit of a camera that has none."""
+
+Say = Callable[[str], None]
+
+
+class Search:
+    """A search that keeps the best camera it has seen.
+
+    Parameters
+    ----------
+    problem : Problem
+    say : callable, optional
+        Is told now and then how far the search is.
+
+    Attributes
+    ----------
+    first, best : Rated
+    starts : int
+        Cameras that searches by least squares began with.
+    cut : bool
+        A search ended because it had tried as many cameras as it may, not because it had found its best.
+    """
+
+    def __init__(self, problem: Problem, say: Say | None = None) -> None:
+        self.problem = problem
+        self.say = say or (lambda _: None)
+        self.first = self.best = problem.rated(problem.start)
+        self.starts = 0
+        self.cut = False
+
+    def run(self) -> None:
+        """Search; the best camera is kept even if Ctrl-C ends it."""
+        asked = self.problem.design.search
+        if asked.method == "global":
+            self._evolve()
+            self._over_choices(self.best.place)
+            return
+        for place in self._places(asked.starts, asked.seed):
+            self._over_choices(place)
+
+    def rank(self, rated: Rated) -> tuple[float, float]:
+        """Return what is the smaller the better a camera is: its excess over limits, then its merit."""
+        if not rated.finite:
+            return math.inf, math.inf
+        return self.problem.violation(rated), self.problem.merit(rated)
+
+    def _rated(self, at: Array, picks: Picks) -> Rated:
+        rated = self.problem.rated(Place(np.clip(at, 0.0, 1.0), picks))
+        if self.rank(rated) < self.rank(self.best):
+            self.best = rated
+        first, best = (self.problem.merit(each) for each in (self.first, self.best))
+        self.say(f"cameras tried: {self.problem.evaluations}, merit {best:.4g} ({first:.4g} at first)")
+        return rated
+
+    def _places(self, count: int, seed: int) -> Iterator[Place]:
+        """Yield the camera of the scene, and others drawn from the ranges."""
+        start = self.problem.start
+        yield start
+        if count == 1 or not self.problem.knobs:
+            return
+        from scipy.stats import qmc
+
+        draws = qmc.LatinHypercube(len(self.problem.knobs), rng=np.random.default_rng(seed)).random(DRAWS * (count - 1))
+        valid = (Place(at, start.picks) for at in draws if self._rated(at, start.picks).finite)
+        yield from itertools.islice(valid, count - 1)
+
+    def _over_choices(self, place: Place) -> None:
+        """Search from a camera, with all combinations of its choices or with better ones, one changed at a time."""
+        counts = [len(choice.values) for choice in self.problem.choices]
+        if math.prod(counts) <= MOST_COMBINATIONS:
+            for picks in sorted(itertools.product(*map(range, counts)), key=lambda picks: picks != place.picks):
+                self._descend(place.at, picks)
+            return
+        found = self._descend(place.at, place.picks)
+        improves = True
+        while improves:
+            improves = False
+            for number, count in enumerate(counts):
+                for pick in range(count):
+                    picks = (*found.place.picks[:number], pick, *found.place.picks[number + 1 :])
+                    if picks == found.place.picks:
+                        continue
+                    other = self._descend(found.place.at, picks)
+                    if self.rank(other) < self.rank(found):
+                        found, improves = other, True
+
+    def _descend(self, at: Array, picks: Picks) -> Rated:
+        """Search by least squares from a camera, with rising pressure of the constraints, and return the last one."""
+        self.starts += 1
+        rated = self._rated(at, picks)
+        if not rated.finite or not self.problem.knobs:
+            return rated
+        constraints = self.problem.design.constraints
+        size = len(self.problem.excess(rated).value) if constraints else 0
+        pressure = Pressure(PRESSURE * max(self.problem.merit(rated), KEPT), np.zeros(size))
+        before = math.inf
+        settled = COARSE if constraints else SETTLED
+        for _ in range(ROUNDS if constraints else 1):
+            rated = self._least_squares(rated, pressure, settled)
+            if not constraints:
+                break
+            excess = self.problem.excess(rated).value
+            worst, multipliers = float(excess.max()), pressure.raised(excess)
+            change = np.abs(multipliers - pressure.multipliers).max()
+            if worst <= KEPT and change <= STEADY * multipliers.max():
+                if settled == SETTLED:
+                    break
+                settled = SETTLED
+            stiffness = pressure.stiffness * (STIFFER if worst > max(FALL * before, KEPT) else 1.0)
+            pressure, before = Pressure(stiffness, multipliers), worst
+            settled = max(SETTLED, settled / STIFFER)
+        return rated
+
+    def _least_squares(self, rated: Rated, pressure: Pressure, settled: float) -> Rated:
+        from scipy.optimize import least_squares
+
+        problem, picks = self.problem, rated.place.picks
+
+        def pressed(at: Array, *, slopes: bool) -> Jet:
+            found = problem.rated(Place(at, picks), slopes=True) if slopes else self._rated(at, picks)
+            residuals = problem.residuals(found)
+            if not problem.design.constraints:
+                return residuals
+            return joined([residuals, pressure.residuals(problem.excess(found))])
+
+        size = len(pressed(rated.place.at, slopes=False).value)
+
+        def values(at: Array) -> Array:
+            value = pressed(at, slopes=False).value
+            return value if len(value) == size and np.isfinite(value).all() else np.full(size, np.inf)
+
+        def slopes(at: Array) -> Array:
+            slope = pressed(at, slopes=True).slope
+            # A camera at the border of what is valid, around which nothing can be told: the search ends there.
+            return slope if len(slope) == size and np.isfinite(slope).all() else np.zeros((size, len(at)))
+
+        found = least_squares(
+            values, np.clip(rated.place.at, 0.0, 1.0), slopes, bounds=(0.0, 1.0), x_scale="jac", ftol=settled,
+            xtol=settled, gtol=NO_GRADIENT, max_nfev=problem.design.search.evaluations,
+        )  # fmt: skip
+        self.cut |= found.status == 0
+        return self._rated(found.x, picks)
+
+    def _evolve(self) -> None:
+        """Search all ranges and values by differential evolution."""
+        from scipy.optimize import differential_evolution
+
+        problem = self.problem
+        knobs, choices = len(problem.knobs), problem.choices
+        scale = max(problem.merit(self.first), KEPT) / KEPT
+
+        def badness(variables: Array) -> float:
+            rated = self._rated(variables[:knobs], tuple(int(pick) for pick in np.round(variables[knobs:])))
+            if not rated.finite:
+                return NONE
+            return problem.merit(rated) + scale * problem.violation(rated)
+
+        number = knobs + len(choices)
+        start = problem.start
+        differential_evolution(
+            badness,
+            [(0.0, 1.0)] * knobs + [(0, len(choice.values) - 1) for choice in choices],
+            integrality=[False] * knobs + [True] * len(choices),
+            x0=np.array([*np.clip(start.at, 0.0, 1.0), *start.picks]),
+            popsize=POPULATION,
+            maxiter=max(1, problem.design.search.evaluations // (POPULATION * number)),
+            rng=np.random.default_rng(problem.design.search.seed),
+            polish=False,
+        )

@@ -1,0 +1,186 @@
+"""Design files: what they hold, what is refused in one line, and what `lfmesh optimise` writes."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.errors import LfmeshError
+from lfmesh.study.optimise.figures import FIGURES
+from tests.cameras import close_up_camera
+from tests.study.optimise.test_optimise import RADIUS, THICKNESS, focal_length, plano_convex
+
+SCENE = plano_convex()
+VARIABLE: dict[str, Any] = {"path": RADIUS, "range": [20.0, 90.0]}
+TERM: dict[str, Any] = {"metric": "efl_mm", "target": 80.0}
+
+REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "no variables": ({"variables": []}, ["variables: missing"]),
+    "no merit": ({"merit": []}, ["merit: missing"]),
+    "unknown path": (
+        {"variables": [{**VARIABLE, "path": "camera.lens.surfaces[7].radius_mm"}]},
+        ['variables[0].path = "camera.lens.surfaces[7].radius_mm"', "2 entries"],
+    ),
+    "mistyped path": ({"variables": [{**VARIABLE, "path": "camera.lens.surfaces[0].radius"}]}, ["radius_mm"]),
+    "range reversed": ({"variables": [{**VARIABLE, "range": [90.0, 20.0]}]}, ["range = [90.0, 20.0]", "reversed"]),
+    "range of a radius with 0": ({"variables": [{**VARIABLE, "range": [0.0, 90.0]}]}, ["a radius is not 0"]),
+    "start outside of the range": (
+        {"variables": [{**VARIABLE, "range": [50.0, 90.0]}]}, ["range = [50, 90]", "is 40 in the scene, outside"],
+    ),
+    "neither range nor values": ({"variables": [{"path": RADIUS}]}, ["variables[0]", "neither range and values"]),
+    "one value": ({"variables": [{"path": RADIUS, "values": [40.0]}]}, ["two values at least"]),
+    "start not among the values": (
+        {"variables": [{"path": RADIUS, "values": [41.0, 42.0]}]}, ["is 40.0 in the scene, which is not among"],
+    ),
+    "no number": ({"variables": [{"path": "camera.lens.surfaces[0].coating", "range": [0.0, 1.0]}]}, ["no number"]),
+    "left to be solved": (
+        {"variables": [{"path": "camera.sensor.distance_mm", "range": [50.0, 80.0]}]}, ["not given", "solved"],
+    ),
+    "whole number": ({"variables": [{"path": "camera.sensor.pixels[0]", "range": [50.0, 150.0]}]}, ["a whole number"]),
+    "twice": ({"variables": [VARIABLE, VARIABLE]}, ["variables[1].path", "is a variable already"]),
+    "unknown metric": (
+        {"merit": [{"metric": "spot_rms"}]}, ['merit[0].metric = "spot_rms"', "did you mean 'spot_rms_mm'"],
+    ),
+    "no target": ({"merit": [{"metric": "efl_mm"}]}, ["merit[0].target: missing", "efl_mm"]),
+    "weight": ({"merit": [{**TERM, "weight": -1.0}]}, ["merit[0].weight = -1.0", "above 0"]),
+    "mistyped key": ({"merit": [{**TERM, "wieght": 1.0}]}, ["wieght", "did you mean 'weight'"]),
+    "frequency": ({"merit": [{"metric": "mtf"}]}, ["merit[0].per_mm: missing"]),
+    "field of no ray": ({"merit": [{**TERM, "field": 0.5}]}, ["merit[0].field = 0.5", "omit it"]),
+    "array": ({"merit": [{"metric": "views_across", "target": 9.0}]}, ["merit[0].metric", "microlens array"]),
+    "one wavelength": ({"merit": [{"metric": "lateral_colour_mm"}]}, ["there is one wavelength"]),
+    "no limit": ({"constraints": [{"metric": "efl_mm"}]}, ["constraints[0]", "no limit"]),
+    "limits crossed": (
+        {"constraints": [{"metric": "efl_mm", "least": 9.0, "most": 8.0}]}, ["constraints[0].most = 8.0"],
+    ),
+    "infinite": ({"merit": [{"metric": "far_mm", "target": 900.0}], "focus": math.inf}, ["far_mm is inf"]),
+    "search": ({"search": {"method": "best"}}, ['search.method = "best"', "'local' or 'global'"]),
+    "too many rays": ({"rays": {"across": 2147483647}}, ["rays.across = 2147483647", "100 or less"]),
+    "wavelengths": (
+        {"merit": [{"metric": "spot_rms_mm"}], "rays": {"wavelengths_nm": [500.0, 600.0]}}, ["wavelengths_nm", "odd"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_fault_is_refused_in_one_line_that_names_it(case: str) -> None:
+    given, words = REFUSED[case]
+    given = {"variables": [VARIABLE], "merit": [TERM], **given}
+    scene = SCENE.changed({"camera.focus_mm": given.pop("focus")}) if "focus" in given else SCENE
+    with pytest.raises(LfmeshError) as refused:
+        lf.optimise(scene, **given)
+    message = str(refused.value)
+    assert len(message.splitlines()) == 1, message
+    for word in words:
+        assert word in message
+
+
+def test_lenses_without_formulas_are_refused_by_terms_of_rays_alone() -> None:
+    toric = {"toroid": {"radius_x_mm": 50.0}, "radius_mm": 40.0}
+    front = {**SCENE.camera.lens.surfaces[0].model_dump(exclude_defaults=True), **toric}
+    scene = SCENE.changed({"camera.lens": {"surfaces": [front, {"semi_diameter_mm": 5.0}]}})
+    with pytest.raises(LfmeshError, match=r"surfaces\[0\]\.toroid"):
+        lf.optimise(scene, [VARIABLE], [{"metric": "spot_rms_mm"}])
+    assert lf.optimise(scene, [VARIABLE], [TERM]).merit_after < 1e-12
+
+
+def test_every_number_of_the_first_order_report_is_a_figure() -> None:
+    facts = lf.first_order(lf.Scene(camera=close_up_camera())).as_dict()
+    numbers = {name for name, value in facts.items() if isinstance(value, float)}
+    assert numbers <= FIGURES.keys()
+
+
+def write_design(folder: Path, *more: str) -> Path:
+    lf.save(SCENE, folder / "camera.toml")
+    lines = [
+        'scene = "camera.toml"',
+        "[changes]",
+        f'"{RADIUS}" = 44.0',
+        "[[variables]]",
+        f'path = "{RADIUS}"',
+        "range = [20.0, 90.0]",
+        "[[variables]]",
+        f'path = "{THICKNESS}"',
+        "range = [1.0, 5.0]",
+        'label = "thickness / mm"',
+        "[[merit]]",
+        'metric = "efl_mm"',
+        "target = 80.0",
+        "[[constraints]]",
+        'metric = "centre_thickness_mm"',
+        "most = 4.0",
+        *more,
+    ]
+    path = folder / "design.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_command_writes_the_best_scene_and_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["optimise", str(write_design(tmp_path)), "-o", str(tmp_path / "best")]) == 0
+    scene = lf.load(tmp_path / "best" / "optimised.toml")
+    assert lf.first_order(scene).efl_mm == pytest.approx(80.0, rel=1e-9)
+    facts = json.loads((tmp_path / "best" / "optimum.json").read_text())
+    (term,), (constraint,) = facts["terms"], facts["constraints"]
+    assert term["before"] == pytest.approx(44.0 / 0.6)
+    assert term["after"] == pytest.approx(80.0)
+    assert facts["merit_before"] == pytest.approx((44.0 / 0.6 - 80.0) ** 2)
+    assert constraint["excess_after"] == 0.0
+    assert facts["variables"][0] == {
+        "path": RADIUS, "before": 44.0, "after": scene.camera.lens.surfaces[0].radius_mm, "note": ""
+    }  # fmt: skip
+    assert facts["complete"]
+    assert facts["cameras_tried"] > 1
+    text = (tmp_path / "best" / "optimum.txt").read_text()
+    printed = capsys.readouterr().out
+    assert text.splitlines()[1] in printed
+    assert "thickness / mm" in text
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["[[merit]]", 'metric = "spotrms"'], ["design.toml", "merit[1].metric", "unknown metric"]),
+        (["[[variables]]"], ["design.toml", "variables[2].path", "missing"]),
+        (["=="], ["design.toml", "not valid TOML"]),
+    ],
+)
+def test_the_command_names_file_and_fault(
+    more: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["optimise", str(write_design(tmp_path, *more)), "-o", str(tmp_path / "best")]) == 2
+    complaint = " ".join(capsys.readouterr().err.split())
+    assert all(word in complaint for word in words), complaint
+    assert not (tmp_path / "best").exists()
+
+
+def test_files_of_another_kind_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    design = write_design(tmp_path)
+    assert main(["optimise", str(tmp_path / "camera.toml"), "-o", str(tmp_path / "best")]) == 2
+    assert "is a scene file, and a design file is needed" in " ".join(capsys.readouterr().err.split())
+    assert main(["check", str(design)]) == 2
+    assert "lfmesh optimise takes it" in " ".join(capsys.readouterr().err.split())
+
+
+def test_ctrl_c_writes_the_best_camera_so_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lfmesh.study.optimise.search import Search
+
+    def interrupted(self: Search) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Search, "run", interrupted)
+    assert main(["optimise", str(write_design(tmp_path)), "-o", str(tmp_path / "best")]) == 130
+    assert lf.load(tmp_path / "best" / "optimised.toml").camera.lens.surfaces[0].radius_mm == 44.0
+    assert not json.loads((tmp_path / "best" / "optimum.json").read_text())["complete"]
+    assert "best camera so far" in capsys.readouterr().err
+
+
+def test_constraints_and_terms_of_the_same_figure_are_told_apart() -> None:
+    found = lf.optimise(SCENE, [VARIABLE], focal_length(80.0), constraints=[{"metric": "efl_mm", "most": 70.0}])
+    assert lf.first_order(found.scene).efl_mm == pytest.approx(70.0, rel=2e-6)
+    assert found.missed == ("efl_mm = 70 is 10 from its target 80",)

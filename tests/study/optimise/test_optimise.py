@@ -1,0 +1,264 @@
+"""`lf.optimise` finds what closed forms say, keeps limits, picks glasses, and says what is not reached."""
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.study.optimise.optimise import best_of, load_design
+from tests.study.optimise.designs import (
+    PUBLISHED_SENSOR_MM,
+    TRIPLET_MM,
+    camera,
+    detuned,
+    lens_variables,
+)
+from tests.study.studies import SHIFT, small_scene
+
+DESIGNS = Path(__file__).resolve().parents[3] / "assets" / "designs"
+RADIUS, THICKNESS = "camera.lens.surfaces[0].radius_mm", "camera.lens.surfaces[0].thickness_mm"
+INDEX = 1.6
+
+
+def plano_convex(radius_mm: float = 40.0, thickness_mm: float = 3.0) -> lf.Scene:
+    """A plano-convex lens, whose focal length is R / (n - 1) whatever its thickness is."""
+    front = {
+        "radius_mm": radius_mm,
+        "thickness_mm": thickness_mm,
+        "index": INDEX,
+        "semi_diameter_mm": 5.0,
+        "stop": True,
+    }
+    return lf.Scene(
+        camera={
+            "focus_mm": 1000.0,
+            "lens": {"surfaces": [front, {"semi_diameter_mm": 5.0}]},
+            "sensor": {"pixels": [100, 100], "pixel_mm": 0.05},
+        }
+    )
+
+
+def focal_length(target: float) -> list[dict[str, Any]]:
+    return [{"metric": "efl_mm", "target": target}]
+
+
+def test_a_focal_length_is_met_by_the_radius_of_its_formula() -> None:
+    found = lf.optimise(plano_convex(), [{"path": RADIUS, "range": [20.0, 90.0]}], focal_length(80.0))
+    assert found.scene.camera.lens.surfaces[0].radius_mm == pytest.approx((INDEX - 1.0) * 80.0, rel=1e-9)
+    assert found.merit_after < 1e-12 < found.merit_before
+    assert not found.missed
+    assert found.first == plano_convex()
+
+
+@pytest.mark.parametrize("target", [40.0, 90.0])
+def test_a_flat_face_becomes_convex_or_hollow_as_the_lensmakers_formula_says(target: float) -> None:
+    found = lf.optimise(
+        plano_convex(), [{"path": "camera.lens.surfaces[1].radius_mm", "range": [-30.0, 30.0]}], focal_length(target)
+    )
+    front, n = 1.0 / 40.0, INDEX
+    back = (front - 1.0 / (target * (n - 1.0))) / (1.0 - (n - 1.0) * 3.0 * front / n)
+    assert found.scene.camera.lens.surfaces[1].radius_mm == pytest.approx(1.0 / back, rel=1e-8)
+
+
+def test_a_target_out_of_range_is_not_reached_and_the_bound_is_named() -> None:
+    found = lf.optimise(plano_convex(), [{"path": RADIUS, "range": [35.0, 60.0]}], focal_length(150.0))
+    (variable,) = found.variables
+    assert variable.note == "at the end of its range, 60"
+    assert variable.after == pytest.approx(60.0, rel=1e-3)
+    assert len(found.missed) == 1
+    assert "efl_mm" in found.missed[0]
+    assert "target 150" in found.missed[0]
+
+
+@pytest.mark.parametrize(("limit", "wanted", "best"), [({"most": 4.0}, 8.0, 4.0), ({"least": 5.0}, 2.0, 5.0)])
+def test_a_limit_is_kept_and_the_best_camera_lies_on_it(limit: dict[str, float], wanted: float, best: float) -> None:
+    found = lf.optimise(
+        plano_convex(),
+        [{"path": THICKNESS, "range": [1.0, 10.0]}],
+        [{"metric": "total_length_mm", "target": 69.0 + wanted}],
+        constraints=[{"metric": "centre_thickness_mm", **limit}],
+    )
+    assert found.scene.camera.lens.surfaces[0].thickness_mm == pytest.approx(best, rel=2e-6)
+    assert not found.constraints[0].missed
+    assert "total_length_mm" in " ".join(found.missed)
+
+
+def test_a_limit_that_no_camera_keeps_is_said_to_be_violated() -> None:
+    found = lf.optimise(
+        plano_convex(),
+        [{"path": THICKNESS, "range": [1.0, 10.0]}],
+        focal_length(66.0),
+        constraints=[{"metric": "centre_thickness_mm", "least": 12.0}],
+    )
+    assert found.constraints[0].share_after == pytest.approx(2.0 / 12.0, rel=1e-2)
+    assert "violates at least 12" in found.constraints[0].missed
+    assert "violates at least 12" in str(found)
+
+
+def test_edges_are_those_between_the_rims() -> None:
+    scene = plano_convex(40.0, 3.0)
+    found = lf.optimise(
+        scene, [{"path": THICKNESS, "range": [1.0, 10.0]}], [{"metric": "edge_thickness_mm", "target": 1.5}]
+    )
+    sag = 40.0 - math.sqrt(40.0**2 - 5.0**2)
+    assert found.scene.camera.lens.surfaces[0].thickness_mm == pytest.approx(1.5 + sag, rel=1e-9)
+
+
+def test_an_achromat_gets_its_glasses_back() -> None:
+    """The flint that goes with the published radii is picked, and the crown too, of nine pairs."""
+    scene = camera("achromat_100mm", 97.1, (486.1, 587.6, 656.3))
+    path = "camera.lens.surfaces[{}].glass".format
+    crowns, flints = ["SCHOTT/N-BK7", "SCHOTT/N-SK16", "SCHOTT/N-K5"], ["SCHOTT/SF5", "SCHOTT/F2", "SCHOTT/N-BAK4"]
+    scene = scene.changed({"camera.lens": lf.solved(scene).camera.lens.model_dump()})
+    wrong = scene.changed({path(0): crowns[2], path(1): flints[2]})
+    found = lf.optimise(
+        wrong,
+        [
+            {"path": path(0), "values": crowns},
+            {"path": path(1), "values": flints},
+            {"path": "camera.sensor.distance_mm", "range": [80.0, 120.0]},
+        ],
+        [{"metric": "spot_rms_mm"}],
+        rays={"object_mm": math.inf, "height_mm": 1.0, "across": 6},
+    )
+    picked = [variable.after for variable in found.variables[:2]]
+    assert picked == [crowns[0], flints[0]]
+
+
+def test_a_detuned_triplet_comes_back_to_its_published_spots_or_better() -> None:
+    published = camera("cooke_triplet_50mm", PUBLISHED_SENSOR_MM)
+    signs = iter(np.random.default_rng(7).choice([-1.0, 1.0], 20))
+    start = detuned(published, signs)
+    rays = {"object_mm": math.inf, "height_mm": TRIPLET_MM}
+    found = lf.optimise(
+        start,
+        lens_variables(start, (1, 3)),
+        [{"metric": "spot_rms_mm", "weight": 1000.0}, {"metric": "efl_mm", "target": 50.0, "weight": 20.0}],
+        rays={**rays, "across": 5},
+    )
+
+    def spots(scene: lf.Scene) -> np.ndarray:
+        """The lens sheet's, which knows nothing of the merit."""
+        return np.array([spot.rms_mm for spot in lf.analyse(scene, across=20, **rays).spots])
+
+    def over_fields(scene: lf.Scene) -> float:
+        return float(np.sqrt(np.mean(spots(scene) ** 2)))
+
+    assert over_fields(start) > 5.0 * over_fields(published)
+    assert over_fields(found.scene) < over_fields(published)
+    assert lf.first_order(found.scene).efl_mm == pytest.approx(50.0, rel=2e-3)
+
+
+def test_a_camera_is_laid_out_for_a_depth_range_and_a_resolution() -> None:
+    """The plane in focus is the harmonic mean of the ends of the range."""
+    found = best_of(load_design(DESIGNS / "plenoptic.toml"))
+    facts = lf.first_order(found.scene)
+    assert (facts.near_mm, facts.far_mm) == pytest.approx((350.0, 600.0), rel=1e-6)
+    assert facts.object_distance_mm == pytest.approx(2.0 / (1.0 / 350.0 + 1.0 / 600.0), rel=1e-6)
+    assert facts.object_sampling_mm == pytest.approx(0.5, rel=1e-6)
+    assert facts.views_across == pytest.approx(14.0, rel=1e-6)
+    assert facts.micro_image_diameter_px == pytest.approx(facts.micro_image_pitch_px, rel=1e-5)
+    assert not found.missed
+
+
+def test_differential_evolution_leaves_a_valley_that_least_squares_stays_in() -> None:
+    """The MTF of a spot out of focus has side lobes: a local search finds no way out of one."""
+    scene = plano_convex().changed({"camera.sensor.distance_mm": 80.0})
+    variables = [{"path": "camera.sensor.distance_mm", "range": [50.0, 95.0]}]
+    merit = [{"metric": "mtf", "per_mm": 4.0, "field": 0.0}]
+    local, best = (
+        lf.optimise(scene, variables, merit, rays={"object_mm": 1000.0, "across": 16}, search=search)
+        for search in ({}, {"method": "global", "evaluations": 200})
+    )
+    assert best.merit_after < 0.1 * local.merit_after
+    paraxial = lf.first_order(plano_convex()).image_z_mm - 3.0
+    assert best.scene.camera.sensor.distance_mm == pytest.approx(paraxial, rel=0.01)
+
+
+def test_a_frequency_that_the_rays_do_not_resolve_is_noted() -> None:
+    """A grid of rays makes the moiré of a sharp image of a spot that is wide; other rays show that there is none."""
+    scene = plano_convex().changed({"camera.sensor.distance_mm": 88.23})
+    found = lf.optimise(
+        scene,
+        [{"path": "camera.sensor.distance_mm", "range": [87.0, 89.0]}],
+        [{"metric": "mtf", "per_mm": 12.0, "field": 0.0}],
+        rays={"object_mm": 1000.0, "across": 16},
+    )
+    assert found.terms[0].after > 0.9
+    assert any("raise across" in note for note in found.notes)
+
+
+def test_starts_are_drawn_from_the_seed() -> None:
+    scene = camera("achromat_100mm", 97.1, (486.1, 587.6, 656.3))
+    found = [
+        lf.optimise(
+            scene,
+            lens_variables(scene),
+            [{"metric": "spot_rms_mm"}],
+            rays={"object_mm": math.inf, "height_mm": 1.0, "across": 4},
+            search={"starts": 3, "seed": 5, "evaluations": 5},
+        )
+        for _ in range(2)
+    ]
+    assert found[0].starts == found[1].starts == 3
+    assert found[0].scene == found[1].scene
+
+
+@pytest.mark.parametrize("design", ["plenoptic", "triplet"])
+def test_the_designs_that_come_with_lfmesh_have_a_camera_to_begin_with(design: str) -> None:
+    problem = load_design(DESIGNS / f"{design}.toml")
+    assert problem.rated(problem.start).finite
+
+
+@pytest.mark.parametrize(("evaluations", "cut"), [(2, True), (200, False)])
+def test_a_search_that_is_cut_short_says_so(evaluations: int, cut: bool) -> None:
+    found = lf.optimise(
+        plano_convex(),
+        [{"path": RADIUS, "range": [20.0, 90.0]}],
+        focal_length(80.0),
+        search={"evaluations": evaluations},
+    )
+    assert any(f"evaluations = {evaluations}" in note for note in found.notes) == cut
+
+
+def test_an_interrupt_keeps_the_best_camera_so_far() -> None:
+    scene = camera("cooke_triplet_50mm", 43.0)
+    count = itertools.count()
+
+    def interrupt(_: str) -> None:
+        if next(count) == 5:
+            raise KeyboardInterrupt
+
+    found = lf.optimise(
+        scene,
+        lens_variables(scene),
+        [{"metric": "spot_rms_mm"}],
+        rays={"object_mm": math.inf, "height_mm": 5.0, "across": 4},
+        progress=interrupt,
+    )
+    assert not found.complete
+    assert 0.0 < found.merit_after < found.merit_before
+    assert "stopped before" in str(found)
+
+
+def test_a_figure_of_pictures_is_met_with_common_random_numbers() -> None:
+    """Chief rays of an array that is shifted by a pixel land a pixel off; the shift is found from where they land."""
+    scene = small_scene()
+    pixel = scene.camera.sensor.pixel_mm
+    found = lf.optimise(scene, [{"path": SHIFT, "range": [-0.2, 0.2]}], [{"metric": "chief_rays_x_px", "target": 0.5}])
+    shift = found.scene.camera.mla.pose.shift_mm[0] if found.scene.camera.mla is not None else 0.0
+    facts = lf.first_order(scene)
+    assert facts.micro_image_pitch_px is not None
+    magnified = facts.micro_image_pitch_px * pixel / 0.5
+    assert shift == pytest.approx(0.5 * pixel / magnified, rel=0.02)
+    assert "common random numbers" in str(found)
+
+
+def test_the_scene_of_a_result_is_that_of_a_file(tmp_path: Path) -> None:
+    found = lf.optimise(plano_convex(), [{"path": RADIUS, "range": [20.0, 90.0]}], focal_length(80.0))
+    lf.save(found.scene, tmp_path / "best.toml")
+    assert lf.load(tmp_path / "best.toml") == found.scene

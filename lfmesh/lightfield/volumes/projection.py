@@ -547,7 +547,7 @@ def _workspace(world: Any, part: Part) -> Workspace:
 
 
 def fits_into_memory(size: float) -> bool:
-    """Whether this machine has memory of so many bytes."""
+    """Return True where this machine has memory of so many bytes."""
     return size <= _memory()
 
 

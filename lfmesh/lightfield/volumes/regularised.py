@@ -77,7 +77,15 @@ class Penalty(NamedTuple):
 
 
 def penalty(shape: tuple[int, ...], seen: NDArray[np.bool_], total_variation: bool) -> Penalty:
-    """Return the penalty of the voxels that are seen of a grid, or of voxels (n,) without one."""
+    """Return the penalty of the voxels that are seen.
+
+    Parameters
+    ----------
+    shape : (int, int, int) or (int,)
+        Of the grid, or of voxels without one.
+    seen : (voxels,) bool
+    total_variation : bool
+    """
     from scipy import sparse
 
     count = int(seen.sum())
@@ -120,7 +128,16 @@ class Problem:
 
     @classmethod
     def of(cls, rows: "csr_array", b: Array, noise: Array, penalty: Penalty) -> "Problem":
-        """Return the problem of an image with the noise of each pixel, by the unit rows without it."""
+        """Return the problem of an image.
+
+        Parameters
+        ----------
+        rows : (pixels, voxels) csr_array
+        b : (pixels,) float64
+        noise : (pixels,) float64
+            Standard error of each pixel, above 0.
+        penalty : Penalty
+        """
         sums = np.asarray(rows.sum(axis=1)).ravel()
         mean = max(float(b.sum() / sums.sum()), np.finfo(np.float64).tiny)
         weighted = rows.multiply(1.0 / noise[:, None]).tocsr()

@@ -277,7 +277,8 @@ class _Task:
             total = regularised.whole_error(problem, strength, x, (each.reshape(-1)[self.seen] for each in alike))
         misfit = problem.misfit(x) / len(problem.b)
         size = max(float(np.linalg.norm(x)), np.finfo(np.float64).tiny)
-        rest = "" if np.isnan(total) else f", {total / size:.2g} with what is not resolved"
+        unknown = "; without a grid it is not known what is not resolved"
+        rest = unknown if np.isnan(total) else f", {total / size:.2g} with what is not resolved"
         self.say(f"strength {strength:.3g}: error of {np.linalg.norm(error) / size:.2g} of the volume by noise{rest}")
         whole = self._whole(x)
         return Reconstruction(

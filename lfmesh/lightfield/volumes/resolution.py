@@ -23,11 +23,14 @@ PAIRS = 256
 NOISE = 0.01
 """Share of the largest singular value above which others count."""
 
-MOST_DENSE = 4_000_000
-"""Entries of a matrix, zeros included, up to which all singular values are computed."""
+MOST_EXACT = 2_000
+"""Voxels or pixels, the fewer of both, up to which all singular values are computed."""
 
 PROBED, STEPS = 30_000, 160
 """Voxels of all random starts together, and steps from each, by which singular values of larger ones are counted."""
+
+MOST_KEPT = 50_000_000
+"""Numbers that are kept of all steps; of very large matrices there are fewer steps."""
 
 MOST_HIDDEN = 0.1
 """Share of the features of a volume that may be below the noise before voxels count as too fine."""
@@ -85,14 +88,16 @@ def _likeness(columns: Any, length: Array, number: NDArray[np.int64], axis: int,
 def effective_rank(matrix: "csr_array") -> int:
     """Return how many singular values of a matrix are above 1/100 of the largest.
 
-    So many independent features of a volume stand out of noise of 1 % of the brightest one. Small matrices are
+    So many independent features of a volume stand out of noise of 1 % of the brightest one. The matrix's own noise counts
+    as features, too, so that too few samples make the number too large. Small matrices are
     decomposed; of larger ones the values are counted by stochastic Lanczos quadrature (L. Lin, Y. Saad & C. Yang,
     "Approximating spectral densities of large matrices", SIAM Review 58 (2016) 34-65), to some per cent.
     """
     rows = matrix[np.flatnonzero(np.diff(matrix.indptr))]
-    if rows.shape[0] * rows.shape[1] <= MOST_DENSE:
-        values = np.linalg.svd(rows.toarray(), compute_uv=False)
-        return int((values > NOISE * values[0]).sum())
+    if min(rows.shape) <= MOST_EXACT:
+        squares = (rows @ rows.T if rows.shape[0] < rows.shape[1] else rows.T @ rows).toarray()
+        values = np.linalg.eigvalsh(squares)
+        return int((values > NOISE**2 * values[-1]).sum())
     return int(min(max(round(_count_above(rows)), 1), *rows.shape))
 
 
@@ -100,10 +105,11 @@ def _count_above(rows: "csr_array") -> float:
     """Return the expected number of singular values above the noise, by Lanczos's recurrence from random starts."""
     n = rows.shape[1]
     starts = max(1, PROBED // n)
-    basis = np.zeros((STEPS + 1, starts, n))
+    steps = int(np.clip(MOST_KEPT // (starts * n), 2, STEPS))
+    basis = np.zeros((steps + 1, starts, n))
     basis[0] = np.random.default_rng(0).choice([-1.0, 1.0], (starts, n)) / np.sqrt(n)
-    diagonal, beside = np.zeros((starts, STEPS)), np.zeros((starts, STEPS))
-    for step in range(STEPS):
+    diagonal, beside = np.zeros((starts, steps)), np.zeros((starts, steps))
+    for step in range(steps):
         w = (rows.T @ (rows @ basis[step].T)).T
         diagonal[:, step] = (w * basis[step]).sum(axis=1)
         # Orthogonal to all before, twice: rounding would bring the largest values back.

@@ -297,9 +297,8 @@ def flame(grid):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("level", [0.01, 0.03])
-def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_brings_it(level):
-    """An axisymmetric flame in 16 × 24 × 16 mm before first light's camera; noise is a share of the brightest pixel."""
+def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_brings_it():
+    """An axisymmetric flame in 16 × 24 × 16 mm before first light's camera; noise of 1 % of the brightest pixel."""
     scene = lf.load(ROOT / "assets" / "scenes" / "first_light.toml")
     scene = scene.changed({"targets": (), "lights": (), "transport.split": "transmit", "transport.threads": 1})
     grid = lf.VoxelBox.of_size((16, 24, 16), (16.0, 24.0, 16.0), (0.0, 0.0, -500.0))
@@ -308,7 +307,7 @@ def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_b
     assert 1000 < matrix.effective_rank < 3000
     true = flame(grid)
     clean = matrix.image(true)
-    noise = level * clean.max()
+    noise = 0.01 * clean.max()
     image = clean + noise * np.random.default_rng(2).standard_normal(len(clean))
     with pytest.warns(lf.FineVoxelsWarning, match="along z 44"):
         found = lf.reconstruct(matrix, image, "tikhonov", noise=noise)
@@ -317,8 +316,7 @@ def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_b
     assert 0 < chosen < len(found.tried) - 1
     sweep = [
         np.linalg.norm(lf.reconstruct(matrix, image, "tikhonov", noise=noise, strength=strength).volume - true)
-        for strength in (*found.tried[max(chosen - 2, 0) :, 0], 0.25 * found.tried[-1, 0])
-        if strength != found.strength
+        for strength in found.tried[[chosen - 1, chosen + 1], 0]
     ]
     assert off < 1.1 * min(sweep)
     assert off < 0.85 * np.linalg.norm(true)

@@ -31,7 +31,7 @@ def test_the_effective_rank_counts_singular_values_above_a_hundredth(monkeypatch
     full = sparse.csr_array((left * values) @ right.T)
     true = int((values > 0.01).sum())
     assert resolution.effective_rank(full) == true == 150
-    monkeypatch.setattr(resolution, "MOST_DENSE", 0)
+    monkeypatch.setattr(resolution, "MOST_EXACT", 0)
     assert resolution.effective_rank(full) == pytest.approx(true, rel=0.07)
 
 

@@ -88,10 +88,10 @@ def _likeness(columns: Any, length: Array, number: NDArray[np.int64], axis: int,
 def effective_rank(matrix: "csr_array") -> int:
     """Return how many singular values of a matrix are above 1/100 of the largest.
 
-    So many independent features of a volume stand out of noise of 1 % of the brightest one. The matrix's own noise counts
-    as features, too, so that too few samples make the number too large. Small matrices are
-    decomposed; of larger ones the values are counted by stochastic Lanczos quadrature (L. Lin, Y. Saad & C. Yang,
-    "Approximating spectral densities of large matrices", SIAM Review 58 (2016) 34-65), to some per cent.
+    So many independent features of a volume stand out of noise of 1 % of the brightest one. The matrix's own noise
+    counts as features, too, so that too few samples make the number too large. Small matrices are decomposed; of larger
+    ones the values are counted by stochastic Lanczos quadrature (L. Lin, Y. Saad & C. Yang, "Approximating spectral
+    densities of large matrices", SIAM Review 58 (2016) 34-65), to some per cent.
     """
     rows = matrix[np.flatnonzero(np.diff(matrix.indptr))]
     if min(rows.shape) <= MOST_EXACT:

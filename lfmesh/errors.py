@@ -139,6 +139,10 @@ class ClearAirWarning(PictureWarning):
     """A scene has media that take light away, and its projection matrix leaves them out."""
 
 
+class FineVoxelsWarning(PictureWarning):
+    """Voxels are finer than the camera resolves: a volume reconstructed with them owes its details to the method."""
+
+
 class OrderCheckWarning(PictureWarning):
     """Surfaces found by their order are not those found by their meshes, which were used instead."""
 

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
+COPIES = 4.0
+"""Memory over the size of a matrix on disk that its resolution takes."""
+
 
 @Parameter(name="*")
 @dataclass
@@ -63,7 +66,8 @@ def matrix(
 ) -> int:
     """Write what every pixel detects of every voxel of an emitting grid: a sparse matrix with standard errors.
 
-    The same command goes on with one that was cut short, to the same bits.
+    The same command goes on with one that was cut short, to the same bits. In the end it says what the camera
+    resolves along the axes of the box, and how many features of a volume stand out of noise of 1 %.
     """
     with defer_interrupt():
         from lfmesh.files.matrix import blocks_folder, finished_blocks, write_projection_matrix
@@ -79,8 +83,24 @@ def matrix(
             )  # fmt: skip
     except KeyboardInterrupt:
         return stopped(blocks_folder(out), finished_blocks(out), "blocks")
+    _print_resolution(out)
     list_files([out])
     return 0
+
+
+def _print_resolution(out: Path) -> None:
+    """Print what the camera of a matrix resolves, where the matrix fits into memory."""
+    from lfmesh.files.matrix import open_projection_matrix
+    from lfmesh.lightfield.volumes.projection import fits_into_memory
+    from lfmesh.lightfield.volumes.resolution import in_words
+
+    if not fits_into_memory(COPIES * out.stat().st_size):
+        print(wrapped("too large for this machine's memory to find what the camera resolves"))
+        return
+    with status() as report:
+        report("finding what the camera resolves")
+        words = in_words(open_projection_matrix(out))
+    print(wrapped(words), flush=True)
 
 
 def _box(given: Voxels) -> "VoxelBox":

@@ -8,7 +8,7 @@ chord times weight, divided by the square of the refractive index there, as radi
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,6 +19,7 @@ from lfmesh.errors import ClearAirWarning, LfmeshError, PictureWarning, SceneErr
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.volumes.chords import Haze, Room, Rows, room_for, sum_rows
+from lfmesh.lightfield.volumes.resolution import effective_rank, resolved_lengths
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import literal
@@ -118,6 +119,22 @@ class ProjectionMatrix:
         """Part of the sum of all entries that was left out."""
         left_out = float(self.dropped.sum())
         return left_out / (left_out + float(self.matrix.data.sum())) if left_out > 0.0 else 0.0
+
+    @cached_property
+    def resolved_mm(self) -> Array:
+        """Distance along each axis of the grid at which the images of two voxels are half alike, (3,) float64, mm.
+
+        See `lfmesh.lightfield.volumes.resolution.resolved_lengths`.
+        """
+        return resolved_lengths(self.matrix, self.grid.shape, self.grid.spacing_mm)
+
+    @cached_property
+    def effective_rank(self) -> int:
+        """Number of independent features of a volume that stand out of noise of 1 % of the brightest one.
+
+        Singular values above 1/100 of the largest; see `lfmesh.lightfield.volumes.resolution.effective_rank`.
+        """
+        return effective_rank(self.matrix)
 
     def image(self, emission: ArrayLike) -> Array:
         """Return the image of an emission, (rows,) W.
@@ -382,7 +399,7 @@ def projection_matrix(
     size = size_in_words(projector, chosen)
     if say is not None:
         say(size.words)
-    if size.bytes > _memory():
+    if not fits_into_memory(size.bytes):
         raise LfmeshError(f"{size.words}: more than this machine's memory; stream it with lf.write_projection_matrix")
     done = list(computed(projector, list(projector.blocks(chosen))))
     end = np.cumsum([0, *np.concatenate([block.entries for block in done])])
@@ -527,6 +544,11 @@ def _dimming(scene: Scene) -> list[str]:
 
 def _workspace(world: Any, part: Part) -> Workspace:
     return Workspace(world, part.options, CHUNK, part.tables)
+
+
+def fits_into_memory(size: float) -> bool:
+    """Return True where this machine has memory of so many bytes."""
+    return size <= _memory()
 
 
 def _memory() -> float:

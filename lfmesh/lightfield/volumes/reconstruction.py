@@ -4,14 +4,18 @@ Image b, matrix A and emission x belong together as b = A x, with x ≥ 0. One c
 so that many volumes give the same image: the method says which of them is taken.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, PictureWarning, warn_caller
 from lfmesh.kernels.decorators import kernel
+from lfmesh.lightfield.volumes import regularised
+from lfmesh.lightfield.volumes.projection import ProjectionMatrix
+from lfmesh.lightfield.volumes.resolution import fine_voxels
 from lfmesh.scene.literals import literal
 from lfmesh.transport.render.image import Image
 
@@ -19,10 +23,13 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
-Method = Literal["mart", "sart", "nnls"]
+Method = Literal["mart", "sart", "nnls", "tikhonov", "tv"]
 
 ITERATIONS: dict[str, int] = {"mart": 20, "sart": 100, "nnls": 2000}
 """Iterations that are done where none are given; of "nnls", the most that are."""
+
+REGULARISED = ("tikhonov", "tv")
+"""Methods that weight the pixels by their noise, and choose how smooth the volume is."""
 
 MOST_RELAXED = 2.0
 """Relaxation below which MART and SART converge."""
@@ -49,14 +56,39 @@ class Reconstruction:
     seen : like `volume`, bool
         Whether the matrix has any entry for a voxel.
     residual : (iterations + 1,) float64
-        ‖b − A x‖ / ‖b‖ at the start and after each iteration; of "nnls" at the end only.
+        ‖b − A x‖ / ‖b‖ at the start and after each iteration; of "nnls", "tikhonov" and "tv" at the end only.
     method : str
+    warnings : tuple of PictureWarning
+        By which the volume is or may be wrong; empty for a matrix without a grid.
+    strength : float
+        Regularisation of "tikhonov" and "tv", of the others NaN, as are the rest of the numbers.
+    tried : (n, 2) float64
+        Strengths that were tried, and the score of each over the number of pixels and the noise's variance: of
+        "half-sets" the squared difference of each half from what the other predicts, of "discrepancy" the squared
+        residual.
+    misfit : float
+        Squared residual over the noise, by the number of pixels: 1 where noise explains it. NaN where no noise is
+        known.
+    error : like `volume`
+        Standard error of each voxel by noise, from volumes of halves of the pixels. What no pixel tells, such as depth
+        that is not resolved, is not in it. Of two ways to halve them, so that one voxel's is known to 50 % only.
+    total_error : float
+        Norm of the difference from the truth that is to be expected, all voxels together, in the unit of `volume`:
+        noise, and what is not resolved. No image tells the latter. It is that of a truth which is, in voxels, as deep
+        along the worst-resolved axis as it is wide along another, the narrower of the two. NaN of a matrix without a
+        grid, for which only `error` is known.
     """
 
     volume: Array
     seen: NDArray[np.bool_]
     residual: Array
     method: str
+    warnings: tuple[PictureWarning, ...] = ()
+    strength: float = np.nan
+    tried: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    misfit: float = np.nan
+    error: Array | None = None
+    total_error: float = np.nan
 
     def quality(self, true: ArrayLike) -> float:
         """Return the quality Q against the true volume, see `volume_quality`."""
@@ -90,7 +122,8 @@ def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
 
 def reconstruct(
     matrix: Any, image: Image | ArrayLike, method: Method = "mart", iterations: int | None = None,
-    relaxation: float | None = None,
+    relaxation: float | None = None, *, noise: ArrayLike | None = None,
+    strength: float | Literal["half-sets", "discrepancy"] | None = None, say: Callable[[str], None] | None = None,
 ) -> Reconstruction:  # fmt: skip
     """Reconstruct the emission of a volume from an image of it.
 
@@ -101,7 +134,7 @@ def reconstruct(
     image : Image, or (pixels,), (H, W) or (H, W, 1) float64, W
         One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. Negative ones, which
         noise makes, count as 0 for "mart".
-    method : {"mart", "sart", "nnls"}
+    method : {"mart", "sart", "nnls", "tikhonov", "tv"}
         "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
         weights over the largest of the matrix. For an image that a volume can have, it goes to the volume of largest
         entropy (Lent 1977; Herman & Lent 1976). No step multiplies by less than 0.1 or more than 10, so that a pixel
@@ -110,42 +143,161 @@ def reconstruct(
         negative voxels set to 0 after each iteration. From zero it goes to least squares, a row weighted with the
         inverse of its sum (Jiang & Wang 2003).
         "nnls": least squares with x ≥ 0: scipy's `nnls`, for large matrices its L-BFGS-B.
+        "tikhonov": the smallest of ½‖(A x − b)/σ‖² + ½ λ Σ(differences of neighbouring voxels)² with x ≥ 0; of a
+        matrix without a grid, of the voxels themselves.
+        "tv": the same with λ Σ|gradient|, which keeps edges: total variation.
+        Of both, the strength is chosen by the image, and the error stated.
     iterations : int, optional
-        20 for "mart", 100 for "sart"; 2000 at most for "nnls".
+        20 for "mart", 100 for "sart"; 2000 at most for "nnls". "tikhonov" and "tv" end when they are settled.
     relaxation : float, optional
-        Factor of each step, 0 to 2; 1 if left out. "nnls" has none.
+        Factor of each step, 0 to 2; 1 if left out. Of "mart" and "sart" only.
+    noise : float or like `image`, optional
+        Standard error σ of the pixels, W, of "tikhonov" and "tv": that of an Image if left out, else the same for all,
+        and not known. Pixels with 0 or NaN count as the median one. Where it is known, what the matrix's own standard
+        errors make of a first volume is added by squares.
+    strength : float, "half-sets" or "discrepancy", optional
+        Of "tikhonov" and "tv": λ over that at which data and penalty weigh the same, by the sums of their diagonals.
+        "half-sets", taken if left out: the one with which two halves of the pixels predict each other best.
+        "discrepancy": the largest one that leaves a squared residual of the noise's; the noise must be known.
+    say : callable, optional
+        Called with lines for the user: each strength that is tried, and what came of it.
+
+    Warns
+    -----
+    FineVoxelsWarning
+        The voxels are finer than the camera resolves.
 
     Raises
     ------
     LfmeshError
         The shapes do not fit, an entry is negative or not finite, or a setting is out of range.
     """
-    if not isinstance(method, str) or method not in ITERATIONS:
-        raise LfmeshError(f"method = {literal(method)}: use one of {', '.join(ITERATIONS)}")
-    rounds = ITERATIONS[method] if iterations is None else iterations
-    if isinstance(rounds, bool) or not isinstance(rounds, int | np.integer) or rounds < 1:
-        raise LfmeshError(f"iterations = {literal(iterations)}: must be a whole number from 1")
-    if relaxation is not None and method == "nnls":
-        raise LfmeshError(f'relaxation = {literal(relaxation)}: method = "nnls" has none; leave it out')
-    step = 1.0 if relaxation is None else relaxation
-    number = isinstance(step, int | float | np.number) and not isinstance(step, bool)
-    if not number or not 0.0 < step < MOST_RELAXED:
-        raise LfmeshError(f"relaxation = {literal(relaxation)}: must lie between 0 and {MOST_RELAXED:g}")
+    _check(method, iterations, relaxation, noise, strength)
     rows, shape = _rows_of(matrix)
-    b = _pixels(image.mean if isinstance(image, Image) else image, rows.shape[0])
+    b = _pixels("image", image.mean if isinstance(image, Image) else image, rows.shape[0])
     seen = np.zeros(rows.shape[1], np.bool_)
     seen[rows.indices[rows.data > 0.0]] = True
     if not seen.any():
         raise LfmeshError("the matrix has no entry above 0: its camera does not see the grid")
+    warned = tuple(fine_voxels(matrix, int(seen.sum()))) if isinstance(matrix, ProjectionMatrix) else ()
+    warn_caller(warned)
     # By rounding alone a unit could decide: the steps are computed with entries and pixels near 1.
     scale, level = float(rows.data.max()), float(np.abs(b).max())
     if level == 0.0:
-        return Reconstruction(np.zeros(shape), seen.reshape(shape), np.zeros(1), method)
-    rows = rows / scale
+        return Reconstruction(np.zeros(shape), seen.reshape(shape), np.zeros(1), method, warned)
+    unit = level / scale
+    rows, b = rows / scale, b / level
+    if method in REGULARISED:
+        if noise is None and isinstance(image, Image):
+            noise = image.error
+        sigma = None if noise is None else _noise(noise, b) / level
+        task = _Task(matrix, rows, b, seen, shape, method, unit, say or (lambda _: None))
+        found = task.solved(sigma, "half-sets" if strength is None else strength)
+        return replace(found, warnings=warned)
     solve = {"mart": _mart, "sart": _sart, "nnls": _nnls}[method]
-    x, residual = solve(rows, b / level, seen, int(rounds), float(step))
+    rounds = ITERATIONS[method] if iterations is None else int(iterations)
+    x, residual = solve(rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation))
     x[~seen] = 0.0
-    return Reconstruction(x.reshape(shape) * (level / scale), seen.reshape(shape), residual, method)
+    return Reconstruction(x.reshape(shape) * unit, seen.reshape(shape), residual, method, warned)
+
+
+def _check(method: Any, iterations: Any, relaxation: Any, noise: Any, strength: Any) -> None:
+    if not isinstance(method, str) or method not in (*ITERATIONS, *REGULARISED):
+        raise LfmeshError(f"method = {literal(method)}: use one of {', '.join((*ITERATIONS, *REGULARISED))}")
+    if iterations is not None and method in REGULARISED:
+        raise LfmeshError(f'iterations = {literal(iterations)}: method = "{method}" has none; leave it out')
+    whole = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
+    if iterations is not None and (not whole or iterations < 1):
+        raise LfmeshError(f"iterations = {literal(iterations)}: must be a whole number from 1")
+    if relaxation is not None and method not in ("mart", "sart"):
+        raise LfmeshError(f'relaxation = {literal(relaxation)}: method = "{method}" has none; leave it out')
+    if relaxation is not None and (not _is_number(relaxation) or not 0.0 < relaxation < MOST_RELAXED):
+        raise LfmeshError(f"relaxation = {literal(relaxation)}: must lie between 0 and {MOST_RELAXED:g}")
+    for name, value in (("noise", noise), ("strength", strength)):
+        if value is not None and method not in REGULARISED:
+            raise LfmeshError(f'{name}: method = "{method}" has none; leave it out, or take "tikhonov" or "tv"')
+    if strength in (None, "half-sets", "discrepancy"):
+        return
+    if not _is_number(strength) or not 0.0 <= strength < np.inf:
+        raise LfmeshError(f'strength = {literal(strength)}: must be a number from 0, "half-sets" or "discrepancy"')
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _noise(noise: ArrayLike, b: Array) -> Array:
+    """Return the standard error of each pixel, above 0."""
+    given = np.full(len(b), noise) if np.ndim(noise) == 0 else noise
+    sigma = _pixels("noise", given, len(b), is_error=True)
+    known = sigma > 0.0
+    if not known.any() or (sigma < 0.0).any() or np.isinf(sigma).any():
+        raise LfmeshError(
+            "noise: must be standard errors of the pixels, from 0 and finite, at least one of them above 0"
+        )
+    return np.where(known, sigma, np.median(sigma[known]))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A volume that is to be found by regularised least squares, in units in which entries and pixels are near 1."""
+
+    matrix: Any
+    rows: "csr_array"
+    b: Array
+    seen: NDArray[np.bool_]
+    shape: tuple[int, ...]
+    method: str
+    unit: float
+    say: Callable[[str], None]
+
+    def solved(self, noise: Array | None, strength: float | str) -> Reconstruction:
+        """Return the volume, for noise of the pixels that is known or not."""
+        if noise is None and strength == "discrepancy":
+            raise LfmeshError('strength = "discrepancy": needs noise, the standard error of the pixels')
+        problem = self._problem(np.ones(len(self.b)) if noise is None else noise)
+        if noise is not None and isinstance(self.matrix, ProjectionMatrix):
+            first = self._whole(problem.path(1.0))
+            variance = regularised.noise_of_matrix(self.matrix, first * self.unit)
+            level = float(np.abs(self.matrix.matrix.data).max()) * self.unit
+            problem = self._problem(np.sqrt(noise**2 + variance / level**2))
+        tried = np.zeros((0, 2))
+        if isinstance(strength, str):
+            choose = {
+                "half-sets": regularised.strength_by_halves,
+                "discrepancy": regularised.strength_by_discrepancy,
+            }[strength]
+            strength, tried = choose(problem, self.say)
+        x = problem.path(strength)
+        error = regularised.error_by_halves(problem, strength)
+        total = np.nan
+        if isinstance(self.matrix, ProjectionMatrix):
+            coarse = np.nan_to_num(self.matrix.resolved_mm / self.matrix.grid.spacing_mm)
+            alike = regularised.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
+            total = regularised.whole_error(problem, strength, x, (each.reshape(-1)[self.seen] for each in alike))
+        misfit = problem.misfit(x) / len(problem.b)
+        size = max(float(np.linalg.norm(x)), np.finfo(np.float64).tiny)
+        unknown = "; without a grid it is not known what is not resolved"
+        rest = unknown if np.isnan(total) else f", {total / size:.2g} with what is not resolved"
+        self.say(f"strength {strength:.3g}: error of {np.linalg.norm(error) / size:.2g} of the volume by noise{rest}")
+        whole = self._whole(x)
+        return Reconstruction(
+            whole.reshape(self.shape) * self.unit, self.seen.reshape(self.shape),
+            np.array([_residual(self.rows, self.b, whole)]), self.method, (), float(strength), tried,
+            misfit if noise is not None else np.nan, self._whole(error).reshape(self.shape) * self.unit,
+            total * self.unit,
+        )  # fmt: skip
+
+    def _problem(self, noise: Array) -> regularised.Problem:
+        lit = np.flatnonzero(np.diff(self.rows.indptr))
+        penalty = regularised.penalty(self.shape, self.seen, self.method == "tv")
+        return regularised.Problem.of(self.rows[lit][:, np.flatnonzero(self.seen)], self.b[lit], noise[lit], penalty)
+
+    def _whole(self, x: Array) -> Array:
+        """Return a volume of the voxels that are seen with the others dark."""
+        whole = np.zeros(len(self.seen))
+        whole[self.seen] = x
+        return whole
 
 
 def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
@@ -167,16 +319,16 @@ def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
     return rows, shape
 
 
-def _pixels(image: ArrayLike, rows: int) -> Array:
+def _pixels(name: str, image: ArrayLike, rows: int, *, is_error: bool = False) -> Array:
     try:
         b = np.asarray(image, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise LfmeshError(f"image must be numbers: {error}") from None
+        raise LfmeshError(f"{name} must be numbers: {error}") from None
     if b.size != rows or (b.ndim == 3 and b.shape[2] != 1) or b.ndim > 3:
         raise LfmeshError(
-            f"the image has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
+            f"the {name} has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
         )
-    if not np.isfinite(b).all():
+    if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")
     return np.ascontiguousarray(b.reshape(-1))
 

@@ -12,6 +12,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import matrix as files
+from lfmesh.lightfield.volumes import resolution
 from lfmesh.lightfield.volumes.projection import Projector, projection_matrix
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.scene import Scene
@@ -295,7 +296,7 @@ def blobs(grid):
     return np.exp(-far / 4.0) + 0.6 * np.exp(-near / 3.0)
 
 
-@pytest.mark.parametrize(("method", "least"), [("nnls", 0.97), ("mart", 0.97), ("sart", 0.95)])
+@pytest.mark.parametrize(("method", "least"), [("nnls", 0.97), ("mart", 0.97), ("sart", 0.95), ("tikhonov", 0.97)])
 def test_two_blobs_are_found_again_in_a_rendered_image(method, least, tmp_path):
     grid = box((6, 6, 4), (9.0, 9.0, 32.0), rotation_deg=(0.0, 0.0, 0.0), position_mm=(0.0, 0.0, -60.0))
     true = blobs(grid)
@@ -513,6 +514,9 @@ def test_the_command_writes_a_matrix_and_says_its_size(tmp_path, capsys):
     assert "256 pixels × 120 voxels: about" in printed
     assert "of their sum dropped" in printed
     made = lf.open_projection_matrix(out)
+    assert resolution.in_words(made) in printed
+    assert f"effective rank {made.effective_rank} of 120 voxels" in printed
+    assert (made.resolved_mm >= made.grid.spacing_mm).all()
     np.testing.assert_array_equal(made.matrix.toarray(), projection_matrix(camera(), box()).matrix.toarray())
     # A grid in a file, whose middle is its origin.
     np.savez(tmp_path / "grid.npz", emission_w_mm3_sr=np.ones((5, 4, 6)), spacing_mm=np.array([1.8, 2.0, 14.0 / 6.0]))

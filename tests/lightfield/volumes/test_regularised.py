@@ -1,0 +1,323 @@
+"""Regularised reconstruction: closed forms, the choice of its strength, errors against the truth over many draws."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import optimize, sparse
+
+import lfmesh as lf
+from lfmesh.errors import LfmeshError
+from lfmesh.lightfield.volumes import regularised
+from lfmesh.optics.cie import planck_radiance
+from tests.lightfield.volumes.test_projection import box, camera
+from tests.lightfield.volumes.test_reconstruction import system
+from tools.make_flame import HEIGHT_MM, LINE_NM, soot_and_temperature
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def matrix_of(full, shape):
+    """Return a projection matrix of the grid with unit voxels, known exactly."""
+    a = sparse.csr_array(full)
+    rows = a.shape[0]
+    grid = lf.VoxelBox.of_size(shape, shape)
+    none = np.zeros(rows)
+    return lf.ProjectionMatrix(
+        a, np.zeros(a.nnz, np.float32), none, none, np.arange(rows), grid, 0.0, 500.0
+    )  # fmt: skip
+
+
+def differences(shape):
+    """Return the differences of neighbouring voxels of a grid, (edges, voxels), one after another."""
+    number = np.arange(np.prod(shape)).reshape(shape)
+    found = []
+    for place in np.ndindex(*shape):
+        for axis in range(3):
+            beside = tuple(p + (k == axis) for k, p in enumerate(place))
+            if beside[axis] < shape[axis]:
+                row = np.zeros(number.size)
+                row[number[place]], row[number[beside]] = -1.0, 1.0
+                found.append(row)
+    return np.array(found)
+
+
+def scale_of(full, noise, penalty):
+    """Return λ at a strength of 1: sums of the diagonals of data over penalty."""
+    return np.sum((full / noise[:, None]) ** 2) / np.trace(penalty)
+
+
+@pytest.mark.parametrize("shape", [(8,), (2, 2, 2)])
+def test_tikhonov_is_its_closed_form_where_no_voxel_is_dark(shape):
+    full, _, b = system(14, 8, 1)
+    noise = np.random.default_rng(2).uniform(0.5, 2.0, 14)
+    rough = differences(shape) if len(shape) == 3 else np.eye(8)
+    penalty = rough.T @ rough
+    strength = 0.3
+    weighted = full / noise[:, None]
+    normal = weighted.T @ weighted + strength * scale_of(full, noise, penalty) * penalty
+    best = np.linalg.solve(normal, weighted.T @ (b / noise))
+    assert (best > 0.0).all()
+    given = matrix_of(full, shape) if len(shape) == 3 else sparse.csr_array(full)
+    found = lf.reconstruct(given, b, "tikhonov", noise=noise, strength=strength)
+    np.testing.assert_allclose(found.volume.ravel(), best, rtol=2e-4)
+    assert found.strength == strength
+    assert found.misfit == pytest.approx(np.sum(((full @ best - b) / noise) ** 2) / 14, rel=1e-3)
+
+
+def test_without_strength_it_is_weighted_least_squares_that_are_not_negative():
+    full, _, b = system(30, 12, 6)
+    draw = np.random.default_rng(7)
+    noise = draw.uniform(1.0, 3.0, 30)
+    b = b + noise * draw.standard_normal(30)
+    best = optimize.nnls(full / noise[:, None], b / noise)[0]
+    assert (best == 0.0).any()
+    found = lf.reconstruct(sparse.csr_array(full), b, "tikhonov", noise=noise, strength=0.0)
+    np.testing.assert_allclose(found.volume, best, atol=2e-4 * best.max())
+
+
+def line(length, blur):
+    """Return a matrix of pixels, three a voxel, that see a line of voxels blurred."""
+    at = np.linspace(-0.5, length - 0.5, 3 * length)
+    full = np.exp(-((at[:, None] - np.arange(length)) ** 2) / (2.0 * blur**2))
+    return np.where(full < 1e-4, 0.0, full)
+
+
+def test_total_variation_keeps_a_step_and_tikhonov_rounds_it():
+    full = line(40, 1.2)
+    true = np.where(np.arange(40) < 17, 1.0, 3.0)
+    image = full @ true
+    image = image + 0.01 * image.max() * np.random.default_rng(3).standard_normal(len(image))
+    given = matrix_of(full, (40, 1, 1))
+    found = {method: lf.reconstruct(given, image, method).volume.ravel() for method in ("tikhonov", "tv")}
+    off = {method: np.linalg.norm(volume - true) for method, volume in found.items()}
+    assert off["tv"] < 0.7 * off["tikhonov"], off
+    steps = {method: np.abs(np.diff(volume)).max() / 2.0 for method, volume in found.items()}
+    assert steps["tv"] > 0.8 > steps["tikhonov"], steps
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv"])
+def test_the_discrepancy_principle_leaves_the_noise_and_no_more(method):
+    full = line(30, 1.5)
+    true = 1.0 + np.sin(np.arange(30) / 4.0) ** 2
+    noise = 0.03 * np.random.default_rng(4).uniform(0.5, 2.0, len(full)) * (full @ true).max()
+    image = full @ true + noise * np.random.default_rng(5).standard_normal(len(full))
+    given = matrix_of(full, (30, 1, 1))
+    # A little more noise than there is, so that some volume leaves no more.
+    found = lf.reconstruct(given, image, method, noise=1.1 * noise, strength="discrepancy")
+    assert 0.97 < found.misfit <= 1.0
+    stronger = lf.reconstruct(given, image, method, noise=1.1 * noise, strength=1.2 * found.strength)
+    assert stronger.misfit > 1.0
+    assert found.tried[-1, 1] == pytest.approx(1.0, abs=0.05)
+    with pytest.raises(LfmeshError, match='"discrepancy": no volume explains the image'):
+        lf.reconstruct(given, image, method, noise=0.3 * noise, strength="discrepancy")
+
+
+def test_the_strength_chosen_by_half_sets_is_near_the_best_of_a_sweep():
+    full = line(30, 1.5)
+    true = 1.0 + np.sin(np.arange(30) / 4.0) ** 2
+    given = matrix_of(full, (30, 1, 1))
+    for seed, level in enumerate((0.003, 0.01, 0.1)):
+        noise = level * (full @ true).max()
+        image = full @ true + noise * np.random.default_rng(seed).standard_normal(len(full))
+        said = []
+        found = lf.reconstruct(given, image, "tikhonov", say=said.append)
+        off = {
+            strength: np.linalg.norm(
+                lf.reconstruct(given, image, "tikhonov", noise=noise, strength=strength).volume.ravel() - true
+            )
+            for strength in 4.0 ** np.arange(1.0, -6.0, -1.0)
+        }
+        assert np.linalg.norm(found.volume.ravel() - true) < 1.3 * min(off.values()), (level, found.strength, off)
+        assert np.isnan(found.misfit)
+        assert sum("half-sets of pixels predict" in text for text in said) == len(found.tried)
+        assert "error of" in said[-1]
+
+
+def test_the_error_by_half_sets_is_as_large_as_the_scatter_over_draws_of_noise():
+    """Where no voxel is dark the volume is linear in the image: variances agree, by a z-test of their sums over voxels.
+
+    Of n pixels and p voxels half-sets find (n − p)/(n − 2p) of the variance, as least squares do: here 1.01.
+    """
+    full, _, b = system(800, 8, 11)
+    given, noise = sparse.csr_array(full), 0.1 * np.random.default_rng(1).uniform(0.5, 2.0, 800)
+    draw = np.random.default_rng(12)
+    found = [
+        lf.reconstruct(given, b + noise * draw.standard_normal(800), "tikhonov", noise=noise, strength=0.02)
+        for _ in range(60)
+    ]
+    volumes = np.array([each.volume for each in found])
+    assert volumes.min() > 0.0
+    scatter = ((volumes - volumes.mean(axis=0)) ** 2).sum(axis=1) * 60.0 / 59.0
+    stated = np.array([(each.error**2).sum() for each in found])
+    z = (stated.mean() - scatter.mean()) / np.hypot(stated.std(), scatter.std()) * np.sqrt(60.0)
+    assert abs(z) < 3.5, (stated.mean(), scatter.mean())
+    assert 0.8 < np.sqrt(stated.mean() / scatter.mean()) < 1.25
+
+
+def blind_to_depth(side, views=4, tilt=0.04):
+    """Return the matrix of a grid of side³ voxels whose columns along z views see summed, each a little tilted."""
+    number = np.arange(side**3).reshape(side, side, side)
+    rows = []
+    for view in range(views):
+        for i in range(side):
+            for j in range(side):
+                row = np.zeros(side**3)
+                for k in range(side):
+                    moved = tilt * (view - 0.5 * (views - 1)) * (k - 0.5 * (side - 1))
+                    for step in (0, 1):
+                        at = i + int(np.floor(moved)) + step
+                        share = 1.0 - abs(moved - np.floor(moved) - step)
+                        if 0 <= at < side:
+                            row[number[at, j, k]] += share
+                rows.append(row)
+    return np.array(rows)
+
+
+def ball(side, draw):
+    """Return a soft ball somewhere near the middle of a grid, as deep as wide."""
+    centre = 0.5 * (side - 1) + draw.uniform(-1.0, 1.0, 3)
+    squared = ((np.stack(np.indices((side,) * 3), axis=-1) - centre) ** 2).sum(axis=-1)
+    return np.exp(-squared / (2.0 * draw.uniform(1.2, 2.2) ** 2))
+
+
+def test_the_stated_error_holds_for_depth_that_is_not_resolved():
+    side = 9
+    full = blind_to_depth(side)
+    given = matrix_of(full, (side,) * 3)
+    draw = np.random.default_rng(21)
+    ratios, noises = [], []
+    for _ in range(6):
+        true = ball(side, draw)
+        image = full @ true.ravel()
+        noise = 0.01 * image.max()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", lf.FineVoxelsWarning)
+            found = lf.reconstruct(given, image + noise * draw.standard_normal(len(image)), "tikhonov", noise=noise)
+        off = np.linalg.norm(found.volume - true)
+        assert off > 0.3 * np.linalg.norm(true)
+        ratios.append(found.total_error / off)
+        noises.append(np.linalg.norm(found.error) / off)
+    assert 0.8 < np.mean(ratios) < 1.25, ratios
+    assert np.min(ratios) > 0.6
+    assert np.max(ratios) < 1.7
+    # Half-sets alone do not know of it.
+    assert np.mean(noises) < 0.6
+
+
+def test_volumes_as_deep_as_wide_are_round_and_have_the_same_sums():
+    """Disks that are round in x and z, smeared along z, are found again from their sums; so are those in y and z."""
+    radius = np.hypot(*np.meshgrid(np.arange(9) - 4.0, np.arange(7) - 3.0, indexing="ij"))
+    disk = np.interp(radius, np.arange(7.0), [5.0, 4.0, 3.5, 1.0, 0.5, 0.0, 0.0])
+    true = disk[:, None, :] * np.array([1.0, 0.0, 2.0])[None, :, None]
+    smeared = np.broadcast_to(true.mean(axis=2, keepdims=True), true.shape)
+    first, other = regularised.as_deep_as_wide(smeared, 2)
+    np.testing.assert_allclose(first, true, atol=1e-9)
+    assert other.shape == true.shape
+    # The depth may be any axis.
+    turned = regularised.as_deep_as_wide(np.transpose(smeared, (2, 0, 1)), 0)
+    np.testing.assert_allclose(np.transpose(turned[0], (1, 2, 0)), first, atol=1e-9)
+    line_of = np.arange(5.0).reshape(1, 1, 5)
+    np.testing.assert_array_equal(regularised.as_deep_as_wide(line_of, 2)[0], line_of)
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv"])
+def test_the_unit_of_matrix_image_and_noise_does_not_matter(method):
+    full = line(12, 1.0)
+    b = full @ np.linspace(0.5, 2.0, 12) + 0.05 * np.random.default_rng(2).standard_normal(len(full))
+    plain = lf.reconstruct(matrix_of(full, (12, 1, 1)), b, method, noise=0.05)
+    scaled = lf.reconstruct(matrix_of(1e-14 * full, (12, 1, 1)), 1e-9 * b, method, noise=5e-11)
+    assert scaled.strength == plain.strength
+    for name in ("volume", "error", "total_error"):
+        np.testing.assert_allclose(getattr(scaled, name), 1e5 * np.array(getattr(plain, name)), rtol=1e-6)
+
+
+def test_the_noise_of_a_render_and_of_the_matrix_weights_the_pixels():
+    """The image's own error is taken: the same volume as with it given, and another than with even weights."""
+    grid = box((3, 3, 2), rotation_deg=(0.0, 0.0, 0.0))
+    plate = {
+        "shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0},
+        "position_mm": [0.0, 0.0, -60.0],
+        "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
+    }
+    image = lf.render(camera([plate]))
+    matrix = lf.projection_matrix(camera(seed=5), grid)
+    own, given, even = (
+        lf.reconstruct(matrix, each, "tikhonov", strength=0.1, noise=noise).volume
+        for each, noise in ((image, None), (image.mean, image.error), (image.mean, None))
+    )
+    np.testing.assert_array_equal(own, given)
+    assert np.abs(own - even).max() > 0.01 * own.max()
+
+
+def test_the_noise_of_a_matrix_is_about_what_other_rays_show():
+    """Between two seeds, at volumes with structure, in all pixels together; entries count as independent."""
+    grid = box((5, 4, 6), rotation_deg=(0.0, 0.0, 0.0))
+    x = np.random.default_rng(6).uniform(0.0, 1.0, grid.voxels)
+    one, other = (lf.projection_matrix(camera(samples=64, replicates=16, seed=seed), grid) for seed in (1, 2))
+    stated = regularised.noise_of_matrix(one, x) + regularised.noise_of_matrix(other, x)
+    shown = (one.image(x) - other.image(x)) ** 2
+    assert 0.8 < np.sqrt(stated.sum() / shown.sum()) < 1.6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"iterations": 5}, 'iterations = 5: method = "tikhonov" has none'),
+        ({"relaxation": 1.0, "method": "tv"}, 'relaxation = 1.0: method = "tv" has none'),
+        ({"noise": 1.0, "method": "nnls"}, 'noise: method = "nnls" has none'),
+        ({"strength": 1.0, "method": "mart"}, 'strength: method = "mart" has none'),
+        ({"strength": -1.0}, "strength = -1.0: must be a number from 0"),
+        ({"strength": "best"}, 'strength = "best": must be a number from 0, "half-sets" or "discrepancy"'),
+        ({"strength": "discrepancy"}, "needs noise"),
+        ({"noise": [1.0, 2.0]}, r"the noise has the shape \(2,\) and the matrix 3 rows"),
+        ({"noise": [1.0, -2.0, 1.0]}, "noise: must be standard errors"),
+        ({"noise": 0.0}, "noise: must be standard errors"),
+        ({"noise": "much"}, "noise must be numbers"),
+    ],
+)
+def test_bad_settings_are_told_in_one_line(arguments, message):
+    given = {"matrix": sparse.csr_array(np.eye(3)), "image": [1.0, 2.0, 3.0], "method": "tikhonov"} | arguments
+    with pytest.raises(LfmeshError, match=message) as refused:
+        lf.reconstruct(**given)
+    assert "\n" not in str(refused.value)
+
+
+def flame(grid):
+    """Return the soot flame of `tools/make_flame.py`, as tall as a grid, (nx, ny, nz), 1 where it is brightest."""
+    x, y, z = grid.axes_mm
+    up = y - y[0] + 0.5 * grid.spacing_mm[1]
+    smaller = HEIGHT_MM / (grid.shape[1] * grid.spacing_mm[1])
+    soot, temperature = soot_and_temperature(
+        smaller * np.hypot(x[:, None, None], z[None, None, :]), smaller * up[None, :, None]
+    )
+    glow = soot * np.vectorize(lambda kelvin: float(planck_radiance(LINE_NM, kelvin)))(np.round(temperature, 1))
+    return glow / glow.max()
+
+
+@pytest.mark.long
+def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_brings_it():
+    """An axisymmetric flame in 16 × 24 × 16 mm before first light's camera; noise of 1 % of the brightest pixel."""
+    scene = lf.load(ROOT / "assets" / "scenes" / "first_light.toml")
+    scene = scene.changed({"targets": (), "lights": (), "transport.split": "transmit", "transport.threads": 1})
+    grid = lf.VoxelBox.of_size((16, 24, 16), (16.0, 24.0, 16.0), (0.0, 0.0, -500.0))
+    matrix = lf.projection_matrix(scene, grid)
+    assert 25.0 < matrix.resolved_mm[2] < 100.0
+    assert 1000 < matrix.effective_rank < 3000
+    true = flame(grid)
+    clean = matrix.image(true)
+    noise = 0.01 * clean.max()
+    image = clean + noise * np.random.default_rng(2).standard_normal(len(clean))
+    with pytest.warns(lf.FineVoxelsWarning, match="along z 44"):
+        found = lf.reconstruct(matrix, image, "tikhonov", noise=noise)
+    off = np.linalg.norm(found.volume - true)
+    chosen = int(np.flatnonzero(found.tried[:, 0] == found.strength)[0])
+    assert 0 < chosen < len(found.tried) - 1
+    sweep = [
+        np.linalg.norm(lf.reconstruct(matrix, image, "tikhonov", noise=noise, strength=strength).volume - true)
+        for strength in found.tried[[chosen - 1, chosen + 1], 0]
+    ]
+    assert off < 1.1 * min(sweep)
+    assert off < 0.85 * np.linalg.norm(true)
+    assert 0.8 < found.total_error / off < 1.25

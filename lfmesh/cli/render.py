@@ -257,13 +257,19 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
 
     scene = scene.pinned()
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
-    with progress() as report:
-        if dask is None:
-            image = trace_image(scene, progress=report, saved=saved, keep=keep)
-        else:
-            from lfmesh.transport.render.on_cluster import render_on_cluster
+    try:
+        with progress() as report:
+            if dask is None:
+                image = trace_image(scene, progress=report, saved=saved, keep=keep)
+            else:
+                from lfmesh.transport.render.on_cluster import render_on_cluster
 
-            image = render_on_cluster(scene, dask, progress=report, saved=saved, keep=keep)
+                image = render_on_cluster(scene, dask, progress=report, saved=saved, keep=keep)
+    except KeyboardInterrupt:
+        if not keep.written:
+            raise
+        print(f"Stopped before a replicate was finished: lfmesh render --resume {folder} goes on with it.")
+        return code_of_last()
     return _told(image, folder)
 
 

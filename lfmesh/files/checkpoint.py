@@ -39,10 +39,16 @@ class Checkpoints:
     folder : Path
     facts : dict
         The scene, as `lfmesh.files.run.scene_metadata` gives it.
+
+    Attributes
+    ----------
+    written : bool
+        Whether there is a checkpoint of this render.
     """
 
     def __init__(self, folder: Path, facts: dict[str, Any]) -> None:
         self._folder, self._facts = folder, facts
+        self.written = False
         self._due = time.monotonic() + SECONDS
 
     def __call__(self, state: RenderState, *, last: bool) -> None:
@@ -58,12 +64,18 @@ class Checkpoints:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with staged_file(self._folder, CHECKPOINT) as file:
-                write_sealed(file, FORMAT, self._facts, arrays_of(state))
+                write_sealed(file, FORMAT, self._facts, _settled(arrays_of(state)))
+            self.written = True
         except OSError as error:
             # Work that is done is not given up for that.
             reason = error.strerror or error
             place = self._folder / CHECKPOINT
             warnings.warn(f"{place} cannot be written: {reason}; the render goes on", CheckpointWarning, stacklevel=2)
+
+
+def _settled(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a state with copies of those that other threads may be adding light to."""
+    return {name: array.copy() if name.startswith("partial.") else array for name, array in arrays.items()}
 
 
 @dataclass

@@ -98,6 +98,27 @@ def test_a_run_ended_by_ctrl_c_goes_on_to_the_same_bits(
     assert not (folder / "run" / CHECKPOINT).exists()
 
 
+def test_a_run_ended_in_its_first_replicate_goes_on_to_the_same_bits(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--samples", "1024", "--replicates", "1")
+    assert main(["render", "scene.toml", "-o", "whole", *options]) == 0
+    original = Tracer.traced
+
+    def traced(self: Tracer, *arguments: Any) -> Any:
+        chunks = original(self, *arguments)
+        yield next(chunks)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Tracer, "traced", traced)
+    assert main(["render", "scene.toml", "-o", "run", *options]) == 130
+    assert "lfmesh render --resume run" in capsys.readouterr().out
+    assert [each.name for each in (folder / "run").iterdir()] == [CHECKPOINT]
+    monkeypatch.setattr(Tracer, "traced", original)
+    assert main(["render", "--resume", "run"]) == 0
+    assert bits(folder / "run") == bits(folder / "whole")
+
+
 def test_a_run_that_is_complete_says_so_and_stays_as_it_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     before = (folder / "run/report.json").read_bytes()

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import reduce
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -134,24 +135,49 @@ class Renderer(Tracer):
         state = self.layout.state(saved)
         clock = Clock(state)
         with self.pool() as pool:
-            return folded(self, state, lambda first, levels: self._tallies(pool, clock, first, levels), clock, keep)
 
-    def _tallies(self, pool: Threads, clock: "Clock", first: int, levels: Counts | None) -> Iterator[Tally]:
-        """Trace a stage's replicates one after the other, in the memory of a single tally."""
+            def tallies(first: int, levels: Counts | None) -> Iterator[Tally]:
+                for tally, number in self._begun(state, first, levels):
+                    for _ in self._chunks_folded(pool, state, tally, levels):
+                        state.seconds = clock.seconds
+                        if keep is not None:
+                            keep(state, last=False)
+                        self._report(number, tally.work.packets, self.plan.packets(levels), clock, levels)
+                    if levels is None and self.layout.blind:
+                        tally.blind = self.blind_samples(pool, tally.replicate)
+                    state.partial = None
+                    yield tally
+
+            return folded(self, state, tallies, clock, keep)
+
+    def _begun(self, state: RenderState, first: int, levels: Counts | None) -> Iterator[tuple[Tally, int]]:
+        """Yield a stage's replicates that are not finished, in the memory of a single tally, with their places.
+
+        One that was interrupted is gone on with: what its films hold of chunks that were not folded is removed.
+        """
         replicates = self.world.scene.transport.replicates
-        tally = self.layout.tally(second=levels is not None)
-        one = self.plan.packets(levels)
+        tally = state.partial or self.layout.tally(second=levels is not None)
         for number in range(first, replicates):
-            tally.restart(number_of(number, replicates, levels))
-            with closing(
-                self.traced(pool, tally.replicate, self.plan.chunks(tally.replicate, levels), tally.films)
-            ) as chunks:
-                for chunk in chunks:
-                    tally.add(chunk)
-                    self._report(number, tally.work.packets, one, clock, levels)
-            if levels is None and self.layout.blind:
-                tally.blind = self.blind_samples(pool, tally.replicate)
-            yield tally
+            replicate = number_of(number, replicates, levels)
+            if state.partial is None or tally.replicate != replicate:
+                tally.restart(replicate)
+            for chunk in islice(self.plan.chunks(replicate, levels), tally.chunks, None) if tally.chunks else ():
+                if chunk.part.options.adjoint:
+                    tally.films[chunk.place].clear_pixels(chunk.pixel_numbers(), chunk.channel)
+            yield tally, number
+
+    def _chunks_folded(
+        self, pool: Threads, state: RenderState, tally: Tally, levels: Counts | None
+    ) -> Iterator[None]:  # fmt: skip
+        """Trace what a replicate lacks, and stop after each chunk that is folded in."""
+        left = islice(self.plan.chunks(tally.replicate, levels), tally.chunks, None)
+        with closing(self.traced(pool, tally.replicate, left, tally.films)) as chunks:
+            for chunk in chunks:
+                # While a chunk is added, the tally is none that one could go on from.
+                state.partial = None
+                tally.add(chunk)
+                state.partial = tally
+                yield
 
     def _report(self, number: int, done: int, one: int, clock: "Clock", levels: Counts | None) -> None:
         """Report the progress of a stage.
@@ -214,7 +240,7 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
     Raises
     ------
     KeyboardInterrupt
-        Interrupted before the first replicate of the first stage was finished.
+        Interrupted before the first replicate of the first stage was finished; what was traced of it is kept by `keep`.
     """
     transport = tracer.world.scene.transport
 
@@ -231,10 +257,13 @@ def folded(tracer: Tracer, state: RenderState, tallies: Tallies, clock: Clock, k
                         keep(state, last=False)
         except KeyboardInterrupt:
             # Inside `add` the sum may hold part of a replicate, and is not valid.
-            if not between or not state.first.count:
+            if not between:
                 raise
-            if keep is not None:
+            state.seconds = clock.seconds
+            if keep is not None and (state.first.count or state.partial is not None):
                 keep(state, last=True)
+            if not state.first.count:
+                raise
 
     add(state.first, None)
     refinement = None

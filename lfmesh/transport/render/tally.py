@@ -56,6 +56,11 @@ class Film:
         self.power[:] = 0.0
         self.hits[:] = 0
 
+    def clear_pixels(self, pixels: NDArray[np.int64], colour: int) -> None:
+        """Remove the light of some pixels at a wavelength."""
+        self.power[pixels, colour] = 0.0
+        self.hits[pixels, colour] = 0
+
     def deposit(self, fallen: NDArray[np.void]) -> None:
         """Add packets that fell on pixels: fields pixel, colour and weight, W."""
         np.add.at(self.power, (fallen["pixel"], fallen["colour"]), fallen["weight"])
@@ -176,6 +181,8 @@ class Tally:
     work : Work
     blind : BlindSamples or None
         Samples that are not aimed, by which the image is checked.
+    chunks : int
+        Number of chunks that are folded in, the first ones of the plan.
     """
 
     replicate: int
@@ -183,6 +190,7 @@ class Tally:
     book: Array
     work: Work
     blind: BlindSamples | None = None
+    chunks: int = 0
 
     def restart(self, replicate: int) -> None:
         """Clear the tally for another replicate, in the same memory."""
@@ -192,12 +200,14 @@ class Tally:
         self.book[:] = 0.0
         self.work = Work(np.zeros_like(self.work.counts))
         self.blind = None
+        self.chunks = 0
 
     def add(self, chunk: ChunkTally) -> None:
         """Add the next chunk, whose light from pixels is already on the film."""
         self.book += chunk.book
         self.work.add(chunk.work)
         self.films[chunk.part].deposit(chunk.deposits)
+        self.chunks += 1
 
     def merge(self, pieces: Iterable[Piece]) -> None:
         """Fold the pieces of the tally's replicate, given in any order, to the same bits as in a single process.
@@ -312,11 +322,15 @@ class RenderState:
         Second stage, of adaptive sampling, once the first is complete.
     seconds : float
         Wall-clock time spent.
+    partial : Tally or None
+        The replicate that is being traced, of the stage under way. Its films may hold light of chunks that are not
+        folded yet.
     """
 
     first: StageSum
     second: StageSum | None = None
     seconds: float = 0.0
+    partial: Tally | None = None
 
 
 @dataclass(frozen=True)
@@ -367,9 +381,14 @@ class Layout:
         """
         if saved is None:
             return RenderState(self.stage())
-        second = self.stage(second=True) if any(name.startswith("second.") for name in saved) else None
+
+        def has(part: str) -> bool:
+            return any(name.startswith(f"{part}.") for name in saved)
+
+        second = self.stage(second=True) if has("second") else None
+        partial = self.tally(second=second is not None) if has("partial") else None
         try:
-            state: RenderState = filled(RenderState(self.stage(), second), saved)
+            state: RenderState = filled(RenderState(self.stage(), second, partial=partial), saved)
         except ValueError as error:
             raise LfmeshError(f"the state that was saved is not that of this scene's render: {error}") from None
         return state

@@ -150,14 +150,22 @@ def read(file: bytes) -> dict[str, NDArray[Any]]:
         return dict(arrays)
 
 
+def is_within(file: bytes) -> bool:
+    """Tell whether a state was kept within a replicate."""
+    return any(name.startswith("partial.") for name in read(file))
+
+
 @pytest.mark.parametrize("way", WAYS)
-def test_a_render_goes_on_from_any_replicate_with_the_same_bits(
+def test_a_render_goes_on_from_any_replicate_and_any_chunk_with_the_same_bits(
     way: str, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]
 ) -> None:
+    """From seven states, first to last, some of them within a replicate."""
     world, kept = lf.build(scene_of(way)), Kept()
     assert_same_bits(Renderer(world, chunk=CHUNK).image(keep=kept), whole[way])
-    assert len(kept.files) == (8 if "adaptive" in way else 4)
-    for file in kept.files:
+    assert sum(not is_within(file) for file in kept.files) == (8 if "adaptive" in way else 4)
+    some = [kept.files[i] for i in np.linspace(0, len(kept.files) - 1, 7).astype(int)]
+    assert is_within(some[0])
+    for file in some:
         again = Kept()
         image = Renderer(world, chunk=CHUNK).image(read(file), again)
         assert_same_bits(image, whole[way])
@@ -179,9 +187,33 @@ def test_ctrl_c_gives_the_last_whole_state_to_the_keeper(
 
     image = Renderer(world, chunk=CHUNK, progress=interrupt).image(keep=kept)
     assert not image.complete
-    # Four of the first stage, two of the second, and the last again.
-    assert len(kept.files) == 7
+    # Four of the first stage, two of the second; the last one is within the third.
+    assert sum(not is_within(file) for file in kept.files) == 6
+    assert is_within(kept.files[-1])
     assert_same_bits(Renderer(world, chunk=CHUNK).image(read(kept.files[-1])), whole[way])
+
+
+@pytest.mark.parametrize("way", ["image path", "reflections, three samples", "forward"])
+def test_ctrl_c_in_the_first_replicate_loses_only_what_was_on_its_way(
+    way: str, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Light of chunks that were traced but not folded in is on the film, and is not there twice in the end."""
+    monkeypatch.setattr("lfmesh.transport.render.render.PROGRESS_SECONDS", 0.0)
+    scene, calls, kept = scene_of(way).changed({"transport.threads": 3}), [], Kept()
+
+    def interrupt(progress: lf.Progress) -> None:
+        calls.append(progress)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Renderer(lf.build(scene), chunk=CHUNK, progress=interrupt).image(keep=kept)
+    saved = read(kept.files[-1])
+    assert saved["partial.chunks"] == 3
+    more: list[lf.Progress] = []
+    image = Renderer(lf.build(scene), chunk=CHUNK, progress=more.append).image(saved)
+    assert_same_bits(image, whole[way])
+    assert more[0].done > calls[-1].done
 
 
 def test_the_state_of_another_render_is_refused(scene_of: Callable[[str], lf.Scene]) -> None:

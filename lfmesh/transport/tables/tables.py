@@ -261,22 +261,24 @@ class Opening(NamedTuple):
 
 
 @by_address
-class AimTables(NamedTuple):
-    """Tables of the aim of rays. Disks are perpendicular to the axis, in the camera frame.
+class LensAim(NamedTuple):
+    """Aim at one side of the lens. Disks are perpendicular to the axis, in the camera frame; see `aims.mixture`."""
 
-    Most rays go to the lens's opening, which holds the image path. A small share goes to a wide disk that every ray to
-    the lens crosses or, through an array, into the whole hemisphere.
-    """
-
-    entrance: Opening  # as seen from the targets
-    front_radius: float  # mm, of the wide disk in the plane of `entrance`
-    exit: Opening  # as seen from the sensor; with an array, from the lenslets
-    back_radius: float  # mm, of the wide disk in the plane of `exit`
+    opening: Opening  # holds the image path
+    wide_radius: float  # mm, of a disk in the plane of `opening` that every ray to the lens crosses
     wide_share: float  # share of unaimed rays, from a point that sees the opening
     share_without_aim: float  # share of rays that are sent at all, all unaimed, from a point that sees no opening
-    # The array: which lenslets show the opening to a point of the sensor.
-    lenslet_z: float  # mm, lenslet apexes as the sensor sees them, array frame
-    pupil_x: float  # mm, centre of the paraxial exit pupil, array frame; it gives the cell that the chief ray meets
+    # GlassAim where light is aimed through glass or liquids, else None: code for it is not even compiled.
+    glass: Any = None
+    ghosts: Any = None  # GhostTables where rays go to where ghosts come from, else None, likewise
+
+
+@by_address
+class LensletAim(NamedTuple):
+    """Aim at the lenslets that show the lens's opening to a point of the sensor, array frame; see `aims.lenslets`."""
+
+    apex_z: float  # mm, lenslet apexes as the sensor sees them
+    pupil_x: float  # mm, centre of the paraxial exit pupil; it gives the cell that the chief ray meets
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     slope: Array  # (cells, 2) slope of the ray from a lenslet's centre to the centre of the opening that it sees
@@ -286,8 +288,15 @@ class AimTables(NamedTuple):
     )
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
     search: float  # pitches, largest distance of a lenslet that shows the opening from the pixel's chief ray
-    # GlassAim where light is aimed through glass or liquids, else None: code for it is not even compiled.
-    through: Any = None
+
+
+@by_address
+class AimTables(NamedTuple):
+    """Tables of the aim of rays."""
+
+    entrance: LensAim  # as seen from the targets
+    exit: LensAim  # as seen from the sensor; with an array, from the lenslets
+    lenslets: LensletAim  # the shares of rays through them are those of `exit`
 
 
 class Tables(NamedTuple):

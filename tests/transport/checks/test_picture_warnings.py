@@ -19,11 +19,11 @@ from lfmesh.cli import main
 from lfmesh.errors import PictureWarning
 from lfmesh.files import words
 from lfmesh.transport import world as worlds
-from lfmesh.transport.aiming import aim_proof
-from lfmesh.transport.aiming.aim_proof import Missed
+from lfmesh.transport.checks import aim_proof
+from lfmesh.transport.checks.aim_proof import Missed
+from lfmesh.transport.checks.blind_check import BlindSamples
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.render import render as renders
-from lfmesh.transport.render.blind_check import BlindSamples
 from lfmesh.transport.render.tracer import Tracer
 from tests.study.studies import small_scene
 from tests.transport.test_lost import ball_with_normals

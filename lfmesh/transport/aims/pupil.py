@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aiming.near_points import (
+from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.near_points import (
     NearViewpoints,
     cover,
     near_disk,
@@ -161,6 +162,11 @@ def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0)
         middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)),
         near=no_near_points(near_depth),
     )  # fmt: skip
+
+
+def unknown_like(opening: Opening) -> Opening:
+    """Return the opening that stands for "not known" on the same side of the lens."""
+    return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near.depth)
 
 
 def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
@@ -488,15 +494,16 @@ def _table(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
 
 
 @inlined
-def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float, float, float]:
+def opening_from(opening: Opening, p: Vector) -> tuple[float, float, float]:
     """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point; radius −1: none.
 
     Parameters
     ----------
     opening : Opening
-    x, y, z : float, mm
+    p : (3,) float, mm
         The point, camera frame.
     """
+    x, y, z = p
     distance = (opening.plane_z - z) * opening.sense
     if distance <= 0.0:
         return 0.0, 0.0, -1.0

@@ -25,7 +25,7 @@ from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import AimTables, MlaTables, SensorTables
+from lfmesh.transport.tables.tables import LensAim, LensletAim, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ Numbers = tuple[float, float, float, float, float, float]
 """Starting numbers of a path, in [0, 1): point of the lenslet (or pupil), point of the pixel, lenslet, role."""
 
 
-def most_listed(aim: AimTables) -> int:
+def most_listed(aim: LensletAim) -> int:
     """Return the largest number of lenslets that `list_cells` may list."""
     most = (2.0 * aim.search + 1.0) * (2.0 * aim.search / ROW_SPACING + 1.0)
     return int(min(most, len(aim.slope_radius2)))
@@ -125,14 +125,15 @@ class Allotment(NamedTuple):
 
 
 @pasted
-def allotted(aim: AimTables, listed: int, samples: int, key: np.uint64) -> Allotment:
+def allotted(aim: LensAim, listed: int, samples: int, key: np.uint64) -> Allotment:
     """Divide a pixel's samples among the roles.
 
     The number of each role is its expected value rounded up or down at random, so that its mean is the expected value.
 
     Parameters
     ----------
-    aim : AimTables
+    aim : LensAim
+        Of the sensor's side.
     listed : int
         Number of lenslets that may show the opening to some point of the pixel.
     samples : int
@@ -169,7 +170,8 @@ def role_of(sample: int, shares: Allotment, chance: float) -> int:
 
 @pasted
 def list_cells(
-    mla: MlaTables, aim: AimTables, glass: float, x: float, y: float, z: float, extent: tuple[float, float], near: Array
+    mla: MlaTables, aim: LensletAim, glass: float, x: float, y: float, z: float, extent: tuple[float, float],
+    near: Array,
 ) -> int:  # fmt: skip
     """List the lenslets that may show the lens's opening to points of a pixel.
 
@@ -180,7 +182,7 @@ def list_cells(
     Parameters
     ----------
     mla : MlaTables
-    aim : AimTables
+    aim : LensletAim
     glass : float
         See `glass_before_faces`.
     x, y, z : float, mm
@@ -198,7 +200,7 @@ def list_cells(
         Number of lenslets listed.
     """
     lattice = mla.lenslets.lattice
-    over = 1.0 / abs(z - aim.lenslet_z)
+    over = 1.0 / abs(z - aim.apex_z)
     kappa = aim.pupil_vergence
     lateral, deep = extent
     # Where the chief ray meets the array.
@@ -368,7 +370,7 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
 
 @pasted
 def through_a_lenslet(
-    mla: MlaTables, aim: AimTables, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
+    mla: MlaTables, aim: LensletAim, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
     cells: NDArray[np.int64], numbers: Numbers, sample: int, shares: Allotment, x: float, y: float, z: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
@@ -465,7 +467,7 @@ def through_a_lenslet(
 
 @pasted
 def cells_that_show(
-    aim: AimTables, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
+    aim: LensletAim, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
 ) -> tuple[int, int, float, float]:
     """Find the listed lenslets that may show the opening to a point, and those among them that do, as far as is known.
 
@@ -486,7 +488,7 @@ def cells_that_show(
     of_maybe, of_lit : float
         Sums of their solid angles, and of their chances.
     """
-    over = 1.0 / abs(z - aim.lenslet_z)
+    over = 1.0 / abs(z - aim.apex_z)
     rings = len(aim.shown) - 1
     maybe, lit, of_maybe, of_lit = 0, 0, 0.0, 0.0
     for cell in range(listed):
@@ -528,7 +530,7 @@ def _by_chance(near: Array, kind: int, cells: NDArray[np.int64], count: int, par
 
 @pasted
 def spread_on_faces(
-    mla: MlaTables, aim: AimTables, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
+    mla: MlaTables, aim: LensletAim, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
     x: float, y: float, z: float, dx: float, dy: float, dz: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Return area over solid angle, mm²/sr, of a direction on the faces that it meets, for main and for margin rays.

@@ -12,11 +12,11 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming.lenslet_aim import slope_to, solid_angle
+from lfmesh.transport.aims.lenslet_aim import slope_to, solid_angle
+from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource

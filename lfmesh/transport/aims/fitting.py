@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import directions, points
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.aims.lenslet_view import RINGS, fitted_views, unmeasured_light, with_wider_cells
+from lfmesh.transport.aims.lenslet_view import RINGS, by_rings, fitted_views, unmeasured_light, with_wider_cells
 from lfmesh.transport.aims.near_points import near_disk, wide_open
 from lfmesh.transport.aims.pupil import opening_from, unknown_like
 from lfmesh.transport.aims.support import seen_from_cells
@@ -29,8 +29,7 @@ MARGIN = 1.02
 def shown_by(off: Array, throughput: Array) -> Array:
     """Return the root mean square of the light in each ring of a lenslet's view, (RINGS + 1,); see `LensletAim.shown`.
 
-    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance. Only
-    rings that no ray met are dark: whatever light main rays leave out comes by single margin rays of great weight.
+    A ring counts as no darker than those further out, so that none is dark because few rays met it by chance.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ def shown_by(off: Array, throughput: Array) -> Array:
         return unmeasured_light()
     light = np.maximum.accumulate(light[::-1])[::-1]
     # A direction leads through the opening or not, so its mean square is its mean.
-    return np.append(np.sqrt(light / brightest), 0.0)
+    return by_rings(np.sqrt(light))
 
 
 def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple[Opening, Opening]:

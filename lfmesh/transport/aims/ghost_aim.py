@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.transport.aims.lenslet_view import with_wider_views
+from lfmesh.transport.aims.lenslet_view import by_rings, with_wider_views
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
@@ -441,4 +441,4 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
     middles = 0.5 * (ghosts.rings[1:] + ghosts.rings[:-1])
     shown = np.interp((np.arange(rings) + 0.5) / rings * ghosts.rings[-1], middles, light / np.diff(ghosts.rings))
     wide = with_wider_views(aim.lenslets, tables.mla, tables.frames, tables.sensor, wider)
-    return aim._replace(lenslets=wide._replace(shown=np.append(shown / shown.max(), 0.0)))
+    return aim._replace(lenslets=wide._replace(shown=by_rings(shown)))

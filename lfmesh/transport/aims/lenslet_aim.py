@@ -1,15 +1,12 @@
 """Directions from a point of the sensor through the lenslets that show it the lens's opening, and their density.
 
-`lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn.
-
-The directions from a point form three disjoint sets, each estimated by rays of its own. Main rays estimate directions
-that meet the face of a lenslet that shows the opening; where several do, each is chosen by the root mean square of the
-light that lenslets show at that distance from the centre of their view. Margin rays estimate other directions that
-meet, or nearly meet, a lenslet that may show it, together with the blind rays that fall there. Blind rays, which go
-anywhere, estimate all the rest, through which ghosts and stray light come. A ray that falls in another kind's set does
-not count. The number of a pixel's rays of each kind is fixed beforehand, so that the main rays of an evenly lit pixel
-all bring the same. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass
-crosses the sphere, and a ray aimed at a point of the face reaches it through the plate.
+`lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn. Most rays go to a cell of a
+lenslet that shows the opening; where several do, each is chosen by the root mean square of the light that lenslets show
+at that distance from the centre of their view. They alone estimate directions that meet such a cell, so that they all
+bring the same in an evenly lit pixel. All other directions are estimated by the mixture of margin rays, which go to
+cells with a margin of all lenslets that may show the opening, and of rays that go anywhere: ghosts and stray light come
+that way. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass crosses the
+sphere, and a ray aimed at a point of the face reaches it through the plate.
 """
 
 from typing import Any, NamedTuple
@@ -23,40 +20,38 @@ from lfmesh.geometry.array.lenslets import Lenslets, is_spherical, shape_of, typ
 from lfmesh.geometry.frame import move_direction
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.optics.scattering import lambertian
+from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.tables import LensAim, LensletAim, MlaTables, SensorTables
+from lfmesh.transport.tables.tables import LensletAim, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
+
+MARGIN_SHARE = 0.02
+"""Share of the rays through lenslets that go to all of those that may show the opening, by their solid angles."""
+
+FEW = 2.0
+"""Expected number of a pixel's aimed rays below which chance says of each ray whether it is one."""
+
+NUMBER_OF_UNAIMED = -1
+"""Number of the child of a pixel's key from which the number of its other rays is drawn; no sample has it."""
 
 CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
 """Dimensions of a path's starting numbers. The point of the lenslet gets the first two, which are distributed the most
 evenly: where the image is in focus, sharp detail in the scene is sharp over the lenslet."""
 
-MAIN, MARGIN, BLIND = 0, 1, 2
-"""Role of a ray: the set of directions that it estimates."""
-
-MARGIN_SHARE = 0.02
-"""Share of the margin rays among the rays that are aimed."""
-
-FEW = 2.0
-"""Expected number of a pixel's main rays below which the role of each ray is drawn at random."""
-
 LISTED = 11
 """Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
 SOLID_ANGLE, CHANCE = 8, 9
-"""Two of these values: the relative probabilities with which margin rays, by solid angle, and main rays choose the
-lenslet."""
+"""Two of these values: the relative probabilities with which margin rays, by solid angle, and all others choose the
+lenslet, by the light that it shows too."""
 
 KIND = 10
 """The last of them: the type of a lenslet that is no sphere."""
 
 ALIKE = 3.5
 """Distance from the chief ray, in pitches, up to which all lenslets are taken to have the same solid angle."""
-
-NUMBERS_OF_ROLES = -1
-"""Number of the child of a pixel's key from which the number of rays of each role is drawn; no sample has it."""
 
 STEPS = 40
 """Largest number of Newton steps towards a slope."""
@@ -80,8 +75,52 @@ _CORNERS = (
 HALF_DIAGONAL = 0.72
 """Half diagonal of a pixel, in its width, with a margin: largest distance from its centre at which a path starts."""
 
+
 Numbers = tuple[float, float, float, float, float, float]
 """Starting numbers of a path, in [0, 1): point of the lenslet (or pupil), point of the pixel, lenslet, role."""
+
+
+class ArraySeen(NamedTuple):
+    """The array as the aim sees it.
+
+    Attributes
+    ----------
+    mla : MlaTables
+    aim : LensletAim
+    glass : float
+        Refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate.
+    """
+
+    mla: MlaTables
+    aim: LensletAim
+    glass: float
+
+
+class Shown(NamedTuple):
+    """Lenslets that may show the opening to a point.
+
+    Attributes
+    ----------
+    near : (n, LISTED) float64
+        From `list_cells`; `CHANCE` is that of the point.
+    cells : (n,) int64
+        Indices in that list.
+    number : int
+        Number of these.
+    by_light, by_angle : float
+        Sums of their chances and of their solid angles.
+    on_cells, on_wider : float
+        Density, 1/mm², of rays that choose by chance on a lenslet's cell, over its chance, and of margin rays on the
+        cell with its margin, over its solid angle.
+    """
+
+    near: Array
+    cells: NDArray[np.int64]
+    number: int
+    by_light: float
+    by_angle: float
+    on_cells: float
+    on_wider: float
 
 
 def most_listed(aim: LensletAim) -> int:
@@ -101,78 +140,8 @@ def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
     return half, half * np.sqrt(nx * nx + ny * ny)
 
 
-class Allotment(NamedTuple):
-    """Division of a pixel's rays among the roles.
-
-    Attributes
-    ----------
-    blind_from, margin_from : int
-        Samples from `blind_from` on are blind, those from `margin_from` up to there are margin rays; both 0 where the
-        roles are drawn at random.
-    main, aimed, unaimed : float
-        Actual shares of the main rays, of main and margin rays together, and of the blind rays.
-    margin, blind : float
-        Expected shares of margin and blind rays.
-    """
-
-    blind_from: int
-    margin_from: int
-    main: float
-    aimed: float
-    unaimed: float
-    margin: float
-    blind: float
-
-
 @pasted
-def allotted(aim: LensAim, listed: int, samples: int, key: np.uint64) -> Allotment:
-    """Divide a pixel's samples among the roles.
-
-    The number of each role is its expected value rounded up or down at random, so that its mean is the expected value.
-
-    Parameters
-    ----------
-    aim : LensAim
-        Of the sensor's side.
-    listed : int
-        Number of lenslets that may show the opening to some point of the pixel.
-    samples : int
-    key : uint64
-        Key of the pixel in its replicate.
-    """
-    blind = aim.wide_share if listed > 0 else aim.share_without_aim
-    margin = MARGIN_SHARE * (1.0 - blind)
-    if listed > 0 and samples * (1.0 - blind - margin) < FEW:
-        return Allotment(0, 0, 1.0 - blind - margin, 1.0 - blind, blind, margin, blind)
-    chance = derived(key, NUMBERS_OF_ROLES)
-    blind_from = samples - int(samples * blind + uniform(chance, 0))
-    margin_from = blind_from - int(samples * margin + uniform(chance, 1))
-    aimed = blind_from / samples
-    return Allotment(blind_from, margin_from, margin_from / samples, aimed, 1.0 - aimed, margin, blind)
-
-
-@pasted
-def role_of(sample: int, shares: Allotment, chance: float) -> int:
-    """Return the role of a sample.
-
-    Parameters
-    ----------
-    sample : int
-        Number of the sample.
-    shares : Allotment
-    chance : float
-        Random number in [0, 1), for pixels whose roles are drawn at random.
-    """
-    if shares.blind_from == 0 and shares.margin_from == 0:
-        return BLIND if chance < shares.blind else (MARGIN if chance < shares.blind + shares.margin else MAIN)
-    return BLIND if sample >= shares.blind_from else (MARGIN if sample >= shares.margin_from else MAIN)
-
-
-@pasted
-def list_cells(
-    mla: MlaTables, aim: LensletAim, glass: float, x: float, y: float, z: float, extent: tuple[float, float],
-    near: Array,
-) -> int:  # fmt: skip
+def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
     """List the lenslets that may show the lens's opening to points of a pixel.
 
     A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
@@ -181,11 +150,8 @@ def list_cells(
 
     Parameters
     ----------
-    mla : MlaTables
-    aim : LensletAim
-    glass : float
-        See `glass_before_faces`.
-    x, y, z : float, mm
+    array : ArraySeen
+    p : (3,) float, mm
         Centre of the pixel, array frame.
     extent : (2,) float, mm
         See `pixel_extent`.
@@ -199,6 +165,7 @@ def list_cells(
     int
         Number of lenslets listed.
     """
+    (mla, aim, glass), (x, y, z) = array, p
     lattice = mla.lenslets.lattice
     over = 1.0 / abs(z - aim.apex_z)
     kappa = aim.pupil_vergence
@@ -368,220 +335,245 @@ def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float,
     return across * along * (1.0 + s2) * np.sqrt(1.0 + s2) / turned
 
 
+@inlined
+def unaimed_share(wide: float) -> float:
+    """Return the share of a pixel's rays that go anywhere, or to lenslets by their solid angles.
+
+    Parameters
+    ----------
+    wide : float
+        Share of those that go anywhere.
+    """
+    return wide + (1.0 - wide) * MARGIN_SHARE
+
+
 @pasted
-def through_a_lenslet(
-    mla: MlaTables, aim: LensletAim, glass: float, normal: tuple[float, float, float], near: Array, listed: int,
-    cells: NDArray[np.int64], numbers: Numbers, sample: int, shares: Allotment, x: float, y: float, z: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
+    """Return how many of a pixel's samples are aimed by the light that lenslets show, and the weight of each of them.
+
+    Their number is its expected value rounded up or down at random, and their weight its inverse relative to that, so
+    that they all bring the same in an evenly lit pixel. The number −1 stands for chance.
+
+    Parameters
+    ----------
+    share : float
+        Of samples that are not.
+    samples : int
+    key : uint64
+        Key of the pixel in its replicate.
+    """
+    expected = samples * (1.0 - share)
+    if expected < FEW:
+        return -1, 1.0
+    number = samples - int(samples * share + uniform(derived(key, NUMBER_OF_UNAIMED), 0))
+    return number, expected / number
+
+
+@pasted
+def aimed_through_array(
+    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, choice: float
+) -> tuple[float, float, float, float]:
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
 
-    The latter is zero if the direction belongs to the set of another role than the sample's.
+    From a point to which no lenslet shows the opening only a share of the rays is sent, anywhere; for the others the
+    last value is zero.
 
     Parameters
     ----------
-    glass : float
-        See `glass_before_faces`.
+    array : ArraySeen
+    shown : Shown
+    wide : float
+        Share of the rays that go anywhere.
     normal : (3,) float
         The sensor's normal towards the array, array frame.
-    near, listed
-        Lenslets that may show the opening, and their number, from `list_cells`.
-    cells : (2, n) int64
-        Working memory, see `cells_that_show`.
-    numbers : Numbers
-    sample : int
-        Number of the sample.
-    shares : Allotment
-    x, y, z : float, mm
+    p : (3,) float, mm
         The point, array frame.
+    numbers : Numbers
+    choice : float
+        From 0 to 1: below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its solid
+        angle, else to one by the light that it shows.
     """
-    lattice = mla.lenslets.lattice
-    nx, ny, nz = normal
-    toward = -1.0 if mla.curved_to_lens else 1.0
-    role = role_of(sample, shares, numbers[DISCRETE])
-    maybe, lit, of_maybe, of_lit = cells_that_show(aim, near, listed, cells, x, y, z)
-    size = lattice.pitch + 2.0 * aim.cell_margin
-    filled = ROW_SPACING if lattice.hexagonal else 1.0
-    air, depth, growth = path_to_apexes(mla, z)
-    if role == BLIND:
-        dx, dy, dz = lambertian(nx, ny, nz, numbers[CELL_U], numbers[CELL_V])
-    elif maybe == 0:
-        return 0.0, 0.0, 0.0, 0.0
+    point, by_light = (numbers[CELL_U], numbers[CELL_V]), choice >= unaimed_share(wide) and shown.by_light > 0.0
+    if choice < wide:
+        d = lambertian(normal[0], normal[1], normal[2], point[0], point[1])
+        on_cells, on_wider = lenslets_density(array, shown, p, d)
+    elif shown.number > 0:
+        chosen = _by_chance(shown, CHANCE if by_light else SOLID_ANGLE, numbers[WHICH_CELL])
+        width = array.mla.lenslets.lattice.pitch + (0.0 if by_light else 2.0 * array.aim.cell_margin)
+        d, on_cells, on_wider = toward_lenslet(array, shown, p, chosen, width, point)
     else:
-        is_main = role == MAIN and lit > 0
-        among, count, total, width = (1, lit, of_lit, lattice.pitch) if is_main else (0, maybe, of_maybe, size)
-        number = 0
-        if count > 1:
-            number = _by_chance(
-                near, CHANCE if is_main else SOLID_ANGLE, cells[among], count, numbers[WHICH_CELL] * total
-            )
-        chosen = cells[among, number]
-        u, v = _point_of_cell(lattice.hexagonal, numbers[CELL_U], numbers[CELL_V])
-        u, v = u * width, v * width
-        curvature, ax, ay = near[chosen, 5], u - near[chosen, 6], v - near[chosen, 7]
-        profile, kind = mla.lenslets.profile, near[chosen, KIND]
-        exists, sag, tilt, tilt_x, tilt_y, level = _face_over(profile, kind, curvature, ax, ay)
-        if not exists:
-            # In the margin around the cell the face may have ended.
-            return 0.0, 0.0, 0.0, 0.0
-        plate = depth + growth * sag
-        dx, dy = near[chosen, 0] + u - x, near[chosen, 1] + v - y
-        r = np.sqrt(dx * dx + dy * dy)
-        s = slope_to(r, air, plate, glass)
-        part = s / r if r > 0.0 else 0.0
-        sx, sy, s2 = dx * part, dy * part, s * s
-        scale = 1.0 / np.sqrt(1.0 + s2)
-        dx, dy, dz = sx * scale, sy * scale, toward * scale
-        if is_main:
-            q2 = glass * glass + (glass * glass - 1.0) * s2
-            q = np.sqrt(q2)
-            layer = mla.lenslets.valley - mla.lenslets.top
-            stays = half_width_to(lattice, u, v) + layer * s / q < 0.5 * lattice.pitch
-            if stays and _meets_once(profile, kind, sx, sy, q):
-                # The ray stays in its cell throughout the layer of faces, so it meets no other lenslet.
-                turned = 1.0 - growth * tilt * (sx * tilt_x + sy * tilt_y) / (q * level)
-                if turned <= 0.0:
-                    return 0.0, 0.0, 0.0, 0.0
-                spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
-                spread *= near[chosen, CHANCE]
-                density = shares.main * spread / (of_lit * filled * lattice.pitch * lattice.pitch)
-                return dx, dy, dz, (nx * dx + ny * dy + nz * dz) / density
-    cos_theta = nx * dx + ny * dy + nz * dz
-    on_faces, drawn = 0.0, 0.0
-    if maybe > 0 and dz * toward > 0.0:
-        on_faces, drawn = spread_on_faces(mla, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
+        return 0.0, 0.0, 0.0, 0.0
+    cos_theta = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
     density = 0.0
-    if on_faces > 0.0:
-        if role == MAIN:
-            density = shares.main * on_faces / (of_lit * filled * lattice.pitch * lattice.pitch)
-    elif drawn > 0.0:
-        by_cells = drawn / (of_maybe * filled * size * size)
-        if lit == 0:
-            # Without main rays, all rays are margin rays or blind.
-            density = shares.aimed * by_cells + shares.unaimed * cos_theta / np.pi
-        elif role != MAIN:
-            density = shares.margin * by_cells + shares.blind * cos_theta / np.pi
-    elif role == BLIND:
-        density = shares.blind * cos_theta / np.pi
-    return dx, dy, dz, cos_theta / density if density > 0.0 else 0.0
+    if on_cells > 0.0:
+        density = (1.0 - wide) * on_cells if by_light else 0.0
+    elif not by_light:
+        density = (1.0 - wide) * on_wider + wide * max(cos_theta, 0.0) / np.pi
+    return d[0], d[1], d[2], cos_theta / density if density > 0.0 else 0.0
 
 
 @pasted
-def cells_that_show(
-    aim: LensletAim, near: Array, listed: int, cells: NDArray[np.int64], x: float, y: float, z: float
-) -> tuple[int, int, float, float]:
-    """Find the listed lenslets that may show the opening to a point, and those among them that do, as far as is known.
+def toward_lenslet(
+    array: ArraySeen, shown: Shown, p: Vector, chosen: int, width: float, point: tuple[float, float]
+) -> tuple[Vector, float, float]:
+    """Return the direction from a point of the sensor to a uniform point of a lenslet's cell, and its densities.
+
+    These, of directions to all lenslets, are zero where the face has ended in the margin round the cell, see
+    `lenslets_density`.
 
     Parameters
     ----------
+    array : ArraySeen
+    shown : Shown
+    p : (3,) float, mm
+        The point, array frame.
+    chosen : int
+        Index of the lenslet in the list.
+    width : float, mm
+        Of its cell, with or without the margin.
+    point : (2,) float
+        Random numbers, uniform in [0, 1).
+    """
+    mla, aim, glass = array
+    lattice, near = mla.lenslets.lattice, shown.near
+    air, depth, growth = path_to_apexes(mla, p[2])
+    u, v = _point_of_cell(lattice.hexagonal, point[0], point[1])
+    u, v = u * width, v * width
+    profile, kind = mla.lenslets.profile, near[chosen, KIND]
+    ax, ay = u - near[chosen, 6], v - near[chosen, 7]
+    exists, sag, tilt, tilt_x, tilt_y, level = _face_over(profile, kind, near[chosen, 5], ax, ay)
+    if not exists or (profile is not None and not mla.lenslets.top <= sag <= mla.lenslets.valley):
+        return (0.0, 0.0, 1.0), 0.0, 0.0
+    plate = depth + growth * sag
+    dx, dy = near[chosen, 0] + u - p[0], near[chosen, 1] + v - p[1]
+    r = np.sqrt(dx * dx + dy * dy)
+    s = slope_to(r, air, plate, glass)
+    part = s / r if r > 0.0 else 0.0
+    sx, sy, s2 = dx * part, dy * part, s * s
+    scale = 1.0 / np.sqrt(1.0 + s2)
+    d = sx * scale, sy * scale, (-scale if mla.curved_to_lens else scale)
+    q2 = glass * glass + (glass * glass - 1.0) * s2
+    q = np.sqrt(q2)
+    layer = mla.lenslets.valley - mla.lenslets.top
+    # A ray that stays in its cell throughout the layer of faces meets no other lenslet. Twice, as in the margin the
+    # faces go on beyond the layer.
+    stays = half_width_to(lattice, u, v) + 2.0 * (layer * s / q + max(aim.cell_margin, 0.0)) < 0.5 * lattice.pitch
+    if not (stays and _meets_once(profile, kind, sx, sy, q)):
+        on_cells, on_wider = lenslets_density(array, shown, p, d)
+        return d, on_cells, on_wider
+    turned = 1.0 - growth * tilt * (sx * tilt_x + sy * tilt_y) / (q * level)
+    if turned <= 0.0:
+        return d, 0.0, 0.0
+    spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
+    return d, spread * near[chosen, CHANCE] * shown.on_cells, spread * near[chosen, SOLID_ANGLE] * shown.on_wider
+
+
+@pasted
+def cells_that_show(array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector) -> Shown:
+    """Find the listed lenslets that may show the opening to a point.
+
+    Parameters
+    ----------
+    array : ArraySeen
     near, listed
         From `list_cells`; `CHANCE` is filled in: solid angle times the root mean square of the light that a lenslet
         shows at this distance from the centre of its view.
-    cells : (2, n) int64
-        Filled with indices in the list: [0] lenslets that may show it, [1] lenslets that do.
-    x, y, z : float, mm
+    cells : (n,) int64
+        Filled with indices in the list.
+    p : (3,) float, mm
         The point, array frame.
-
-    Returns
-    -------
-    maybe, lit : int
-        Numbers of such lenslets.
-    of_maybe, of_lit : float
-        Sums of their solid angles, and of their chances.
     """
-    over = 1.0 / abs(z - aim.apex_z)
+    aim, lattice = array.aim, array.mla.lenslets.lattice
+    over = 1.0 / abs(p[2] - aim.apex_z)
     rings = len(aim.shown) - 1
-    maybe, lit, of_maybe, of_lit = 0, 0, 0.0, 0.0
+    count, by_light, by_angle = 0, 0.0, 0.0
     for cell in range(listed):
-        a, b = (near[cell, 0] - x) * over - near[cell, 2], (near[cell, 1] - y) * over - near[cell, 3]
+        a, b = (near[cell, 0] - p[0]) * over - near[cell, 2], (near[cell, 1] - p[1]) * over - near[cell, 3]
         part2 = (a * a + b * b) / max(near[cell, 4], _TINY)
         shows = part2 <= 1.0
         # The last entry of `shown`, for lenslets that do not show the opening, is zero.
         chance = near[cell, SOLID_ANGLE] * aim.shown[int(min(part2, 1.0) * rings)]
-        cells[0, maybe], cells[1, lit], near[cell, CHANCE] = cell, cell, chance
-        maybe += shows
-        lit += chance > 0.0
-        of_maybe += near[cell, SOLID_ANGLE] * shows
-        of_lit += chance
-    return maybe, lit, of_maybe, of_lit
+        cells[count], near[cell, CHANCE] = cell, chance
+        count += shows
+        by_light += chance
+        by_angle += near[cell, SOLID_ANGLE] * shows
+    filled, width = ROW_SPACING if lattice.hexagonal else 1.0, lattice.pitch + 2.0 * aim.cell_margin
+    margin = MARGIN_SHARE if by_light > 0.0 else 1.0
+    on_cells = (1.0 - margin) / (filled * lattice.pitch * lattice.pitch * max(by_light, _TINY))
+    return Shown(
+        near, cells, count, by_light, by_angle, on_cells, margin / (filled * width * width * max(by_angle, _TINY))
+    )
 
 
 @inlined
-def _by_chance(near: Array, kind: int, cells: NDArray[np.int64], count: int, part: float) -> int:
-    """Choose one of some listed lenslets; return its place among them.
+def _by_chance(shown: Shown, kind: int, choice: float) -> int:
+    """Choose a lenslet by a random number in [0, 1); return its index in the list.
 
     Parameters
     ----------
-    near : (n, LISTED) float64
     kind : int
         `CHANCE` or `SOLID_ANGLE`: the column that holds the relative probabilities.
-    cells : (n,) int64
-        Indices in the list.
-    count : int
-        Number of cells.
-    part : float
-        Random number, from 0 to the sum of their probabilities.
+    choice : float
     """
-    for number in range(count - 1):
-        part -= near[cells[number], kind]
+    part = choice * (shown.by_light if kind == CHANCE else shown.by_angle)
+    for number in range(shown.number - 1):
+        part -= shown.near[shown.cells[number], kind]
         if part < 0.0:
-            return number
-    return count - 1
+            return shown.cells[number]
+    return shown.cells[shown.number - 1]
 
 
 @pasted
-def spread_on_faces(
-    mla: MlaTables, aim: LensletAim, glass: float, near: Array, cells: NDArray[np.int64], maybe: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Return area over solid angle, mm²/sr, of a direction on the faces that it meets, for main and for margin rays.
+def lenslets_density(array: ArraySeen, shown: Shown, p: Vector, d: Vector) -> tuple[float, float]:
+    """Return the densities, 1/sr, with which `toward_lenslet` draws a direction; both 0 outside its support.
 
-    Summed over the faces by their chances, as each could have drawn the direction: faces of lenslets that show the
-    opening, and cells with their margin of all that may. Zero if the direction is outside that part of the aim.
+    The first is that of rays that choose lenslets by the light that they show, the second that of margin rays.
+
+    Summed over the faces that the direction meets, as each could have drawn it.
 
     Parameters
     ----------
-    glass : float
-        See `glass_before_faces`.
-    near
-        Lenslets from `list_cells`.
-    cells, maybe
-        Lenslets among them that may show the opening, and their number, from `cells_that_show`.
-    x, y, z : float, mm
+    array : ArraySeen
+    shown : Shown
+    p : (3,) float, mm
         Point of the sensor, array frame.
-    dx, dy, dz : float
+    d : (3,) float
+        Unit direction.
     """
-    lattice = mla.lenslets.lattice
-    air, depth, growth = path_to_apexes(mla, z)
-    sx, sy = dx / abs(dz), dy / abs(dz)
+    mla, aim, glass = array
+    if shown.number == 0 or d[2] * (-1.0 if mla.curved_to_lens else 1.0) <= 0.0:
+        return 0.0, 0.0
+    lattice, near = mla.lenslets.lattice, shown.near
+    air, depth, growth = path_to_apexes(mla, p[2])
+    sx, sy = d[0] / abs(d[2]), d[1] / abs(d[2])
     s2 = sx * sx + sy * sy
     q2 = glass * glass + (glass * glass - 1.0) * s2
     q = np.sqrt(q2)
     gx, gy = sx / q, sy / q
-    px, py = x + sx * air + gx * depth, y + sy * air + gy * depth
+    px, py = p[0] + sx * air + gx * depth, p[1] + sy * air + gy * depth
     half = 0.5 * lattice.pitch
-    on_faces, drawn = 0.0, 0.0
-    for i in range(maybe):
-        cell = cells[0, i]
+    on_cells, on_wider = 0.0, 0.0
+    for i in range(shown.number):
+        cell = shown.cells[i]
         ex, ey = near[cell, 6], near[cell, 7]
+        ax, ay = px - near[cell, 0] - ex, py - near[cell, 1] - ey
+        by_light, by_angle = near[cell, CHANCE] * shown.on_cells, near[cell, SOLID_ANGLE] * shown.on_wider
         if not is_spherical(mla.lenslets.profile):
-            on_face_, on_wider = _spread_on_profile(
-                mla.lenslets.profile, mla.lenslets, near[cell, KIND], near[cell, 5], ex, ey,
-                px - near[cell, 0] - ex, py - near[cell, 1] - ey, gx, gy, aim.cell_margin,
+            on_cell, on_margin = _spread_on_profile(
+                mla.lenslets.profile, mla.lenslets, near[cell], (ax, ay), (gx, gy), aim.cell_margin,
                 (air, depth, growth, glass, s2, q2, q),
             )  # fmt: skip
-            drawn += on_wider * near[cell, SOLID_ANGLE]
-            on_faces += on_face_ * near[cell, CHANCE]
+            on_cells += by_light * on_cell
+            on_wider += by_angle * on_margin
             continue
-        met, ax, ay, sag, turned = on_face(
-            near[cell, 5], px - near[cell, 0] - ex, py - near[cell, 1] - ey, growth * gx, growth * gy
-        )  # fmt: skip
+        met, ax, ay, sag, turned = on_face(near[cell, 5], ax, ay, growth * gx, growth * gy)
         if not met:
             continue
         out = half_width_to(lattice, ax + ex, ay + ey)
         spread = spread_on_face(air, depth + growth * sag, glass, s2, q2, q, turned)
-        drawn += spread * near[cell, SOLID_ANGLE] * (out <= half + aim.cell_margin)
-        on_faces += spread * near[cell, CHANCE] * (out <= half)
-    return on_faces, drawn
+        on_cells += spread * by_light * (out <= half)
+        on_wider += spread * by_angle * (out <= half + aim.cell_margin)
+    return on_cells, on_wider
 
 
 @inlined
@@ -617,8 +609,8 @@ def _meets_once(profile: Any, kind: float, sx: float, sy: float, q: float) -> bo
 
 @inlined
 def _spread_on_profile(
-    profile: Any, lenslets: Lenslets, kind: float, curvature: float, ex: float, ey: float, ax: float, ay: float,
-    gx: float, gy: float, margin: float, way: tuple[float, float, float, float, float, float, float],
+    profile: Any, lenslets: Lenslets, lenslet: Array, a: tuple[float, float], g: tuple[float, float], margin: float,
+    way: tuple[float, float, float, float, float, float, float],
 ) -> tuple[float, float]:  # fmt: skip
     """Return area over solid angle where a line crosses the face of a cell, and that of the cell with its margin.
 
@@ -626,32 +618,33 @@ def _spread_on_profile(
 
     Parameters
     ----------
-    ex, ey : float, mm
-        The apex, from the cell's centre.
-    ax, ay : float, mm
+    lenslet : (LISTED,) float64
+        Its row in the list.
+    a : (2,) float, mm
         The line at the height of the apexes, from the apex.
-    gx, gy : float
+    g : (2,) float
         Its slopes, away from the sensor.
     margin : float, mm
     way : (7,) float
         Thickness of air and of glass, sense in which the sag changes that, index, and slopes as `spread_on_face` takes
         them.
     """
+    on_cell, on_wider = 0.0, 0.0
     if profile is None:
-        return 0.0, 0.0
+        return on_cell, on_wider
     air, depth, growth, glass, s2, q2, q = way
     half, side, begin = 0.5 * lenslets.lattice.pitch, 0.0, lenslets.top
-    on_face_, on_wider = 0.0, 0.0
+    gx, gy = growth * g[0], growth * g[1]
     while True:
         falls, z, turned = next_fall(
-            profile, int(kind), curvature, ax, ay, growth * gx, growth * gy, side, begin, lenslets.valley
+            profile, int(lenslet[KIND]), lenslet[5], a[0], a[1], gx, gy, side, begin, lenslets.valley
         )
         if not falls:
-            return on_face_, on_wider
-        out = half_width_to(lenslets.lattice, ax + growth * gx * z + ex, ay + growth * gy * z + ey)
+            return on_cell, on_wider
+        out = half_width_to(lenslets.lattice, a[0] + gx * z + lenslet[6], a[1] + gy * z + lenslet[7])
         spread = spread_on_face(air, depth + growth * z, glass, s2, q2, q, turned)
         on_wider += spread * (out <= half + margin)
-        on_face_ += spread * (out <= half)
+        on_cell += spread * (out <= half)
         begin, side = z, -1.0
 
 

@@ -45,9 +45,20 @@ MOST_INDICES = 8
 """Refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
 
 
+def by_rings(light: Array) -> Array:
+    """Return the light in the rings of a view, relative to the brightest, as `LensletAim.shown`.
+
+    Parameters
+    ----------
+    light : (rings,) float64
+        Root mean square of each ring.
+    """
+    return np.append(light / light.max(), 0.0)
+
+
 def unmeasured_light() -> Array:
     """Return the light in the rings of a view where it has not been measured, see `LensletAim.shown`."""
-    return np.where(np.arange(RINGS + 1) < SURELY_SHOWN * RINGS, 1.0, 0.0)
+    return by_rings(np.where(np.arange(RINGS) < SURELY_SHOWN * RINGS, 1.0, 0.0))
 
 
 def no_lenslets(cells: int) -> LensletAim:

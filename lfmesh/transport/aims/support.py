@@ -9,15 +9,16 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
+    ArraySeen,
     cells_that_show,
     glass_before_faces,
     half_width_to,
+    lenslets_density,
     list_cells,
     most_listed,
     on_lenslet,
     path_to_apexes,
     pixel_extent,
-    spread_on_faces,
 )
 from lfmesh.transport.aims.near_points import NearViewpoints, near_disk
 from lfmesh.transport.aims.pupil import Viewpoints, opening_from
@@ -51,7 +52,7 @@ def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arra
         return beyond
     near, cells = (
         np.zeros((most_listed(aim.lenslets) + 1, LISTED)),
-        np.zeros((2, most_listed(aim.lenslets) + 1), np.int64),
+        np.zeros(most_listed(aim.lenslets) + 1, np.int64),
     )
     _outside_cells(
         rays.sensor, rays.colour, aim.lenslets, through.mla, through.sensor, through.frames, near, cells, beyond
@@ -176,13 +177,12 @@ def _outside_cells(
         row = min(max(np.floor(rays[i, 1] / sensor.pixel + 0.5 * sensor.rows), 0), sensor.rows - 1)
         x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-        glass = glass_before_faces(mla, colour[i])
-        listed = list_cells(mla, aim, glass, px, py, pz, extent, near)
-        x, y, z = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        dx, dy, dz = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        maybe, _, _, _ = cells_that_show(aim, near, listed, cells, x, y, z)
-        on_faces, drawn = spread_on_faces(mla, aim, glass, near, cells, maybe, x, y, z, dx, dy, dz)
-        if not on_faces + drawn > 0.0:
+        array = ArraySeen(mla, aim, glass_before_faces(mla, colour[i]))
+        listed = list_cells(array, (px, py, pz), extent, near)
+        p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
+        on_cells, on_wider = lenslets_density(array, cells_that_show(array, near, listed, cells, p), p, d)
+        if not on_cells + on_wider > 0.0:
             outside[i] = np.inf
 
 

@@ -32,7 +32,7 @@ class StartRoom(NamedTuple):
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
     near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
-    cells: NDArray[np.int64]  # (2, most + 1) lenslets that may show it to one point, see `cells_that_show`
+    cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
@@ -48,7 +48,7 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET) -> StartRoom
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
         np.zeros((most + 1, LISTED)),
-        np.zeros((2, most + 1), np.int64),
+        np.zeros(most + 1, np.int64),
         np.zeros(STARTS, record),
     )
 

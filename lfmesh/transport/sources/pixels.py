@@ -21,13 +21,15 @@ from lfmesh.transport.aims.lenslet_aim import (
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
-    Allotment,
-    allotted,
+    ArraySeen,
+    aimed_rays,
+    aimed_through_array,
+    cells_that_show,
     glass_before_faces,
     lenslet_ahead,
     list_cells,
     pixel_extent,
-    through_a_lenslet,
+    unaimed_share,
 )
 from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.engine import Workspace
@@ -248,11 +250,11 @@ def _aim_rays(
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1
-    column, row, glass, usual = 0.0, 0.0, 1.0, np.inf
-    shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    extent = 0.0, 0.0
+    column, row, usual, wide, unaimed, extent = 0.0, 0.0, np.inf, 0.0, 0.0, (0.0, 0.0)
+    by_light, own_weight = 0, 1.0
+    array = ArraySeen(mla, aim.lenslets, glass_before_faces(mla, colour) if mla.present else 1.0)
     if mla.present:
-        glass, extent = glass_before_faces(mla, colour), pixel_extent(sensor, frames)
+        extent = pixel_extent(sensor, frames)
     for i in range(count):
         pixel, sample = entries.pixel[which], entries.begin[which] + place
         if which != begun:
@@ -261,19 +263,24 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near = list_cells(mla, aim.lenslets, glass, px, py, pz, extent, room.near)
-                shares = allotted(aim.exit, near, samples, derived(replicate_key, pixel))
-                usual = area * lenslet_ahead(mla, glass, pz) / (1.0 - aim.exit.wide_share)
+                near = list_cells(array, (px, py, pz), extent, room.near)
+                wide = aim.exit.wide_share if near > 0 else aim.exit.share_without_aim
+                unaimed = unaimed_share(wide)
+                by_light, own_weight = aimed_rays(unaimed, samples, derived(replicate_key, pixel))
+                usual = area * lenslet_ahead(mla, array.glass, pz) / (1.0 - aim.exit.wide_share)
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
             room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
         )  # fmt: skip
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if mla.present:
-            px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-            dx, dy, dz, importance = through_a_lenslet(
-                mla, aim.lenslets, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
-            )  # fmt: skip
+            p = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
+            shown = cells_that_show(array, room.near, near, room.cells, p)
+            choice = numbers[DISCRETE]
+            if by_light >= 0:
+                choice = 1.0 if sample < by_light else choice * unaimed
+            dx, dy, dz, importance = aimed_through_array(array, shown, wide, normal, p, numbers, choice)
+            importance *= own_weight if choice >= unaimed else 1.0
             ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.

@@ -283,9 +283,8 @@ class LensletAim(NamedTuple):
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     slope: Array  # (cells, 2) slope of the ray from a lenslet's centre to the centre of the opening that it sees
     slope_radius2: Array  # (cells,) squared radius, in slopes, of the opening about that; −1: the lenslet sees none
-    shown: (
-        Array  # (rings + 1,) root mean square of the light in rings of a view, of equal area, from the centre; last 0
-    )
+    # (rings + 1,) relative root mean square of the light in rings of a view, of equal area, from the centre; last 0
+    shown: Array
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
     search: float  # pitches, largest distance of a lenslet that shows the opening from the pixel's chief ray
 

@@ -72,9 +72,9 @@ def world_of(mla: dict[str, Any]) -> World:
 class Starts:
     """Starts paths from a pixel, `samples` at a time, with some changes of the aim."""
 
-    def __init__(self, world: World, samples: int, **aim: float) -> None:
+    def __init__(self, world: World, samples: int, **shares: float) -> None:
         self.samples = samples
-        self._tables = world.tables._replace(aim=world.aim._replace(**aim))
+        self._tables = world.tables._replace(aim=world.aim._replace(exit=world.aim.exit._replace(**shares)))
         self._work = Workspace(world, options_of(world)._replace(sequential=False), tables=self._tables)
 
     def drawn(self, pixel: int, seed: int, times: int) -> tuple[Array, Array]:

@@ -13,7 +13,14 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.array.lattice import Lattice
-from lfmesh.transport.aims.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
+from lfmesh.transport.aims.lenslet_aim import (
+    LISTED,
+    ArraySeen,
+    cells_that_show,
+    lenslets_density,
+    list_cells,
+    most_listed,
+)
 from lfmesh.transport.aims.pupil import opening_from, real_opening, unknown_like, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
@@ -225,12 +232,13 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
         world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
     )
     out = paths.source[paths.status == lf.Status.ESCAPED]
-    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((2, most_listed(aim) + 1), np.int64)
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros(most_listed(aim) + 1, np.int64)
     glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
-    past = 0
+    past, seen = 0, ArraySeen(array, aim, glass)
     for i in out:
-        maybe = cells_that_show(aim, near, list_cells(array, aim, glass, *p[i], (0.0, 0.0), near), cells, *p[i])[0]
-        past += max(spread_on_faces(array, aim, glass, near, cells, maybe, *p[i], *d[i])) == 0.0
+        point = tuple(p[i])
+        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), near), cells, point)
+        past += max(lenslets_density(seen, shown, point, tuple(d[i]))) == 0.0
     assert len(out) > 500
     assert past == 0
 

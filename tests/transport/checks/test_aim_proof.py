@@ -134,7 +134,6 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
 HOBBLED = {
     "narrow views": with_lenslets(lambda aim: {"slope_radius2": 0.01 * aim.slope_radius2}),
     "views that look aside": with_lenslets(lambda aim: {"slope": aim.slope + 0.1}),
-    # Main rays, which go to whole cells, would hold what margin rays leave out.
     "narrow cells": with_lenslets(lambda aim: {"cell_margin": -0.02, "shown": np.zeros_like(aim.shown)}),
     "lenslets that show nothing": with_lenslets(
         lambda aim: {"slope_radius2": np.where(np.arange(64) % 3 == 0, -1.0, aim.slope_radius2)}
@@ -262,7 +261,7 @@ def test_no_part_of_a_view_is_dark_because_few_rays_met_it(rays: int) -> None:
     assert shown[-1] == 0.0
 
 
-def test_main_rays_go_wherever_rays_have_met_light() -> None:
+def test_rays_go_wherever_rays_have_met_light() -> None:
     """Light at the rim that they leave out, 5e-4 of all here, makes pixels of an even picture several times too bright.
 
     Margin rays alone would bring it, one of fifty rays with some fifty times the weight.

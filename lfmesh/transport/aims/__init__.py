@@ -1,1 +1,1 @@
-"""Pupils, lenslet views and the aim: where rays are sent, and the proof that nothing is missed."""
+"""Aims: where rays are sent to, each with a draw, a density, and a support that rays from the stop prove."""

@@ -32,9 +32,9 @@ from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.tables import (
     AimTables,
     Camera,
+    Disks,
     LensAim,
     LensTables,
-    NearOpening,
     Opening,
 )
 
@@ -148,8 +148,8 @@ def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, 
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
     posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True, near=near)
-    if disks is not None:
-        entrance = entrance._replace(near=disks)
+    if near is not None and disks is not None:
+        entrance = entrance._replace(near=disks, near_depth=near.depth)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
     if posed:
         # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
@@ -189,7 +189,7 @@ def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:
 
 def _seen_close(
     report: FirstOrder, lens: LensTables, shapes: Shapes, analytic: bool
-) -> tuple[NearViewpoints | None, NearOpening | None]:
+) -> tuple[NearViewpoints | None, Disks | None]:
     """Return viewpoints close before the lens that see light through it, and the opening from them; None: none do."""
     near = _near_points(lens, shapes)
     if near is None:

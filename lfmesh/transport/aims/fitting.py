@@ -5,15 +5,14 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import directions, points
 from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.aims.disks import disk_at, wide_open
 from lfmesh.transport.aims.lenslet_view import RINGS, by_rings, fitted_views, unmeasured_light, with_wider_cells
-from lfmesh.transport.aims.near_points import near_disk, wide_open
-from lfmesh.transport.aims.pupil import opening_from, unknown_like
 from lfmesh.transport.aims.support import seen_from_cells
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.stop_rays import CameraTables, Rays, rays_from_stop, reach_of
 from lfmesh.transport.tables.tables import (
     AimTables,
-    NearOpening,
+    Disks,
     Opening,
 )
 
@@ -68,15 +67,17 @@ def decentred(entrance: Opening, exit_: Opening, through: CameraTables) -> tuple
     landing = np.column_stack([rays.sensor[:, :2], np.zeros(len(rays.sensor))])
     behind = points(to_camera, landing), -directions(to_camera, rays.sensor[:, 2:])
     before = rays.objects[:, :3], rays.objects[:, 3:]
-    entrance = entrance._replace(near=_near_moved_to_rays(entrance, *before, rays.throughput, random))
+    entrance = entrance._replace(near=_moved_to_rays(entrance, *before, rays.throughput, random, near=True))
     return (
-        _moved_to_rays(entrance, *before, rays.throughput, random),
-        _moved_to_rays(exit_, *behind, rays.throughput, random),
+        entrance._replace(far=_moved_to_rays(entrance, *before, rays.throughput, random)),
+        exit_._replace(far=_moved_to_rays(exit_, *behind, rays.throughput, random)),
     )
 
 
-def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator) -> Opening:
-    """Return an opening whose centres are moved by the mean distance of rays from them.
+def _moved_to_rays(
+    opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator, *, near: bool = False
+) -> Disks:
+    """Return one of an opening's tables with centres moved by the mean distance of rays from them.
 
     Parameters
     ----------
@@ -84,100 +85,56 @@ def _moved_to_rays(opening: Opening, p: Array, d: Array, throughput: Array, rand
     p, d : (n, 3) float64
         Points, mm, and directions of the rays, camera frame.
     throughput : (n,) float64
+    near : bool
+        The table of near points.
     """
-    if not opening.known or not len(throughput):
-        return opening
-    rows = len(opening.radius) if opening.nearness_step != 1.0 else 0
+    disks = opening.near if near else opening.far
+    if not (disks.radius > 0.0).any() or not len(throughput):
+        return disks
+    rows = len(disks.radius) - 1 if disks.row_step != 1.0 else 0
     row = rows * random.random(len(p))
-    z = opening.plane_z - opening.sense / (opening.nearness + row * opening.nearness_step)
+    along = disks.first + row * disks.row_step
+    z = opening.plane_z - opening.sense * (along if near else 1.0 / along)
     seen_from = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
-    tangent = np.hypot(seen_from[:, 0], seen_from[:, 1]) * (opening.nearness + row * opening.nearness_step)
-    opening = _open_out_to(opening, int(tangent.max() / opening.tangent_step) + 2)
+    across = np.hypot(seen_from[:, 0], seen_from[:, 1]) * (1.0 if near else along)
+    disks = _open_out_to(disks, int(across.max() / disks.column_step) + 2)
     off = np.full((len(p), 2), np.nan)
-    _off_centre(seen_from, d, opening, off)
+    crossing = p + ((opening.plane_z - p[:, 2]) / d[:, 2])[:, None] * d
+    _off_centre(disks, seen_from, across, along, crossing, off)
     known = np.isfinite(off[:, 0])
     if not known.any():
-        return opening
+        return disks
     weight = np.sqrt(throughput[known])[:, None]
     terms = np.column_stack([np.ones(known.sum()), row[known]])[:, : 2 if rows else 1]
-    shift = np.zeros((2, 2))
-    shift[: terms.shape[1]] = np.linalg.lstsq(weight * terms, weight * off[known], rcond=None)[0]
-    return opening._replace(decentre=shift)
-
-
-def _near_moved_to_rays(
-    opening: Opening, p: Array, d: Array, throughput: Array, random: np.random.Generator
-) -> NearOpening:
-    """Return the table of near points of an opening, moved likewise; parameters as for `_moved_to_rays`."""
-    near = opening.near
-    rows = len(near.radius) - 1
-    if not opening.known or not near.depth > 0.0 or not (near.radius > 0.0).any() or not len(throughput):
-        return near
-    row = rows * random.random(len(p))
-    distance = near.distance + row * near.distance_step
-    t = (opening.plane_z - distance - p[:, 2]) / d[:, 2]
-    seen_from = p + t[:, None] * d
-    height = np.hypot(seen_from[:, 0], seen_from[:, 1])
-    near = _near_open_out_to(near, int(height.max() / near.height_step) + 2)
-    off = np.full((len(p), 2), np.nan)
-    _off_near_centre(seen_from, d, near, distance, off)
-    known = np.isfinite(off[:, 0])
-    if not known.any():
-        return near
-    weight = np.sqrt(throughput[known])[:, None]
-    terms = np.column_stack([np.ones(known.sum()), row[known]])
     # Disks that vanish towards the plane do not move there.
-    first = 1 if near.distance == 0.0 and not (near.radius[0] > 0.0).any() else 0
+    first = 1 if disks.first == 0.0 and not (disks.radius[0] > 0.0).any() else 0
     shift = np.zeros((2, 2))
-    shift[first:] = np.linalg.lstsq(weight * terms[:, first:], weight * off[known], rcond=None)[0]
-    return near._replace(decentre=shift)
+    shift[first : terms.shape[1]] = np.linalg.lstsq(weight * terms[:, first:], weight * off[known], rcond=None)[0]
+    return disks._replace(decentre=shift)
 
 
-def _near_open_out_to(near: NearOpening, columns: int) -> NearOpening:
-    """Return a table of near points that is open at so many heights at least, as `_open_out_to` does."""
-    width = int(np.flatnonzero((near.radius >= 0.0).any(axis=0)).max(initial=-1))
-    if not 0 < width < columns:
-        return near
-    middle, radius = near.middle[:, : width + 1], near.radius[:, : width + 1]
-    further = np.arange(1, columns - width + 1)
-    middle = np.hstack([middle, middle[:, -1:] + further * (middle[:, -1:] - middle[:, -2:-1])])
-    radius = np.hstack([radius, np.repeat(radius.max(axis=1, keepdims=True), columns - width, axis=1)])
-    return near._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
+def _open_out_to(disks: Disks, columns: int) -> Disks:
+    """Return a table that is open in so many columns at least, as poses may let light through beyond.
 
-
-@kernel
-def _off_near_centre(p: Array, d: Array, near: NearOpening, distance: Array, off: Array) -> None:
-    """Write what `_off_centre` does, of near points at a distance."""
-    for i in range(len(off)):
-        cx, cy, radius = near_disk(near, p[i, 0], p[i, 1], distance[i])
-        if radius > 0.0:
-            over = distance[i] / abs(d[i, 2])
-            off[i, 0], off[i, 1] = p[i, 0] + over * d[i, 0] - cx, p[i, 1] + over * d[i, 1] - cy
-
-
-def _open_out_to(opening: Opening, columns: int) -> Opening:
-    """Return an opening that is open at so many field angles at least, as poses may let light through beyond.
-
-    Beyond those at which the lens as prescribed is open, centres go on evenly, and radii stay.
+    Beyond those in which the lens as prescribed is open, centres go on evenly, and radii stay.
     """
-    width = int(np.flatnonzero((opening.radius > 0.0).any(axis=0)).max(initial=-1)) + 1
+    width = int(np.flatnonzero((disks.radius >= 0.0).any(axis=0)).max(initial=-1))
     if not 0 < width < columns:
-        return opening
-    middle, radius = opening.middle[:, : width + 1], opening.radius[:, :width]
+        return disks
+    middle, radius = disks.middle[:, : width + 1], disks.radius[:, : width + 1]
     further = np.arange(1, columns - width + 1)
     middle = np.hstack([middle, middle[:, -1:] + further * (middle[:, -1:] - middle[:, -2:-1])])
     radius = np.hstack([radius, np.repeat(radius.max(axis=1, keepdims=True), columns - width, axis=1)])
-    return opening._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
+    return disks._replace(middle=np.ascontiguousarray(middle), radius=np.ascontiguousarray(radius))
 
 
 @kernel
-def _off_centre(p: Array, d: Array, opening: Opening, off: Array) -> None:
+def _off_centre(disks: Disks, p: Array, across: Array, along: Array, crossing: Array, off: Array) -> None:
     """Write how far each ray crosses the opening's plane from the centre of the disk seen from its point, (n, 2) mm."""
     for i in range(len(off)):
-        cx, cy, radius = opening_from(opening, (p[i, 0], p[i, 1], p[i, 2]))
+        cx, cy, radius = disk_at(disks, p[i, 0], p[i, 1], across[i], along[i])
         if radius > 0.0:
-            t = (opening.plane_z - p[i, 2]) / d[i, 2]
-            off[i, 0], off[i, 1] = p[i, 0] + t * d[i, 0] - cx, p[i, 1] + t * d[i, 1] - cy
+            off[i, 0], off[i, 1] = crossing[i, 0] - cx, crossing[i, 1] - cy
 
 
 def fitted(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
@@ -208,35 +165,19 @@ def _above(values: Array, throughput: Array) -> float:
     return float(values[known][order][min(first, len(order) - 1)]) if len(order) else 1.0
 
 
-def widened(opening: Opening, beyond: Array, throughput: Array) -> Opening:
-    """Return an opening widened to hold rays outside it; not known if too much light goes where it is closed.
+def widened(disks: Disks, beyond: Array, throughput: Array, wide_radius: float) -> Disks:
+    """Return a table widened to hold rays outside it; wide open if too much light goes where it is closed.
 
     Parameters
     ----------
-    opening : Opening
+    disks : Disks
     beyond : (n,) float64
-        Distance of each ray from the centre, in radii; inf where the opening is closed.
+        Distance of each ray from the centre, in radii; inf where the table is closed.
     throughput : (n,) float64
-    """
-    if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
-        return unknown_like(opening)
-    by = max(1.0, MARGIN * _above(beyond, throughput))
-    return opening._replace(radius=np.where(opening.radius > 0.0, by * opening.radius, opening.radius))
-
-
-def widened_near(opening: Opening, beyond: Array, throughput: Array, wide_radius: float) -> Opening:
-    """Return an opening whose table of near points is widened likewise; if too much is closed, they see a wide disk.
-
-    Parameters
-    ----------
-    opening, beyond, throughput
-        As for `widened`.
     wide_radius : float, mm
+        Of the disk that every ray to the lens crosses.
     """
-    near = opening.near
-    if not opening.known or not (beyond > 1.0).any():
-        return opening
     if throughput[np.isinf(beyond)].sum() > 0.5 * ALLOWED * throughput.sum():
-        return opening._replace(near=wide_open(near, wide_radius))
+        return wide_open(disks, wide_radius)
     by = max(1.0, MARGIN * _above(beyond, throughput))
-    return opening._replace(near=near._replace(radius=np.where(near.radius > 0.0, by * near.radius, near.radius)))
+    return disks._replace(radius=np.where(disks.radius > 0.0, by * disks.radius, disks.radius))

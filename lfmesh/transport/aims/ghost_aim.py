@@ -148,13 +148,9 @@ def _where_from(tables: Tables) -> tuple[float, float]:
 
 def _opening(aim: AimTables) -> float:
     """Return the distance from the axis, mm, that holds the lens's opening, and of which some is left outside."""
-    seen = aim.exit.opening.radius > 0.0
-    if not seen.any():
-        return math.sqrt(0.5) * aim.exit.wide_radius
-    # Centres are of the corners of the intervals that the radii are of.
-    middle = np.abs(aim.exit.opening.middle)
-    farthest = np.maximum.reduce([middle[:-1, :-1], middle[1:, :-1], middle[:-1, 1:], middle[1:, 1:]])
-    return float(min((farthest + aim.exit.opening.radius)[seen].max(), math.sqrt(0.5) * aim.exit.wide_radius))
+    disks, within = aim.exit.opening.far, math.sqrt(0.5) * aim.exit.wide_radius
+    seen = disks.radius > 0.0
+    return min(float((np.abs(disks.middle) + disks.radius)[seen].max()), within) if seen.any() else within
 
 
 def _light(tables: Tables, ghosts: GhostTables) -> Array:
@@ -430,10 +426,10 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
         exit_ = tables.aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0)
         return tables.aim._replace(exit=exit_)
     aim = with_wide_share(tables.aim, WIDE_SHARE_OF_GHOSTS)
-    known = aim.exit.opening.radius > 0.0
+    known = aim.exit.opening.far.radius > 0.0
     if not known.any():
         return aim
-    wider = aim.exit.wide_radius / float(np.median(aim.exit.opening.radius[known]))
+    wider = aim.exit.wide_radius / float(np.median(aim.exit.opening.far.radius[known]))
     if not wider > 1.0:
         return aim
     rings = len(aim.lenslets.shown) - 1

@@ -178,7 +178,7 @@ def _shares(aim: LensAim, p: Vector) -> tuple[tuple[float, float, float, float],
     else:
         share = aim.wide_share if radius > 0.0 else aim.share_without_aim
     distance = (opening.plane_z - p[2]) * opening.sense
-    if 0.0 < distance < opening.near.depth:
+    if 0.0 < distance < opening.near_depth:
         if radius * radius > (p[0] - cx) ** 2 + (p[1] - cy) ** 2 + distance * distance:
             share = max(share, WIDE_SHARE_WITHIN)
         everywhere = EVERYWHERE * share

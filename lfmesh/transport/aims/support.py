@@ -20,7 +20,7 @@ from lfmesh.transport.aims.lenslet_aim import (
     path_to_apexes,
     pixel_extent,
 )
-from lfmesh.transport.aims.near_points import NearViewpoints, near_disk
+from lfmesh.transport.aims.near_points import NearViewpoints
 from lfmesh.transport.aims.pupil import Viewpoints, opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.stop_rays import CameraTables, Rays
@@ -81,64 +81,44 @@ def seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[
     return off, radius, out
 
 
-def beyond_object_aim(aim: AimTables, seen: Viewpoints | None, rays: Rays, random: np.random.Generator) -> Array:
-    """Return the factor of `beyond_sensor_aim` for the aim from the targets; 0 for rays that miss the targets.
+def beyond_object_aim(
+    aim: AimTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return the factors of `beyond_sensor_aim` for the aim from far and from near points; 0 for rays that miss these.
 
-    Each ray is tested at a random distance among those of the targets.
+    Each ray is tested at a random distance among those of the points.
 
     Parameters
     ----------
     aim : AimTables
     seen : Viewpoints or None
         Of the targets.
-    rays : Rays
-    random : Generator
-    """
-    beyond = np.zeros(len(rays.throughput))
-    if seen is None or not aim.entrance.opening.known:
-        return beyond
-    share = random.random(len(beyond))
-    distance = 1.0 / (share / seen.distance[0] + (1.0 - share) / seen.distance[-1])
-    t = (seen.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
-    p = rays.objects[:, :3] + t[:, None] * rays.objects[:, 3:]
-    inside = np.hypot(p[:, 0], p[:, 1]) <= seen.tangent[-1] * distance
-    found = np.zeros(int(inside.sum()))
-    _beyond_opening(p[inside], -rays.objects[inside, 3:], aim.entrance.opening, found)
-    beyond[inside] = found
-    return beyond
-
-
-def beyond_near_aim(aim: AimTables, near: NearViewpoints | None, rays: Rays, random: np.random.Generator) -> Array:
-    """Return the same for near points; each ray is tested at a random distance among theirs.
-
-    Parameters
-    ----------
-    aim : AimTables
     near : NearViewpoints or None
+        Of those close before the lens.
     rays : Rays
     random : Generator
     """
-    beyond = np.zeros(len(rays.throughput))
-    if near is None or not aim.entrance.opening.known:
-        return beyond
-    lowest, highest = near.measured[0], near.distance[-1]
-    distance = lowest + (highest - lowest) * random.random(len(beyond))
-    t = (aim.entrance.opening.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
+    far_rays, near_rays = np.zeros(len(rays.throughput)), np.zeros(len(rays.throughput))
+    opening = aim.entrance.opening
+    if seen is not None and opening.known:
+        share = random.random(len(far_rays))
+        distance = 1.0 / (share / seen.distance[0] + (1.0 - share) / seen.distance[-1])
+        _beyond_at(opening, rays, distance, seen.tangent[-1] * distance, far_rays)
+    if near is not None and opening.known:
+        lowest, highest = near.measured[0], near.distance[-1]
+        distance = lowest + (highest - lowest) * random.random(len(near_rays))
+        _beyond_at(opening, rays, distance, np.full(len(distance), near.height[-1]), near_rays)
+    return far_rays, near_rays
+
+
+def _beyond_at(opening: Opening, rays: Rays, distance: Array, height: Array, beyond: Array) -> None:
+    """Write the factors for rays at distances, (n,) mm, where they are not farther from the axis than heights."""
+    t = (opening.plane_z - distance - rays.objects[:, 2]) / rays.objects[:, 5]
     p = rays.objects[:, :3] + t[:, None] * rays.objects[:, 3:]
-    inside = np.hypot(p[:, 0], p[:, 1]) <= near.height[-1]
+    inside = np.hypot(p[:, 0], p[:, 1]) <= height
     found = np.zeros(int(inside.sum()))
-    _beyond_near(p[inside], -rays.objects[inside, 3:], aim.entrance.opening, distance[inside], found)
+    _beyond_opening(p[inside], -rays.objects[inside, 3:], opening, found)
     beyond[inside] = found
-    return beyond
-
-
-@kernel
-def _beyond_near(p: Array, d: Array, opening: Opening, distance: Array, beyond: Array) -> None:
-    """Write the factor of `_beyond_opening` for near points."""
-    for i in range(len(beyond)):
-        cx, cy, radius = near_disk(opening.near, p[i, 0], p[i, 1], distance[i])
-        x, y = p[i, 0] + distance[i] * d[i, 0] / abs(d[i, 2]), p[i, 1] + distance[i] * d[i, 1] / abs(d[i, 2])
-        beyond[i] = np.hypot(x - cx, y - cy) / radius if radius > 0.0 else np.inf
 
 
 @kernel

@@ -18,11 +18,11 @@ from scipy.special import gammaincinv
 
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
-from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened, widened_near
+from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aims.near_points import NearViewpoints
 from lfmesh.transport.aims.pupil import Viewpoints, unknown_like
-from lfmesh.transport.aims.support import beyond_near_aim, beyond_object_aim, beyond_sensor_aim, seen_from_cells
+from lfmesh.transport.aims.support import beyond_object_aim, beyond_sensor_aim, seen_from_cells
 from lfmesh.transport.sequences.stop_rays import CameraTables, Rays, rays_from_stop, reach_of
 from lfmesh.transport.tables.tables import (
     AimTables,
@@ -203,25 +203,19 @@ def proven(
         if attempt == 0 and through.mla.present and aim.lenslets.search > FEW_CELLS:
             aim = fitted(aim, through, rays)
             continue
-        proof, behind, before, close = _measured(aim, through, seen, near, rays, random, attempt)
+        proof, factors = _measured(aim, through, seen, near, rays, random, attempt)
         for _ in range(ROUNDS - 1):
             if not proof.is_open:
                 break
             more = rays_from_stop(through, reach, random)
             rays = Rays(*(np.concatenate(each) for each in zip(rays, more, strict=True)))
-            proof, behind, before, close = _measured(aim, through, seen, near, rays, random, attempt)
+            proof, factors = _measured(aim, through, seen, near, rays, random, attempt)
         if proof.holds:
             break
         if attempt == ATTEMPTS - 1:
             aim, proof = _completed(aim, proof, through.mla.present)
             break
-        if through.mla.present:
-            aim = fitted(aim, through, rays)
-        else:
-            aim = aim._replace(exit=aim.exit._replace(opening=widened(aim.exit.opening, behind, rays.throughput)))
-        entrance = widened(aim.entrance.opening, before, rays.throughput)
-        entrance = widened_near(entrance, close, rays.throughput, aim.entrance.wide_radius)
-        aim = aim._replace(entrance=aim.entrance._replace(opening=entrance))
+        aim = _widened(aim, through, rays, factors)
     if through.mla.present and len(rays.throughput) >= FEWEST:
         off, radius, _ = seen_from_cells(aim, through, rays)
         shown = shown_by((off / radius)[radius > 0.0], rays.throughput[radius > 0.0])
@@ -232,15 +226,28 @@ def proven(
 def _measured(
     aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays,
     random: np.random.Generator, attempt: int,
-) -> tuple[AimProof, Array, Array, Array]:  # fmt: skip
-    """Return the proof of an aim by rays from the stop.
+) -> tuple[AimProof, tuple[Array, Array, Array]]:  # fmt: skip
+    """Return the proof of an aim by rays from the stop, and the factors of both sides that it follows from."""
+    factors = beyond_sensor_aim(aim, through, rays), *beyond_object_aim(aim, seen, near, rays, random)
+    behind, before, close = (_missed(beyond, rays.throughput) for beyond in factors)
+    return AimProof(len(rays.throughput), behind, max(before, close, key=lambda m: m.most), attempt), factors
 
-    The other results are the factors of `beyond_sensor_aim`, `beyond_object_aim` and `beyond_near_aim`.
-    """
-    behind, before = beyond_sensor_aim(aim, through, rays), beyond_object_aim(aim, seen, rays, random)
-    close = beyond_near_aim(aim, near, rays, random)
-    objects = max(_missed(before, rays.throughput), _missed(close, rays.throughput), key=lambda m: m.most)
-    return AimProof(len(rays.throughput), _missed(behind, rays.throughput), objects, attempt), behind, before, close
+
+def _widened(aim: AimTables, through: CameraTables, rays: Rays, factors: tuple[Array, Array, Array]) -> AimTables:
+    """Return the aim as wide as the rays need by the factors of `_measured`."""
+    behind, before, close = factors
+    if through.mla.present:
+        aim = fitted(aim, through, rays)
+    else:
+        opening, radius = aim.exit.opening, aim.exit.wide_radius
+        far = widened(opening.far, behind, rays.throughput, radius)
+        aim = aim._replace(exit=aim.exit._replace(opening=opening._replace(far=far)))
+    opening, radius = aim.entrance.opening, aim.entrance.wide_radius
+    opening = opening._replace(
+        far=widened(opening.far, before, rays.throughput, radius),
+        near=widened(opening.near, close, rays.throughput, radius),
+    )
+    return aim._replace(entrance=aim.entrance._replace(opening=opening))
 
 
 def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTables, AimProof]:

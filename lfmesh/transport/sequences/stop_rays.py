@@ -113,7 +113,15 @@ def reach_of(through: CameraTables, random: np.random.Generator) -> float:
 
 
 def rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
-    """Return rays from the stop, uniform over its area and over their landing points by first-order optics."""
+    """Return rays from the stop, uniform over its area and over their landing points by first-order optics.
+
+    Parameters
+    ----------
+    through : CameraTables
+    reach : float, mm
+        See `reach_of`.
+    random : Generator
+    """
     some: list[Rays] = []
     for _ in range(BATCHES):
         rays, _ = _trace_from_stop(through, reach * np.sqrt(random.random(BATCH)), random)

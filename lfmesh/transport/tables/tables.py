@@ -224,40 +224,34 @@ class ObjectTables(NamedTuple):
 
 
 @by_address
-class NearOpening(NamedTuple):
-    """The disks of `Opening` for points close before its plane, by their height over the axis and their distance.
+class Disks(NamedTuple):
+    """Disks in the plane of an opening, by two numbers of the points that see them; see `aims.disks`.
 
-    Columns are heights, rows are distances, both evenly spaced. The disks shrink towards the plane as the distance
-    does, so that centre and radius are interpolated between the nodes.
+    Rows and columns are evenly spaced, and centre and radius are interpolated between the nodes.
     """
 
-    depth: float  # mm, distance below which points are near; 0: the scene has no such points
-    height_step: float  # mm
-    distance: float  # mm, of the first row
-    distance_step: float  # mm
+    column_step: float  # columns begin at 0
+    first: float  # of the first row
+    row_step: float
     middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
     radius: Array  # (n + 1, m + 1) mm; −1: no light gets through in the intervals round the node
-    decentre: Array  # (2, 2), as that of `Opening`
+    # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
+    decentre: Array
 
 
 @by_address
 class Opening(NamedTuple):
-    """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
+    """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis.
 
-    Columns are field angles, evenly spaced in their tangent; rows are distances, evenly spaced in their inverse.
+    From points close before the plane the disks shrink towards it as the distance does.
     """
 
     known: bool  # False: nothing is known, and rays go anywhere on the lens
     plane_z: float  # mm, camera frame
     sense: float  # 1: points lie before the plane (smaller z), −1: behind it
-    tangent_step: float
-    nearness: float  # 1 / distance of the first row, 1/mm
-    nearness_step: float
-    middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
-    radius: Array  # (n, m) mm, for the intervals between rows and columns; −1: no light gets through
-    # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
-    decentre: Array
-    near: NearOpening
+    far: Disks  # by the tangent of the field angle, and one over the distance, 1/mm
+    near_depth: float  # mm, distance below which points are near; 0: the scene has no such points
+    near: Disks  # of near points, by height over the axis and distance, mm
 
 
 @by_address

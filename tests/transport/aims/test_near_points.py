@@ -39,7 +39,7 @@ def test_rays_that_come_through_from_near_points_are_held_by_their_disks(stop_mm
     world = world_of([NEAR, FAR], stop_semi_diameter_mm=stop_mm)
     random, held, sent = np.random.default_rng(3), 0, 0
     opening = world.aim.entrance.opening
-    assert opening.near.depth > 0.0
+    assert opening.near_depth > 0.0
     for distance in (0.02, 0.1, 0.3, 0.9, 2.0, 5.0, 9.0, 12.0):
         for height in random.uniform(0.0, 9.0, 4):
             point = np.array([0.6 * height, 0.8 * height, opening.plane_z - distance])
@@ -60,16 +60,16 @@ def test_rays_that_come_through_from_near_points_are_held_by_their_disks(stop_mm
 
 def test_far_targets_keep_their_table_where_nothing_is_near() -> None:
     alone, beside = (world_of(t).aim.entrance.opening for t in ([FAR], [FAR, FAR | {"position_mm": [0.0, 0.0, -13.0]}]))
-    assert alone.near.depth == beside.near.depth == 0.0
+    assert alone.near_depth == beside.near_depth == 0.0
 
 
 def test_a_near_target_that_ends_before_the_others_leaves_their_table_as_it_was() -> None:
     flat = NEAR | {"rotation_deg": [0.0, 0.0, 0.0], "position_mm": [0.0, 0.0, -0.5]}
     alone, beside = (world_of(targets).aim.entrance.opening for targets in ([FAR], [FAR, flat]))
-    assert beside.near.depth > 0.0
+    assert beside.near_depth > 0.0
     # To a hundredth, to which openings are measured.
-    assert alone.radius.shape == beside.radius.shape
-    assert beside.radius == pytest.approx(alone.radius, rel=0.02)
+    assert alone.far.radius.shape == beside.far.radius.shape
+    assert beside.far.radius == pytest.approx(alone.far.radius, rel=0.02)
 
 
 def test_a_wall_from_behind_the_camera_to_afar_is_near_only_where_it_passes_the_lens() -> None:
@@ -87,7 +87,7 @@ def test_rays_from_the_stop_prove_the_near_disks_with_and_without_poses() -> Non
     pose = {"surfaces": [0, 1], "pose": {"shift_mm": [0.3, -0.2, 0.0], "tilt_deg": [0.5, 0.0, 0.0]}}
     posed = lf.Scene.model_validate(world_of([NEAR, FAR]).scene.model_dump()).changed({"camera.lens.elements": [pose]})
     for world in (world_of([NEAR, FAR]), lf.build(posed)):
-        assert world.aim.entrance.opening.near.depth > 0.0
+        assert world.aim.entrance.opening.near_depth > 0.0
         assert world.aim_proof is not None
         assert world.aim_proof.holds
         narrow = world.aim.entrance.opening.near._replace(radius=0.8 * world.aim.entrance.opening.near.radius)
@@ -96,7 +96,7 @@ def test_rays_from_the_stop_prove_the_near_disks_with_and_without_poses() -> Non
         through = CameraTables(world.tables.lens, world.tables.mla, world.tables.sensor, world.tables.frames)
         corners = world.targets[0].mesh.vertices
         edges = world.targets[0].mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        near = near_viewpoints(opening.plane_z, opening.near.depth, [(corners, edges)])
+        near = near_viewpoints(opening.plane_z, opening.near_depth, [(corners, edges)])
         mended, proof = proven(aim, through, None, near)
         assert proof is not None
         assert proof.fitted > 0

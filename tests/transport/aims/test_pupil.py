@@ -94,7 +94,8 @@ def shrunk(aim: AimTables) -> AimTables:
 
 
 def _narrow(aim: LensAim) -> LensAim:
-    opening = aim.opening._replace(radius=0.8 * aim.opening.radius)
+    disks = aim.opening.far
+    opening = aim.opening._replace(far=disks._replace(radius=0.8 * disks.radius))
     return aim._replace(opening=opening, wide_share=0.0, share_without_aim=0.0)
 
 

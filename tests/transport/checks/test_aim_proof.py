@@ -38,7 +38,7 @@ def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     rays = rays_from_stop(through, reach_of(through, random), random)
     corners = world.targets[0].mesh.vertices
     seen = viewpoints(aim.entrance.opening.plane_z, aim.entrance.wide_radius, corners, to_sensor=True)
-    found = beyond_sensor_aim(aim, through, rays), beyond_object_aim(aim, seen, rays, random)
+    found = beyond_sensor_aim(aim, through, rays), beyond_object_aim(aim, seen, None, rays, random)[0]
     return tuple(float(rays.throughput[of > 1.0].sum() / rays.throughput.sum()) for of in found)  # type: ignore[return-value]
 
 
@@ -61,7 +61,7 @@ def test_the_aim_of_many_random_cameras_holds_all_light(seed: int, random_camera
 
 
 def with_opening(aim: LensAim, **changes: Any) -> LensAim:
-    return aim._replace(opening=aim.opening._replace(**changes))
+    return aim._replace(opening=aim.opening._replace(far=aim.opening.far._replace(**changes)))
 
 
 def with_lenslets(change: Callable[[LensletAim], dict[str, Any]]) -> Callable[[AimTables], AimTables]:
@@ -75,7 +75,7 @@ NARROWER: dict[str, Callable[[AimTables], AimTables]] = {
         lambda aim: {"slope_radius2": np.where(np.arange(64 * 64) % 500 == 7, -1.0, 1.0) * aim.slope_radius2}
     ),
     "the entrance pupil": lambda aim: aim._replace(
-        entrance=with_opening(aim.entrance, radius=0.97 * aim.entrance.opening.radius)
+        entrance=with_opening(aim.entrance, radius=0.97 * aim.entrance.opening.far.radius)
     ),
 }  # fmt: skip
 
@@ -92,7 +92,7 @@ def test_rays_from_the_stop_find_what_a_narrower_aim_misses(name: str, emitting_
 def test_rays_from_the_stop_find_what_a_narrower_pupil_misses_without_an_array(emitting_plane: dict[str, Any]) -> None:
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    exit_ = with_opening(world.aim.exit, radius=0.97 * world.aim.exit.opening.radius)
+    exit_ = with_opening(world.aim.exit, radius=0.97 * world.aim.exit.opening.far.radius)
     narrower = world.aim._replace(exit=exit_)
     assert missed(world, world.aim)[0] <= ALLOWED
     assert missed(world, narrower)[0] > 5.0 * ALLOWED
@@ -118,7 +118,7 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     world = lf.build(scene)
     aim, tables = world.aim, world.tables
     at_lens = getattr(aim, side)
-    closed = aim._replace(**{side: with_opening(at_lens, radius=np.full_like(at_lens.opening.radius, -1.0))})
+    closed = aim._replace(**{side: with_opening(at_lens, radius=np.full_like(at_lens.opening.far.radius, -1.0))})
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
     seen = viewpoints(
         aim.entrance.opening.plane_z, aim.entrance.wide_radius, world.targets[0].mesh.vertices, to_sensor=True
@@ -194,7 +194,7 @@ def test_where_fitting_does_not_succeed_rays_go_all_over_the_lens(
     world = lf.build(scene)
     at_lens = getattr(world.aim, side)
     monkeypatch.setattr(aim_proof, "ATTEMPTS", 1)
-    narrow = world.aim._replace(**{side: with_opening(at_lens, radius=0.5 * at_lens.opening.radius)})
+    narrow = world.aim._replace(**{side: with_opening(at_lens, radius=0.5 * at_lens.opening.far.radius)})
     mended, proof = proof_of(world, narrow)
     assert proof.fallback
     assert not getattr(mended, side).opening.known

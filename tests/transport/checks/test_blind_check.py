@@ -89,12 +89,13 @@ SMALL = {
 
 def half_a_pupil(aim: AimTables) -> AimTables:
     """Views of half the size, and nothing that makes up for it."""
+    disks = aim.entrance.opening.far
     return aim._replace(
         lenslets=aim.lenslets._replace(
             slope_radius2=np.where(aim.lenslets.slope_radius2 > 0.0, 0.25 * aim.lenslets.slope_radius2, -1.0)
         ),
         entrance=aim.entrance._replace(
-            opening=aim.entrance.opening._replace(radius=0.5 * aim.entrance.opening.radius),
+            opening=aim.entrance.opening._replace(far=disks._replace(radius=0.5 * disks.radius)),
             wide_share=0.0,
             share_without_aim=0.0,
         ),

@@ -32,7 +32,7 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
     assert world.aim_proof.holds
     before, after = lf.build(plain).aim, world.aim
     for side in ("entrance", "exit"):
-        assert getattr(after, side).opening.radius.max() < 1.03 * getattr(before, side).opening.radius.max()
+        assert getattr(after, side).opening.far.radius.max() < 1.03 * getattr(before, side).opening.far.radius.max()
     assert max(missed(world, after)) <= 2.0 * ALLOWED
     centred = np.zeros((2, 2))
     back = after._replace(entrance=with_opening(after.entrance, decentre=centred))
@@ -44,5 +44,5 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
 
 def test_a_lens_without_poses_has_centred_openings() -> None:
     aim = lf.build(lf.load(asset_path("scenes/first_light.toml"))).aim
-    assert not aim.entrance.opening.decentre.any()
-    assert not aim.exit.opening.decentre.any()
+    assert not aim.entrance.opening.far.decentre.any()
+    assert not aim.exit.opening.far.decentre.any()

@@ -55,7 +55,7 @@ DIMENSIONLESS = {
     "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
     "transport/sequences/lens_surfaces.py": {"NEAR"},
-    "transport/aims/lenslet_aim.py": {"EXACT"},
+    "transport/aims/lenslet_faces.py": {"EXACT"},
     "transport/aims/disks.py": {"BEYOND"},
     "transport/aims/near_points.py": {"NEAREST"},
     "optics/ray_aiming.py": {"ARRIVED", "TOLERANCE"},

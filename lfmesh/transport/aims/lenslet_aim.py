@@ -14,13 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, centre, columns_near, half_hexagon, rows_near
-from lfmesh.geometry.array.lenslet_profile import is_steeper, next_fall, profile_shape
+from lfmesh.geometry.array.lattice import ROW_SPACING, centre, columns_near, rows_near
+from lfmesh.geometry.array.lenslet_profile import next_fall
 from lfmesh.geometry.array.lenslets import Lenslets, is_spherical, shape_of, type_of
 from lfmesh.geometry.frame import move_direction
-from lfmesh.kernels.decorators import inlined, kernel, pasted
+from lfmesh.kernels.decorators import inlined, pasted
 from lfmesh.optics.scattering import lambertian
 from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.lenslet_faces import (
+    face_over,
+    half_width_to,
+    meets_once,
+    on_face,
+    path_to_apexes,
+    point_of_cell,
+    slope_to,
+    solid_angle,
+    spread_on_face,
+)
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import LensletAim, MlaTables, SensorTables
@@ -53,24 +64,7 @@ KIND = 10
 ALIKE = 3.5
 """Distance from the chief ray, in pitches, up to which all lenslets are taken to have the same solid angle."""
 
-STEPS = 40
-"""Largest number of Newton steps towards a slope."""
-
-THIRD_ORDER = 0.1
-"""Largest correction by third order, relative to the slope of first order."""
-
-EXACT = 1e-4
-"""Relative size of the last Newton step, which leaves an error of the square of that."""
-
 _TINY = float(np.finfo(np.float64).tiny)
-
-_CORNERS = (
-    (0.5, 0.5 / np.sqrt(3.0)),
-    (-0.5, 0.5 / np.sqrt(3.0)),
-    (0.0, -1.0 / np.sqrt(3.0)),
-    (0.5, 0.5 / np.sqrt(3.0)),
-)
-"""Every second corner of a hexagon of width 1, and the first again."""
 
 HALF_DIAGONAL = 0.72
 """Half diagonal of a pixel, in its width, with a margin: largest distance from its centre at which a path starts."""
@@ -204,138 +198,6 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: A
 
 
 @inlined
-def solid_angle(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the projected solid angle of an area in the plane of the apexes, relative to one straight ahead.
-
-    Zero where no ray arrives: for a sensor that touches the glass, beyond the angle of total reflection.
-
-    Parameters
-    ----------
-    r : float, mm
-        Lateral distance of the area.
-    air, plate : float, mm
-        Thickness of air and glass in between.
-    glass : float
-        Refractive index.
-    """
-    s = slope_to(r, air, plate, glass)
-    s2 = s * s
-    q2 = glass * glass + (glass * glass - 1.0) * s2
-    ahead = (air + plate / glass) ** 2
-    seen = ahead / (spread_on_face(air, plate, glass, s2, q2, np.sqrt(q2), 1.0) * np.sqrt(1.0 + s2))
-    # In that case the slope is infinite and the quotient 0/0.
-    return seen if seen > 0.0 else 0.0
-
-
-@inlined
-def glass_before_faces(mla: MlaTables, colour: int) -> float:
-    """Return the refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate."""
-    return mla.media.indices[mla.medium, colour] if mla.curved_to_lens else 1.0
-
-
-@inlined
-def path_to_apexes(mla: MlaTables, z: float) -> tuple[float, float, float]:
-    """Return the thickness of air and of glass (mm) between the height z over the array and the lenslets' apexes.
-
-    The third value is the change of the glass thickness by the sag of the face. Without glass in between, it applies to
-    the air, which then counts as glass of index 1.
-    """
-    if mla.curved_to_lens:
-        return abs(z - mla.lenslets.thickness), mla.lenslets.thickness, -1.0
-    return abs(z), 0.0, 1.0
-
-
-@inlined
-def lenslet_ahead(mla: MlaTables, glass: float, z: float) -> float:
-    """Return the solid angle of a lenslet straight ahead, sr, seen from the height z (array frame).
-
-    Parameters
-    ----------
-    mla : MlaTables
-    glass : float
-        See `glass_before_faces`.
-    z : float, mm
-    """
-    lattice = mla.lenslets.lattice
-    air, plate, _ = path_to_apexes(mla, z)
-    reduced = air + plate / glass
-    filled = ROW_SPACING if lattice.hexagonal else 1.0
-    return filled * lattice.pitch * lattice.pitch / (reduced * reduced)
-
-
-@inlined
-def slope_to(r: float, air: float, plate: float, glass: float) -> float:
-    """Return the slope in air of the ray with a given lateral shift over a layer of air and a plate of glass.
-
-    Newton's method from the slope by third-order optics; one step is mostly enough. For steep rays third order is
-    inaccurate, so its correction is limited by `THIRD_ORDER`. The shift is a concave function of the slope, so from the
-    second step on, the slope approaches the solution from below and always converges.
-
-    Parameters
-    ----------
-    r : float, mm
-        Lateral shift.
-    air, plate : float, mm
-        Thickness of air and glass.
-    glass : float
-        Refractive index.
-    """
-    more = glass * glass - 1.0
-    s = r / (air + plate / glass)
-    s += s * min(0.5 * s * s * plate * more / (glass * glass * (air * glass + plate)), THIRD_ORDER)
-    for _ in range(STEPS):
-        q2 = glass * glass + more * s * s
-        q = np.sqrt(q2)
-        step = (r - s * air - plate * s / q) / (air + plate * glass * glass / (q * q2))
-        s += step
-        if abs(step) <= EXACT * s:
-            break
-    return s
-
-
-@inlined
-def on_face(curvature: float, ax: float, ay: float, gx: float, gy: float) -> tuple[bool, float, float, float, float]:
-    """Return whether the line (a + g z, z) passes a cap with its apex at the origin, the point, and 1 − g · ∇sag.
-
-    Only the crossing from inside the sphere, on the half with the apex, is a ray through the face.
-
-    Parameters
-    ----------
-    curvature : float, 1/mm
-    ax, ay : float, mm
-    gx, gy : float
-    """
-    g2, a2, b = gx * gx + gy * gy, ax * ax + ay * ay, 1.0 - curvature * (ax * gx + ay * gy)
-    root2 = b * b - curvature * curvature * (1.0 + g2) * a2
-    if b <= 0.0 or root2 <= 0.0:
-        return False, 0.0, 0.0, 0.0, 0.0
-    root = np.sqrt(root2)
-    z = curvature * a2 / (b + root)
-    level = 1.0 - curvature * z
-    return level > 0.0, ax + gx * z, ay + gy * z, z, root / max(level, _TINY)
-
-
-@inlined
-def spread_on_face(air: float, plate: float, glass: float, s2: float, q2: float, q: float, turned: float) -> float:
-    """Return the area of a face, projected along the axis, over the solid angle of rays in air that cross it, mm²/sr.
-
-    Parameters
-    ----------
-    air, plate : float, mm
-        Thickness of air and glass on the way.
-    glass : float
-        Refractive index.
-    s2, q2, q : float
-        Squared slope in air; the ratio of the slopes in air and in glass, squared, and the ratio itself.
-    turned : float
-        1 − (slope of the ray · slope of the face), by which the inclined face changes the projected area.
-    """
-    across = air + plate / q
-    along = air + plate * glass * glass / (q * q2)
-    return across * along * (1.0 + s2) * np.sqrt(1.0 + s2) / turned
-
-
-@inlined
 def unaimed_share(wide: float) -> float:
     """Return the share of a pixel's rays that go anywhere, or to lenslets by their solid angles.
 
@@ -437,11 +299,11 @@ def toward_lenslet(
     mla, aim, glass = array
     lattice, near = mla.lenslets.lattice, shown.near
     air, depth, growth = path_to_apexes(mla, p[2])
-    u, v = _point_of_cell(lattice.hexagonal, point[0], point[1])
+    u, v = point_of_cell(lattice.hexagonal, point[0], point[1])
     u, v = u * width, v * width
     profile, kind = mla.lenslets.profile, near[chosen, KIND]
     ax, ay = u - near[chosen, 6], v - near[chosen, 7]
-    exists, sag, tilt, tilt_x, tilt_y, level = _face_over(profile, kind, near[chosen, 5], ax, ay)
+    exists, sag, tilt, tilt_x, tilt_y, level = face_over(profile, kind, near[chosen, 5], ax, ay)
     if not exists or (profile is not None and not mla.lenslets.top <= sag <= mla.lenslets.valley):
         return (0.0, 0.0, 1.0), 0.0, 0.0
     plate = depth + growth * sag
@@ -458,7 +320,7 @@ def toward_lenslet(
     # A ray that stays in its cell throughout the layer of faces meets no other lenslet. Twice, as in the margin the
     # faces go on beyond the layer.
     stays = half_width_to(lattice, u, v) + 2.0 * (layer * s / q + max(aim.cell_margin, 0.0)) < 0.5 * lattice.pitch
-    if not (stays and _meets_once(profile, kind, sx, sy, q)):
+    if not (stays and meets_once(profile, kind, sx, sy, q)):
         on_cells, on_wider = lenslets_density(array, shown, p, d)
         return d, on_cells, on_wider
     turned = 1.0 - growth * tilt * (sx * tilt_x + sy * tilt_y) / (q * level)
@@ -577,37 +439,6 @@ def lenslets_density(array: ArraySeen, shown: Shown, p: Vector, d: Vector) -> tu
 
 
 @inlined
-def _face_over(
-    profile: Any, kind: float, curvature: float, ax: float, ay: float
-) -> tuple[bool, float, float, float, float, float]:
-    """Return whether a lenslet has a face over a point, its sag there, and its slope.
-
-    The slope along x is the third value times the fourth over the last; along y it is the third times the fifth over
-    the last, which of a sphere is the cosine of its inclination.
-    """
-    if profile is None:
-        r2 = ax * ax + ay * ay
-        level2 = 1.0 - curvature * curvature * r2
-        if level2 <= 0.0:
-            return False, 0.0, 0.0, 0.0, 0.0, 1.0
-        level = np.sqrt(level2)
-        return True, curvature * r2 / (1.0 + level), curvature, ax, ay, level
-    rho2 = profile.weight_x * ax * ax + profile.weight_y * ay * ay
-    if rho2 > profile.domain * profile.domain:
-        return False, 0.0, 0.0, 0.0, 0.0, 1.0
-    sag, gx, gy = profile_shape(profile, int(kind), curvature, ax, ay)
-    return True, sag, 1.0, gx, gy, 1.0
-
-
-@inlined
-def _meets_once(profile: Any, kind: float, sx: float, sy: float, q: float) -> bool:
-    """Tell whether a ray of these slopes, q times as much as at the face, crosses the face of its cell only once."""
-    if profile is None:
-        return True
-    return is_steeper(profile, int(kind), sx, sy, q)
-
-
-@inlined
 def _spread_on_profile(
     profile: Any, lenslets: Lenslets, lenslet: Array, a: tuple[float, float], g: tuple[float, float], margin: float,
     way: tuple[float, float, float, float, float, float, float],
@@ -646,66 +477,3 @@ def _spread_on_profile(
         on_wider += spread * (out <= half + margin)
         on_cell += spread * (out <= half)
         begin, side = z, -1.0
-
-
-@inlined
-def on_lenslet(
-    lenslets: Lenslets, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float, from_glass: bool
-) -> tuple[bool, float, float]:  # fmt: skip
-    """Return whether a line (a + g z, z) passes a lenslet's face, and the point, from the apex; see `on_face`.
-
-    Parameters
-    ----------
-    lenslets : Lenslets
-    kind : int
-        Type of the lenslet.
-    curvature : float, 1/mm
-    ax, ay : float, mm
-    gx, gy : float
-    from_glass : bool
-        Of several crossings take the one that a ray in the glass meets first, else one in the air.
-    """
-    return _on_lenslet_by(lenslets.profile, lenslets, kind, curvature, ax, ay, gx, gy, from_glass)
-
-
-@inlined
-def _on_lenslet_by(
-    profile: Any, lenslets: Lenslets, kind: int, curvature: float, ax: float, ay: float, gx: float, gy: float,
-    from_glass: bool,
-) -> tuple[bool, float, float]:  # fmt: skip
-    if profile is None:
-        met, px, py, _, _ = on_face(curvature, ax, ay, gx, gy)
-        return met, px, py
-    falls, z, _ = next_fall(profile, kind, curvature, ax, ay, gx, gy, 0.0, lenslets.top, lenslets.valley)
-    met, at = falls, z
-    while falls and from_glass:
-        falls, z, _ = next_fall(profile, kind, curvature, ax, ay, gx, gy, -1.0, at, lenslets.valley)
-        if falls:
-            at = z
-    return met, ax + gx * at, ay + gy * at
-
-
-@inlined
-def half_width_to(lattice: Lattice, x: float, y: float) -> float:
-    """Return the half width of the cell about the origin whose border contains a point, mm.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    x, y : float, mm
-        From the cell's centre.
-    """
-    return half_hexagon(x, y) if lattice.hexagonal else max(abs(x), abs(y))
-
-
-@kernel
-def _point_of_cell(hexagonal: bool, u: float, v: float) -> tuple[float, float]:
-    """Return a uniform point of the cell about the origin, in pitches."""
-    if not hexagonal:
-        return u - 0.5, v - 0.5
-    # The hexagon is made of three rhombi, each spanned by two of the radii to the corners at 30°, 150° and 270°.
-    third = int(3.0 * u)
-    u = 3.0 * u - third
-    ax, ay = _CORNERS[third]
-    bx, by = _CORNERS[third + 1]
-    return u * ax + v * bx, u * ay + v * by

@@ -12,7 +12,7 @@ from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
 from lfmesh.geometry.array.lenslets import face_normal, face_sag, shape_of, type_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aims.lenslet_aim import on_lenslet
+from lfmesh.transport.aims.lenslet_faces import on_lenslet
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME

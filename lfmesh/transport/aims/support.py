@@ -11,15 +11,12 @@ from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
     cells_that_show,
-    glass_before_faces,
-    half_width_to,
     lenslets_density,
     list_cells,
     most_listed,
-    on_lenslet,
-    path_to_apexes,
     pixel_extent,
 )
+from lfmesh.transport.aims.lenslet_faces import glass_before_faces, half_width_to, on_lenslet, path_to_apexes
 from lfmesh.transport.aims.near_points import NearViewpoints
 from lfmesh.transport.aims.pupil import Viewpoints, opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME

@@ -25,12 +25,11 @@ from lfmesh.transport.aims.lenslet_aim import (
     aimed_rays,
     aimed_through_array,
     cells_that_show,
-    glass_before_faces,
-    lenslet_ahead,
     list_cells,
     pixel_extent,
     unaimed_share,
 )
+from lfmesh.transport.aims.lenslet_faces import glass_before_faces, lenslet_ahead
 from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.polarisation import behind_polariser

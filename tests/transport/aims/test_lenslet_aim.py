@@ -12,7 +12,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aims.lenslet_aim import slope_to, solid_angle
+from lfmesh.transport.aims.lenslet_faces import slope_to, solid_angle
 from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import lfmesh as lf
-from lfmesh.transport.render.order_check import OrderCheck
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import World
 

@@ -23,7 +23,7 @@ ORDER = [
 ROOMS = {
     "kernels": ["private", "cache, accelerator", "decorators, by_address", "search, vector"],
     "transport": [
-        *["packets", "paths", "tables", "events", "lights", "sequences", "aiming", "regions"],
+        *["packets", "paths", "tables", "events", "lights", "sequences", "aims", "checks/aim_proof", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
         "checks, render, trace",
@@ -35,7 +35,8 @@ ROOMS = {
     "files": ["", "exports"],
     "cli": ["application, interrupts, options, printing, progress", "", "__init__"],
 }
-"""The same inside a part, of its folders and the files beside them; "" is every file that is not named."""
+"""The same inside a part, of its folders, single files in these ("folder/file"), and the files beside them; "" is every
+file that is not named."""
 
 HEAVY = {"numba", "embreex", "trimesh", "pyvista", "vtkmodules", "OpenEXR", "matplotlib"}
 
@@ -132,6 +133,8 @@ def test_imports_inside_a_part_go_downwards(part: str) -> None:
         words = path.relative_to(PACKAGE / part).with_suffix("").parts
         if words == ("__init__",) and "__init__" not in rank:
             return 0
+        if (file := "/".join(words)) in rank:
+            return rank[file]
         assert words[0] in rank or "" in rank, f"{path.relative_to(ROOT)} has no place in the order"
         return rank.get(words[0], rank.get("", 0))
 

@@ -17,8 +17,8 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import EXACT
-from lfmesh.transport.aiming.aim_table import widest_disk
-from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.optics.ray_aiming import aim_rays
+from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength

@@ -49,14 +49,14 @@ from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
 from lfmesh.scene.settings.transport import REPLICATES
-from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.checks.aim_proof import AimProof
+from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.found import found
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.order_check import OrderCheck
 
 FORMAT = 2
 """Of the run folder; a reader refuses any other."""

@@ -25,7 +25,7 @@ from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
-from lfmesh.transport.render.blind_check import BlindSamples
+from lfmesh.transport.checks.blind_check import BlindSamples
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.jobs import Job, jobs_of, reduced
 from lfmesh.transport.render.tally import ChunkTally, Film, Piece, Work, arrays_of, filled

@@ -302,7 +302,7 @@ class Workspace:
 
     def _object_space(self, flow: Flow) -> ObjectSpace:
         tables = self.tables
-        return ObjectSpace(self.options, flow, tables.frames, tables.objects, tables.aim)
+        return ObjectSpace(self.options, flow, tables.frames, tables.objects, tables.aim.entrance)
 
     def _by_colour(self, wave: NDArray[np.void]) -> list[NDArray[np.void]]:
         """Return the packets of a wave wavelength by wavelength: a block of rays has one."""

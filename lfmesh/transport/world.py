@@ -24,9 +24,9 @@ from lfmesh.geometry.surfaces.tessellation import (
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.sections import AZIMUTHS
-from lfmesh.transport.aiming.aim_proof import AimProof
-from lfmesh.transport.aiming.aim_table import aim_table, all_before, shapes_in_camera, unaimed
-from lfmesh.transport.aiming.ghost_aim import ghost_tables
+from lfmesh.transport.aims.aim_table import all_before, shapes_in_camera, unaimed
+from lfmesh.transport.aims.ghost_aim import ghost_tables
+from lfmesh.transport.checks.aim_proof import AimProof, proven_aim
 from lfmesh.transport.collisions import refuse_collisions
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
@@ -63,6 +63,7 @@ from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
 from lfmesh.transport.tables.tables import (
     ROUGH,
     AimTables,
+    Camera,
     SensorTables,
     Tables,
 )
@@ -372,7 +373,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
             boxes.append(all_before(lens))
         shapes = shapes_in_camera(targets, np.concatenate(boxes), moves)
         exact = bool(shape.analytic.all())
-        return aim_table(scene, report, clear(lens), clear(mla), sensor, shapes, seen_moves, analytic=exact)
+        camera = Camera(clear(lens), clear(mla), sensor, seen_moves)
+        return proven_aim(scene, report, camera, shapes, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)

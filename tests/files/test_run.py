@@ -16,10 +16,10 @@ import pytest
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.view.request import subject_of
 
 Build = Callable[..., Image]

@@ -10,9 +10,9 @@ from lfmesh.errors import in_order
 from lfmesh.files import words
 from lfmesh.scene import Lens, Scene, first_order
 from lfmesh.scene.advice import doubtful
+from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.image import Image
 
 Build = Callable[..., Image]

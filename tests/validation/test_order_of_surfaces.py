@@ -17,11 +17,11 @@ from lfmesh.files.words import summary
 from lfmesh.geometry import frame
 from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.scene import load_lens
+from lfmesh.transport.checks import order_check
+from lfmesh.transport.checks.order_check import LARGEST_MM, OrderCheck, compare
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
 from lfmesh.transport.paths.automaton import ON_IMAGE_PATH, STRAY
-from lfmesh.transport.render import order_check
-from lfmesh.transport.render.order_check import LARGEST_MM, OrderCheck, compare
 from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.render.order_check import LARGEST_MM, outcomes
+from lfmesh.transport.checks.order_check import LARGEST_MM, outcomes
 from lfmesh.transport.world import World
 from tests.validation.exact_packet import first_hit, judge
 from tests.validation.test_order_of_surfaces import (

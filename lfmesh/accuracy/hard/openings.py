@@ -5,8 +5,8 @@ import numpy as np
 from lfmesh.accuracy.hard.outcome import SINGLET, Outcome, case, lens_scene
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import MicrolensArray, Scene, Surface
-from lfmesh.transport.aiming.aim_proof import ALLOWED
-from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aims.fitting import ALLOWED
+from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.world import build
 
 SENSOR_MM = 45.0
@@ -42,9 +42,9 @@ def _pinhole(radius: float) -> Outcome:
     world = build(scene)
     report = solved_camera(scene).report
     z = scene.camera.lens.vertices_mm[-1] + SENSOR_MM
-    found = opening_from(world.aim.exit, 0.0, 0.0, z)[2]
+    found = opening_from(world.aim.exit.opening, (0.0, 0.0, z))[2]
     # The exit pupil is the stop itself; seen from the sensor's middle in the lens's last plane.
-    plane = world.aim.exit.plane_z
+    plane = world.aim.exit.opening.plane_z
     true = 0.5 * report.exit_pupil_diameter_mm * (z - plane) / (z - report.exit_pupil_z_mm)
     outcome = _proof(scene)
     return Outcome(

@@ -17,8 +17,8 @@ from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.lightfield.rays.lens_alone import lens_alone
 from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.scene import MicrolensArray, Scene
-from lfmesh.transport.aiming.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import interface_tables

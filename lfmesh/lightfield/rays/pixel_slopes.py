@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.rays.chief_rays import Plate
-from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 
 Array = NDArray[np.float64]

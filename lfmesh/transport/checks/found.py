@@ -23,13 +23,14 @@ from lfmesh.errors import (
 )
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
-from lfmesh.transport.aiming.aim_proof import ALLOWED, AimProof
+from lfmesh.transport.aims.fitting import ALLOWED
+from lfmesh.transport.checks.aim_proof import AimProof
+from lfmesh.transport.checks.blind_check import BlindCheck
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.checks.tails import SIDE, tails
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import ROWS_AT_ONCE
-from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.certainty import FEW_HITS, neighbours, weight_around
-from lfmesh.transport.render.order_check import OrderCheck
 
 if TYPE_CHECKING:
     from lfmesh.transport.render.image import Image

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.transport.packets.packet import Flow, Options
-from lfmesh.transport.tables.tables import AimTables, ObjectTables
+from lfmesh.transport.tables.tables import LensAim, ObjectTables
 
 
 class ObjectSpace(NamedTuple):
@@ -18,11 +18,11 @@ class ObjectSpace(NamedTuple):
     flow : Flow
     frames : (6, 6, 3, 4) float64
     objects : ObjectTables
-    aim : AimTables
+    aim : LensAim
     """
 
     options: Options
     flow: Flow
     frames: NDArray[np.float64]
     objects: ObjectTables
-    aim: AimTables
+    aim: LensAim

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.meshes.levels import PATCH
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.aims.mixture import aimed_straight
 from lfmesh.transport.events.bodies import (
     RANK,
     TOO_MANY,
@@ -289,10 +289,8 @@ def _aim_from_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, fac
     """Queue a child that is aimed at the entrance pupil, if the rough facet of glass sees it through air."""
     flow, objects, aim, x, y, z = space.flow, space.objects, space.aim, face.x, face.y, face.z
     px, py, pz = move_point(space.frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-    ax, ay, az, at_lens = aimed(
-        px, py, pz, aim.entrance, aim.front_radius, aim.wide_share, aim.share_without_aim,
-        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
-    )  # fmt: skip
+    numbers = draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V)
+    ax, ay, az, at_lens = aimed_straight(aim, (px, py, pz), numbers)
     if at_lens <= 0.0:
         return
     ux, uy, uz = move_direction(space.frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aiming.through_glass import aimed_density_from, aimed_from
+from lfmesh.transport.aims.mixture import aimed, aimed_density
 from lfmesh.transport.events.crossing import (
     AIM_DISK,
     AIM_U,
@@ -56,7 +56,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
 from lfmesh.transport.paths.automaton import counts, counts_not_yet
-from lfmesh.transport.tables.tables import AimTables, ObjectTables
+from lfmesh.transport.tables.tables import LensAim, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -226,10 +226,8 @@ def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float)
     x, y, z = point.x, point.y, point.z
     incoming = packet.dx, packet.dy, packet.dz
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-    ax, ay, az, at_lens = aimed_from(
-        aim.through, aim, px, py, pz,
-        draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V),
-    )  # fmt: skip
+    numbers = draw(packet, AIM_DISK), draw(packet, AIM_U), draw(packet, AIM_V)
+    ax, ay, az, at_lens = aimed(aim, (px, py, pz), numbers)
     dx, dy, dz = move_direction(frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
     cos_theta = point.nx * dx + point.ny * dy + point.nz * dz
     if cos_theta <= 0.0 or at_lens <= 0.0:
@@ -246,7 +244,7 @@ def _aim_at_camera(space: ObjectSpace, packet: Any, point: Point, weight: float)
 
 
 @kernel
-def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> None:
+def share_with_other(flow: Flow, frames: Array, aim: LensAim, packet: Any) -> None:
     """Weight a packet that goes from a target into glass by the balance heuristic (Veach & Guibas 1995).
 
     Behind the glass the lens may appear where it is aimed at or, as the glass bends light, elsewhere. So both the aimed
@@ -256,13 +254,13 @@ def share_with_other(flow: Flow, frames: Array, aim: AimTables, packet: Any) -> 
     ----------
     flow : Flow
     frames : (6, 6, 3, 4) float64
-    aim : AimTables
+    aim : LensAim
     packet : PACKET
     """
-    x, y, z = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
-    dx, dy, dz = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
+    p = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
+    d = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
     anywhere = packet.density
-    at_lens = aimed_density_from(aim.through, aim, x, y, z, dx, dy, dz)
+    at_lens = aimed_density(aim, p, d)
     weight = packet.weight
     if packet.kind == CAMERA:
         packet.weight *= at_lens / (at_lens + anywhere)

@@ -15,7 +15,7 @@ from lfmesh.geometry.surfaces.surface import distance_to
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
-from lfmesh.transport.aiming.through_glass import aimed_from
+from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import box_entry, deposit, end_here, meets_patch, record, too_deep, windowed
 from lfmesh.transport.events.object_space import ObjectSpace
@@ -262,10 +262,8 @@ def send_from_medium(space: ObjectSpace, packet: Any, phase: Any, ray: Ray, key:
     forward = not (options.adjoint or options.tracing)
     if forward and options.aimed:
         px, py, pz = move_point(space.frames, OBJECT_FRAME, CAMERA_FRAME, x, y, z)
-        ax, ay, az, at_lens = aimed_from(
-            space.aim.through, space.aim, px, py, pz,
-            uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V),
-        )  # fmt: skip
+        numbers = uniform(key, DISK), uniform(key, TO_U), uniform(key, TO_V)
+        ax, ay, az, at_lens = aimed(space.aim, (px, py, pz), numbers)
         if at_lens > 0.0:
             ux, uy, uz = move_direction(space.frames, CAMERA_FRAME, OBJECT_FRAME, ax, ay, az)
             density = evaluate_phase(phases, phase, ix * ux + iy * uy + iz * uz)

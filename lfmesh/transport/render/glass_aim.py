@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
-from lfmesh.transport.aiming.pupil import opening_from
-from lfmesh.transport.aiming.through_glass import BUNDLE, CELL, GlassAim, aimed_density_from, cell_at
+from lfmesh.transport.aims.mixture import aimed_density
+from lfmesh.transport.aims.pupil import opening_from
+from lfmesh.transport.aims.through_glass import BUNDLE, CELL, GlassAim, cell_at
 from lfmesh.transport.render.glass_probes import ON_ROUGH_GLASS, Sights, probe
-from lfmesh.transport.tables.tables import OPAQUE, AimTables
+from lfmesh.transport.tables.tables import OPAQUE, AimTables, LensAim
 from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
@@ -239,9 +240,9 @@ def fitted(world: World, sights: Sights) -> Fit:
     sights = sights.some(np.isin(sights.way, ways[counts >= FEWEST]))
     if not len(sights.way):
         return Fit(_STRAIGHT_ONLY, np.zeros(0, np.uint64), np.zeros(0), np.zeros(1))
-    entrance, wide = world.aim.entrance, world.aim.front_radius
+    entrance, wide = world.aim.entrance.opening, world.aim.entrance.wide_radius
     middle = sights.point.mean(axis=0)
-    radius = opening_from(entrance, *middle)[2] if entrance.known else -1.0
+    radius = opening_from(entrance, (middle[0], middle[1], middle[2]))[2] if entrance.known else -1.0
     radius = radius if radius > 0.0 else wide
     opening = np.pi * radius**2 / (entrance.plane_z - middle[2]) ** 2
     root = _Division(_chances(sights), float(opening)).cell(sights)
@@ -249,7 +250,7 @@ def fitted(world: World, sights: Sights) -> Fit:
     typical = np.zeros(len(cells))
     _written(root, cells, 0, bundles, typical)
     rows = np.array([bundle.row for bundle in bundles], BUNDLE)
-    share = world.aim.wide_share if entrance.known else 0.0
+    share = world.aim.entrance.wide_share if entrance.known else 0.0
     aim = GlassAim(cells, rows, share, max(wide / radius, 1.0))
     way, chance = np.array([each.way for each in bundles], np.uint64), np.array([each.chance for each in bundles])
     return Fit(aim, way, chance, typical)
@@ -421,7 +422,8 @@ def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
     """
     weight = np.zeros(len(sights.way))
     through = sights.way != 0
-    _weigh(*fit, tables, sights.point, sights.direction, sights.way, weight)
+    aim = tables.entrance._replace(glass=fit.aim)
+    _weigh(*fit, aim, sights.point, sights.direction, sights.way, weight)
     missed = through & ((weight > HARDLY) | (sights.place == ON_ROUGH_GLASS))
     shares = [float(missed[sights.place == place].mean()) for place in np.unique(sights.place)]
     return GlassProof(max(shares), len(sights.way))
@@ -429,26 +431,25 @@ def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
 
 @kernel
 def _weigh(
-    aim: GlassAim, ways: NDArray[np.uint64], chance: Array, typical: Array, tables: AimTables, point: Array,
+    glass: GlassAim, ways: NDArray[np.uint64], chance: Array, typical: Array, aim: LensAim, point: Array,
     direction: Array, way: NDArray[np.uint64], weight: Array,
 ) -> None:  # fmt: skip
     """Write the weight with which packets bring light from a point in a direction, over the weight of others there.
 
     Parameters
     ----------
-    aim, ways, chance, typical
+    glass, ways, chance, typical
         As the attributes of `Fit`.
-    tables : AimTables
+    aim : LensAim
     point, direction, way
         As for `Sights`.
     weight : (n,) float64
         Written: inf where no packet goes.
     """
     for i in range(len(point)):
-        x, y, z = point[i, 0], point[i, 1], point[i, 2]
-        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-        number = cell_at(aim.cells, x, y, z)
-        cell = aim.cells[number]
+        p = point[i, 0], point[i, 1], point[i, 2]
+        number = cell_at(glass.cells, p)
+        cell = glass.cells[number]
         light = 0.0
         for j in range(cell.first, cell.first + cell.bundles):
             if ways[j] == way[i]:
@@ -457,5 +458,5 @@ def _weigh(
         if light == 0.0:
             weight[i] = np.inf
             continue
-        density = aimed_density_from(aim, tables, x, y, z, dx, dy, dz)
+        density = aimed_density(aim, p, (direction[i, 0], direction[i, 1], direction[i, 2]))
         weight[i] = light * typical[number] / density if density > 0.0 else np.inf

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, with_wide_share
+from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_IMAGE_PATH, with_wide_share
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
@@ -147,7 +147,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
     in_order = obstacle_of(world.scene, transport.surface, transport.max_events) is None
     options = options_of(world)._replace(adjoint=True, importance=True, split=TRANSMIT, sequential=in_order)
     tables = world.aimed_tables
-    if tables.aim.exit.known:
+    if tables.aim.exit.opening.known:
         share = WIDE_SHARE_OF_IMAGE_PATH
         tables = tables._replace(aim=with_wide_share(tables.aim, share, share))
     of_sensor = sensor.rows * sensor.columns

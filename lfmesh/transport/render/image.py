@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError, PictureWarning
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
-from lfmesh.transport.aiming.aim_proof import AimProof
+from lfmesh.transport.checks.aim_proof import AimProof
+from lfmesh.transport.checks.blind_check import BlindCheck
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.blind_check import BlindCheck
 from lfmesh.transport.render.certainty import (
     FEW_HITS,
     Certainty,
@@ -22,7 +23,6 @@ from lfmesh.transport.render.certainty import (
     neighbours,
     upper_bound,
 )
-from lfmesh.transport.render.order_check import OrderCheck
 
 
 @dataclass

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
-from lfmesh.transport.aiming.ghost_aim import aim_at_ghosts
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS, with_wide_share
-from lfmesh.transport.aiming.through_glass import GlassAim
+from lfmesh.transport.aims.ghost_aim import aim_at_ghosts
+from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_STRAYS, with_wide_share
+from lfmesh.transport.aims.through_glass import GlassAim
+from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
 from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
@@ -31,7 +32,6 @@ from lfmesh.transport.paths.automaton import (
     OTHER_STRAYS,
 )
 from lfmesh.transport.paths.estimators import Estimator, lamps_on_camera
-from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.glass_aim import glass_aim, has_glass, refuse_unaimed
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
@@ -209,7 +209,7 @@ def _off_image_path(options: Options, world: World) -> Options:
 
 def _aimed_through(tables: Tables, through: GlassAim | None) -> Tables:
     """Return tables with which light from inside glass and liquids is aimed at the lens."""
-    return tables._replace(aim=tables.aim._replace(through=through))
+    return tables._replace(aim=tables.aim._replace(entrance=tables.aim.entrance._replace(glass=through)))
 
 
 def lamp_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:

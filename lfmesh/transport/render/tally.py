@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.transport.render.blind_check import BlindSamples
+from lfmesh.transport.checks.blind_check import BlindSamples
 
 Array = NDArray[np.float64]
 Shape = tuple[int, int, int]

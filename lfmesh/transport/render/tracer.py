@@ -12,6 +12,10 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.transport.checks.blind_check import CHUNK as BLIND_CHUNK
+from lfmesh.transport.checks.blind_check import BlindSamples, first_of_runs
+from lfmesh.transport.checks.ghost_check import compare_ghosts
+from lfmesh.transport.checks.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
@@ -19,10 +23,6 @@ from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.allocation import Measured, measured, shared
-from lfmesh.transport.render.blind_check import CHUNK as BLIND_CHUNK
-from lfmesh.transport.render.blind_check import BlindSamples, first_of_runs
-from lfmesh.transport.render.ghost_check import compare_ghosts
-from lfmesh.transport.render.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.render.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work

@@ -75,9 +75,9 @@ class LightSource(Source):
         tables = work.tables
         if len(tables.objects.sources):
             numbers = np.arange(self.first + part.start, self.first + part.stop)
+            space = ObjectSpace(work.options, work.flow(), tables.frames, tables.objects, tables.aim.entrance)
             launch_forward(
-                *order_of_packets(self.nodes, numbers, self.key), self.total, self.key,
-                ObjectSpace(work.options, work.flow(), tables.frames, tables.objects, tables.aim), work.template,
+                *order_of_packets(self.nodes, numbers, self.key), self.total, self.key, space, work.template,
             )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.phase import evaluate_phase
-from lfmesh.transport.aiming.through_glass import aimed_from
+from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.bodies import medium_of, set_bodies
 from lfmesh.transport.events.polarisation import depolarise
@@ -35,7 +35,7 @@ from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import order_of_particles
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.particles import ParticleTables
-from lfmesh.transport.tables.tables import AIR, AimTables, ObjectTables
+from lfmesh.transport.tables.tables import AIR, LensAim, ObjectTables
 
 Array = NDArray[np.float64]
 
@@ -74,14 +74,14 @@ class ParticleSource(Source):
         numbers = np.arange(self.first + part.start, self.first + part.stop)
         launch_particles(
             *order_of_particles(self.nodes, numbers, len(self.particles.points), self.samples, self.key), self.samples,
-            self.key, self.particles, tables.objects, tables.aim, tables.frames, work.flow(), work.template,
+            self.key, self.particles, tables.objects, tables.aim.entrance, tables.frames, work.flow(), work.template,
         )  # fmt: skip
 
 
 @kernel
 def launch_particles(
     numbers: NDArray[np.int64], colours: NDArray[np.int64], samples: int, replicate_key: np.uint64,
-    particles: ParticleTables, objects: ObjectTables, aim: AimTables, frames: Array, flow: Flow,
+    particles: ParticleTables, objects: ObjectTables, aim: LensAim, frames: Array, flow: Flow,
     template: NDArray[np.void],
 ) -> None:  # fmt: skip
     """Start packets of particles towards the lens.
@@ -95,7 +95,7 @@ def launch_particles(
     replicate_key : uint64
     particles : ParticleTables
     objects : ObjectTables
-    aim : AimTables
+    aim : LensAim
     frames : (6, 6, 3, 4) float64
     flow : Flow
     template : (1,) PACKET
@@ -118,10 +118,8 @@ def launch_particles(
         flow.book[EMITTED] += power
         own = derived(replicate_key, i)
         px, py, pz = move_point(frames, WORLD_FRAME, CAMERA_FRAME, x, y, z)
-        ax, ay, az, at_lens = aimed_from(
-            aim.through, aim, px, py, pz,
-            owen_sobol(own, sample, 2), owen_sobol(own, sample, 0), owen_sobol(own, sample, 1),
-        )  # fmt: skip
+        draws = owen_sobol(own, sample, 2), owen_sobol(own, sample, 0), owen_sobol(own, sample, 1)
+        ax, ay, az, at_lens = aimed(aim, (px, py, pz), draws)
         weight = 0.0
         if at_lens > 0.0:
             dx, dy, dz = move_direction(frames, CAMERA_FRAME, WORLD_FRAME, ax, ay, az)

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.aiming.lenslet_aim import DISCRETE, LISTED, most_listed
+from lfmesh.transport.aims.lenslet_aim import DISCRETE, LISTED, most_listed
 from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
 from lfmesh.transport.sequences.bundle import BLOCK
 from lfmesh.transport.sources.wavelengths import Entries
-from lfmesh.transport.tables.tables import AimTables
+from lfmesh.transport.tables.tables import LensletAim
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,11 @@ class StartRoom(NamedTuple):
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
     near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
-    cells: NDArray[np.int64]  # (2, most + 1) lenslets that may show it to one point, see `cells_that_show`
+    cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
-def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
+def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET) -> StartRoom:
     """Return working memory for a launch, with the packets' record type."""
     table = (DISCRETE + 1, STARTS)
     most = most_listed(aim)
@@ -48,7 +48,7 @@ def start_room(aim: AimTables, record: np.dtype[np.void] = PACKET) -> StartRoom:
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
         np.zeros((most + 1, LISTED)),
-        np.zeros((2, most + 1), np.int64),
+        np.zeros(most + 1, np.int64),
         np.zeros(STARTS, record),
     )
 

@@ -14,22 +14,23 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.aiming.lenslet_aim import (
+from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
     CELL_V,
     DISCRETE,
     PIXEL_U,
     PIXEL_V,
     WHICH_CELL,
-    Allotment,
-    allotted,
-    glass_before_faces,
-    lenslet_ahead,
+    ArraySeen,
+    aimed_rays,
+    aimed_through_array,
+    cells_that_show,
     list_cells,
     pixel_extent,
-    through_a_lenslet,
+    unaimed_share,
 )
-from lfmesh.transport.aiming.mixture import aimed
+from lfmesh.transport.aims.lenslet_faces import glass_before_faces, lenslet_ahead
+from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.polarisation import behind_polariser
 from lfmesh.transport.packets.book import EMITTED
@@ -63,7 +64,6 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.follower import Route, image_route_of
 from lfmesh.transport.sequences.image_path import follow_block
-from lfmesh.transport.sources.ghost_pixels import launch_to_cells
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
@@ -126,23 +126,20 @@ class PixelSource(Source):
     def _launch(self, work: Workspace, entries: Entries, colour: int) -> None:
         """Start samples at one wavelength."""
         tables, options = work.tables, work.options
-        room = work.kept(StartRoom, lambda: start_room(tables.aim, work.stacks.dtype))
+        room = work.kept(StartRoom, lambda: start_room(tables.aim.lenslets, work.stacks.dtype))
         seen = tables.frames if tables.apparent is None else tables.apparent
         starts = starting_kernel(tables, options)
+        # Of ghosts behind an array, those samples leave their pixels in new directions.
+        unaimed_too = options.paths == GHOSTS and bool(tables.mla.present)
         if starts is launch_along_image_path:
             launch_along_image_path(
                 entries, self.samples, self.stratified, self.key, colour, tables.camera, image_route_of(tables),
                 tables.aim, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
-        elif starts is launch_to_cells:
-            launch_to_cells(
-                entries, self.samples, self.stratified, self.key, colour, tables.sensor, tables.aim.exit,
-                tables.ghosts, seen, len(tables.lens.surfaces), work.flow(), room,
-            )  # fmt: skip
         else:
             launch_adjoint(
                 entries, self.samples, self.stratified, self.key, colour, tables.sensor, clear(tables.mla),
-                tables.aim, seen, len(tables.lens.surfaces), options.paths == GHOSTS, work.bundle, work.flow(), room,
+                tables.aim, seen, len(tables.lens.surfaces), unaimed_too, work.bundle, work.flow(), room,
             )  # fmt: skip
 
 
@@ -150,8 +147,6 @@ def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
     """Return the kernel that starts the packets of pixels."""
     if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
         return launch_along_image_path
-    if options.paths == GHOSTS and not tables.mla.present:
-        return launch_to_cells
     return launch_adjoint
 
 
@@ -254,11 +249,11 @@ def _aim_rays(
     # The sensor's normal towards the array.
     normal = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, -1.0)
     near, begun = 0, -1
-    column, row, glass, usual = 0.0, 0.0, 1.0, np.inf
-    shares = Allotment(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    extent = 0.0, 0.0
+    column, row, usual, wide, unaimed, extent = 0.0, 0.0, np.inf, 0.0, 0.0, (0.0, 0.0)
+    by_light, own_weight = 0, 1.0
+    array = ArraySeen(mla, aim.lenslets, glass_before_faces(mla, colour) if mla.present else 1.0)
     if mla.present:
-        glass, extent = glass_before_faces(mla, colour), pixel_extent(sensor, frames)
+        extent = pixel_extent(sensor, frames)
     for i in range(count):
         pixel, sample = entries.pixel[which], entries.begin[which] + place
         if which != begun:
@@ -267,27 +262,30 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near = list_cells(mla, aim, glass, px, py, pz, extent, room.near)
-                shares = allotted(aim, near, samples, derived(replicate_key, pixel))
-                usual = area * lenslet_ahead(mla, glass, pz) / (1.0 - aim.wide_share)
+                near = list_cells(array, (px, py, pz), extent, room.near)
+                wide = aim.exit.wide_share if near > 0 else aim.exit.share_without_aim
+                unaimed = unaimed_share(wide)
+                by_light, own_weight = aimed_rays(unaimed, samples, derived(replicate_key, pixel))
+                usual = area * lenslet_ahead(mla, array.glass, pz) / (1.0 - aim.exit.wide_share)
         numbers = (
             room.numbers[CELL_U, i], room.numbers[CELL_V, i], room.numbers[PIXEL_U, i],
             room.numbers[PIXEL_V, i], room.numbers[WHICH_CELL, i], room.numbers[DISCRETE, i],
         )  # fmt: skip
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if mla.present:
-            px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-            dx, dy, dz, importance = through_a_lenslet(
-                mla, aim, glass, normal, room.near, near, room.cells, numbers, sample, shares, px, py, pz
-            )  # fmt: skip
+            p = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
+            shown = cells_that_show(array, room.near, near, room.cells, p)
+            choice = numbers[DISCRETE]
+            if by_light >= 0:
+                choice = 1.0 if sample < by_light else choice * unaimed
+            dx, dy, dz, importance = aimed_through_array(array, shown, wide, normal, p, numbers, choice)
+            importance *= own_weight if choice >= unaimed else 1.0
             ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.
             px, py, pz = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, x, y, 0.0)
-            dx, dy, dz, density = aimed(
-                px, py, pz, aim.exit, aim.back_radius, aim.wide_share, aim.share_without_aim,
-                numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V],
-            )  # fmt: skip
+            draws = numbers[DISCRETE], numbers[CELL_U], numbers[CELL_V]
+            dx, dy, dz, density = aimed(aim.exit, (px, py, pz), draws)
             ux, uy, uz = move_direction(frames, CAMERA_FRAME, SENSOR_FRAME, dx, dy, dz)
             importance = -uz / density if density > 0.0 else 0.0
         weight = area * max(importance, 0.0)

@@ -224,70 +224,72 @@ class ObjectTables(NamedTuple):
 
 
 @by_address
-class NearOpening(NamedTuple):
-    """The disks of `Opening` for points close before its plane, by their height over the axis and their distance.
+class Disks(NamedTuple):
+    """Disks in the plane of an opening, by two numbers of the points that see them; see `aims.disks`.
 
-    Columns are heights, rows are distances, both evenly spaced. The disks shrink towards the plane as the distance
-    does, so that centre and radius are interpolated between the nodes.
+    Rows and columns are evenly spaced, and centre and radius are interpolated between the nodes.
     """
 
-    depth: float  # mm, distance below which points are near; 0: the scene has no such points
-    height_step: float  # mm
-    distance: float  # mm, of the first row
-    distance_step: float  # mm
+    column_step: float  # columns begin at 0
+    first: float  # of the first row
+    row_step: float
     middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
     radius: Array  # (n + 1, m + 1) mm; −1: no light gets through in the intervals round the node
-    decentre: Array  # (2, 2), as that of `Opening`
+    # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
+    decentre: Array
 
 
 @by_address
 class Opening(NamedTuple):
-    """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis, by field angle and distance.
+    """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis.
 
-    Columns are field angles, evenly spaced in their tangent; rows are distances, evenly spaced in their inverse.
+    From points close before the plane the disks shrink towards it as the distance does.
     """
 
     known: bool  # False: nothing is known, and rays go anywhere on the lens
     plane_z: float  # mm, camera frame
     sense: float  # 1: points lie before the plane (smaller z), −1: behind it
-    tangent_step: float
-    nearness: float  # 1 / distance of the first row, 1/mm
-    nearness_step: float
-    middle: Array  # (n + 1, m + 1) mm, centre of the disk along the meridian, positive towards the point
-    radius: Array  # (n, m) mm, for the intervals between rows and columns; −1: no light gets through
-    # (2, 2) mm, x and y of what poses of lens elements add to the centre: in the first row, and for each row further.
-    decentre: Array
-    near: NearOpening
+    far: Disks  # by the tangent of the field angle, and one over the distance, 1/mm
+    near_depth: float  # mm, distance below which points are near; 0: the scene has no such points
+    near: Disks  # of near points, by height over the axis and distance, mm
 
 
 @by_address
-class AimTables(NamedTuple):
-    """Tables of the aim of rays. Disks are perpendicular to the axis, in the camera frame.
+class LensAim(NamedTuple):
+    """Aim at one side of the lens. Disks are perpendicular to the axis, in the camera frame; see `aims.mixture`."""
 
-    Most rays go to the lens's opening, which holds the image path. A small share goes to a wide disk that every ray to
-    the lens crosses or, through an array, into the whole hemisphere.
-    """
-
-    entrance: Opening  # as seen from the targets
-    front_radius: float  # mm, of the wide disk in the plane of `entrance`
-    exit: Opening  # as seen from the sensor; with an array, from the lenslets
-    back_radius: float  # mm, of the wide disk in the plane of `exit`
+    opening: Opening  # holds the image path
+    wide_radius: float  # mm, of a disk in the plane of `opening` that every ray to the lens crosses
     wide_share: float  # share of unaimed rays, from a point that sees the opening
     share_without_aim: float  # share of rays that are sent at all, all unaimed, from a point that sees no opening
-    # The array: which lenslets show the opening to a point of the sensor.
-    lenslet_z: float  # mm, lenslet apexes as the sensor sees them, array frame
-    pupil_x: float  # mm, centre of the paraxial exit pupil, array frame; it gives the cell that the chief ray meets
+    # GlassAim where light is aimed through glass or liquids, else None: code for it is not even compiled.
+    glass: Any = None
+    ghosts: Any = None  # GhostTables where rays go to where ghosts come from, else None, likewise
+
+
+@by_address
+class LensletAim(NamedTuple):
+    """Aim at the lenslets that show the lens's opening to a point of the sensor, array frame; see `aims.lenslets`."""
+
+    apex_z: float  # mm, lenslet apexes as the sensor sees them
+    pupil_x: float  # mm, centre of the paraxial exit pupil; it gives the cell that the chief ray meets
     pupil_y: float
     pupil_vergence: float  # 1 / reduced distance from the curved face to the exit pupil, 1/mm; 0: telecentric
     slope: Array  # (cells, 2) slope of the ray from a lenslet's centre to the centre of the opening that it sees
     slope_radius2: Array  # (cells,) squared radius, in slopes, of the opening about that; −1: the lenslet sees none
-    shown: (
-        Array  # (rings + 1,) root mean square of the light in rings of a view, of equal area, from the centre; last 0
-    )
+    # (rings + 1,) relative root mean square of the light in rings of a view, of equal area, from the centre; last 0
+    shown: Array
     cell_margin: float  # mm by which aimed cells are larger than the lattice's, as meshes of their faces deviate
     search: float  # pitches, largest distance of a lenslet that shows the opening from the pixel's chief ray
-    # GlassAim where light is aimed through glass or liquids, else None: code for it is not even compiled.
-    through: Any = None
+
+
+@by_address
+class AimTables(NamedTuple):
+    """Tables of the aim of rays."""
+
+    entrance: LensAim  # as seen from the targets
+    exit: LensAim  # as seen from the sensor; with an array, from the lenslets
+    lenslets: LensletAim  # the shares of rays through them are those of `exit`
 
 
 class Tables(NamedTuple):

@@ -15,7 +15,7 @@ from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.surfaces.surface import gradients, heights, in_place
 from lfmesh.geometry.surfaces.tessellation import on_circles
-from lfmesh.transport.aiming.ray_aiming import aim_rays
+from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World

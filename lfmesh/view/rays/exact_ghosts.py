@@ -18,7 +18,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.scene.first_order.paraxial import Paraxial
-from lfmesh.transport.aiming.aim_table import widest_disk
+from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.sequences.ray_tables import Arrived, faces_of, follow_sequence
 from lfmesh.transport.sequences.sequences import Itinerary

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene.literals import literal
-from lfmesh.transport.aiming.aim_table import opening_seen, widest_disk
-from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aims.aim_table import opening_seen, widest_disk
+from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.settings import SPLIT_MODE, options_of
@@ -373,9 +373,10 @@ def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, flo
     opening = opening_seen(
         world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
     )
-    if world.aim.entrance.known:
-        opening = opening._replace(decentre=world.aim.entrance.decentre * [[1.0], [0.0]])
-    x, y, radius = opening_from(opening, *point)
+    if world.aim.entrance.opening.known:
+        decentre = world.aim.entrance.opening.far.decentre * [[1.0], [0.0]]
+        opening = opening._replace(far=opening.far._replace(decentre=decentre))
+    x, y, radius = opening_from(opening, (point[0], point[1], point[2]))
     if aim == "lens" or not opening.known or radius <= 0.0:
         return 0.0, 0.0, opening.plane_z, wide
     return x, y, opening.plane_z, radius

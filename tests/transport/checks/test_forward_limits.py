@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.render.blind_check import LEVEL
+from lfmesh.transport.checks.blind_check import LEVEL
 from lfmesh.transport.render.render import Renderer
 from tests.transport.checks.test_picture_warnings import scene, warned
 

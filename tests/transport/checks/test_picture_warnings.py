@@ -19,12 +19,12 @@ from lfmesh.cli import main
 from lfmesh.errors import PictureWarning
 from lfmesh.files import words
 from lfmesh.transport import world as worlds
-from lfmesh.transport.aiming import aim_proof
-from lfmesh.transport.aiming.aim_proof import Missed
+from lfmesh.transport.checks.aim_proof import Missed
+from lfmesh.transport.checks.blind_check import BlindSamples
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.render import render as renders
-from lfmesh.transport.render.blind_check import BlindSamples
 from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.sequences import stop_rays
 from tests.study.studies import small_scene
 from tests.transport.test_lost import ball_with_normals
 from tests.validation.test_order_of_surfaces import spoil_place
@@ -69,7 +69,7 @@ def blind(patch: Patch, _: Path) -> lf.Scene:
 
 def lost(_: Patch, folder: Path) -> lf.Scene:
     ball = ball_with_normals(folder / "ball.obj", 0.07) | {"position_mm": (0.0, 0.0, -60.0)}
-    return with_more(ball).changed({"camera.sensor.pixel_mm": 0.5})
+    return with_more(ball).changed({"camera.sensor.pixel_mm": 0.5, "transport.samples": 4096})
 
 
 def opened(patch: Patch, _: Path) -> lf.Scene:
@@ -249,8 +249,8 @@ def lens_of_a_mesh_file(_: Patch, folder: Path) -> lf.Scene:
 
 def few_proof_rays(patch: Patch, _: Path) -> lf.Scene:
     """Let so few rays from the stop come through that none of them outside the aim proves little."""
-    patch.setattr(aim_proof, "BATCH", 1000)
-    patch.setattr(aim_proof, "BATCHES", 1)
+    patch.setattr(stop_rays, "BATCH", 1000)
+    patch.setattr(stop_rays, "BATCHES", 1)
     return scene(**{"camera.sensor.pixel_mm": 0.051})
 
 

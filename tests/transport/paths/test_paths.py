@@ -95,7 +95,9 @@ def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     """Return what single paths of all pixels bring if those of a class count, (pixels,), and the workspace."""
     # Scattered packets alone find all emission, so that each packet's own vertices tell what it brings.
     objects = world.tables.objects._replace(emitters=no_emitters())
-    tables = world.tables._replace(aim=world.aim._replace(wide_share=0.5), objects=objects)
+    tables = world.tables._replace(
+        aim=world.aim._replace(exit=world.aim.exit._replace(wide_share=0.5)), objects=objects
+    )
     options = options_of(world)._replace(sequential=False, split=ROULETTE, record=True, paths=paths)
     work = Workspace(world, options, tables=tables)
     film = Film.empty(SIDE * SIDE, 1)

@@ -10,7 +10,8 @@ import trimesh
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.aiming.through_glass import aimed_density_from, aimed_from, cell_at, place_in_bundle
+from lfmesh.transport.aims.mixture import aimed, aimed_density
+from lfmesh.transport.aims.through_glass import cell_at, place_in_bundle
 from lfmesh.transport.render.glass_aim import glass_aim
 from lfmesh.transport.render.parts import parts_of
 from tests.renders import by_seed
@@ -127,15 +128,15 @@ def test_directions_are_drawn_with_the_density_that_weights_them() -> None:
     world = lf.build(scene(WALL, glass(3.0, 4.0, 20.0, turned=(5.0, 8.0, 0.0)), transport={"method": "forward"}))
     aim, _ = glass_aim(world)
     assert aim is not None
-    draw = np.random.default_rng(4)
+    at_lens, draw = world.aim.entrance._replace(glass=aim), np.random.default_rng(4)
     cells, bundles = aim.cells.view(np.recarray), aim.bundles.view(np.recarray)
     compared = 0
     for point in [(0.5, 0.5, -80.0), (-7.0, 0.5, -80.0), (-3.0, 6.0, -80.0)]:
-        rays = np.array([aimed_from(aim, world.aim, *point, *draw.random(3)) for _ in range(3000)])
-        assert rays[0, 3] == aimed_density_from(aim, world.aim, *point, *rays[0, :3])
-        cell = cells[cell_at(cells, *point)]
+        rays = np.array([aimed(at_lens, point, tuple(draw.random(3))) for _ in range(3000)])
+        assert rays[0, 3] == pytest.approx(aimed_density(at_lens, point, tuple(rays[0, :3])), rel=1e-12)
+        cell = cells[cell_at(cells, point)]
         for number in range(cell.first, cell.first + min(cell.bundles, 4)):
-            place, along = np.array([place_in_bundle(bundles[number], *point, *ray[:3]) for ray in rays]).T
+            place, along = np.array([place_in_bundle(bundles[number], point, tuple(ray[:3])) for ray in rays]).T
             area = np.where(place <= 1.0, 1.0 / (np.maximum(along, 1e-9) ** 3 * rays[:, 3]), 0.0)
             if (place <= 1.0).sum() > 200:
                 error = area.std() / np.sqrt(len(area))
@@ -147,7 +148,7 @@ def test_directions_are_drawn_with_the_density_that_weights_them() -> None:
 def test_a_scene_without_glass_has_no_aim_through_it() -> None:
     world = lf.build(scene(WALL, transport={"method": "forward"}))
     assert glass_aim(world) == (None, None)
-    assert parts_of(world)[0].tables.aim.through is None
+    assert parts_of(world)[0].tables.aim.entrance.glass is None
 
 
 def test_light_that_comes_in_too_many_ways_is_refused() -> None:

@@ -13,11 +13,11 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.aiming import ghost_aim
+from lfmesh.transport.aims import ghost_aim
+from lfmesh.transport.checks import ghost_check
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PIXEL_MASK, PLATE
 from lfmesh.transport.paths.automaton import EVERY, GHOSTS, OFF_IMAGE_PATH, OTHER_STRAYS
-from lfmesh.transport.render import ghost_check
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Film

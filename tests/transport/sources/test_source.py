@@ -132,7 +132,7 @@ def test_no_ray_through_the_array_is_rouletted_by_more_than_a_lenslets_weight() 
     wall = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0.0, 0.0, -60.0]}
     world = build(lf.Scene(camera=camera, targets=[wall]))
     samples = 16
-    aim = world.aim._replace(wide_share=0.5)
+    aim = world.aim._replace(exit=world.aim.exit._replace(wide_share=0.5))
     tables = world.tables._replace(aim=aim)
     source = PixelSource(np.arange(1600), samples, KEY)
     work = Workspace(world, options_of(world)._replace(sequential=False), tables=tables)

@@ -7,8 +7,8 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming.aim_proof import ALLOWED
-from tests.transport.aiming.test_aim_proof import missed
+from lfmesh.transport.aims.fitting import ALLOWED
+from tests.transport.checks.test_aim_proof import missed, with_opening
 
 
 @pytest.mark.parametrize("scene", ["first_light", "conventional"])
@@ -32,17 +32,17 @@ def test_openings_are_decentred_rather_than_widened(scene: str) -> None:
     assert world.aim_proof.holds
     before, after = lf.build(plain).aim, world.aim
     for side in ("entrance", "exit"):
-        assert getattr(after, side).radius.max() < 1.03 * getattr(before, side).radius.max()
+        assert getattr(after, side).opening.far.radius.max() < 1.03 * getattr(before, side).opening.far.radius.max()
     assert max(missed(world, after)) <= 2.0 * ALLOWED
     centred = np.zeros((2, 2))
-    back = after._replace(entrance=after.entrance._replace(decentre=centred))
+    back = after._replace(entrance=with_opening(after.entrance, decentre=centred))
     if not world.tables.mla.present:
-        back = back._replace(exit=after.exit._replace(decentre=centred))
+        back = back._replace(exit=with_opening(after.exit, decentre=centred))
         assert missed(world, back)[0] > 100 * ALLOWED
     assert missed(world, back)[1] > 100 * ALLOWED
 
 
 def test_a_lens_without_poses_has_centred_openings() -> None:
     aim = lf.build(lf.load(asset_path("scenes/first_light.toml"))).aim
-    assert not aim.entrance.decentre.any()
-    assert not aim.exit.decentre.any()
+    assert not aim.entrance.opening.far.decentre.any()
+    assert not aim.exit.opening.far.decentre.any()

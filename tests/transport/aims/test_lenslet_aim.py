@@ -12,11 +12,11 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming.lenslet_aim import slope_to, solid_angle
+from lfmesh.transport.aims.lenslet_faces import slope_to, solid_angle
+from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PLATE
 from lfmesh.transport.packets.random import run_key
-from lfmesh.transport.render.blind_check import without_aim
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
@@ -72,9 +72,9 @@ def world_of(mla: dict[str, Any]) -> World:
 class Starts:
     """Starts paths from a pixel, `samples` at a time, with some changes of the aim."""
 
-    def __init__(self, world: World, samples: int, **aim: float) -> None:
+    def __init__(self, world: World, samples: int, **shares: float) -> None:
         self.samples = samples
-        self._tables = world.tables._replace(aim=world.aim._replace(**aim))
+        self._tables = world.tables._replace(aim=world.aim._replace(exit=world.aim.exit._replace(**shares)))
         self._work = Workspace(world, options_of(world)._replace(sequential=False), tables=self._tables)
 
     def drawn(self, pixel: int, seed: int, times: int) -> tuple[Array, Array]:

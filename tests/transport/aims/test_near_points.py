@@ -8,9 +8,10 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.aiming.aim_proof import CameraTables, proven
-from lfmesh.transport.aiming.near_points import near_viewpoints
-from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aims.near_points import near_viewpoints
+from lfmesh.transport.aims.pupil import opening_from
+from lfmesh.transport.checks.aim_proof import proven
+from lfmesh.transport.sequences.stop_rays import CameraTables
 from lfmesh.transport.world import World
 
 FAR: dict[str, Any] = {
@@ -37,12 +38,12 @@ def test_rays_that_come_through_from_near_points_are_held_by_their_disks(stop_mm
     """Uniform rays about each disk, half as wide again: of those that come through none crosses outside the disk."""
     world = world_of([NEAR, FAR], stop_semi_diameter_mm=stop_mm)
     random, held, sent = np.random.default_rng(3), 0, 0
-    opening = world.aim.entrance
-    assert opening.near.depth > 0.0
+    opening = world.aim.entrance.opening
+    assert opening.near_depth > 0.0
     for distance in (0.02, 0.1, 0.3, 0.9, 2.0, 5.0, 9.0, 12.0):
         for height in random.uniform(0.0, 9.0, 4):
             point = np.array([0.6 * height, 0.8 * height, opening.plane_z - distance])
-            cx, cy, radius = opening_from(opening, *point)
+            cx, cy, radius = opening_from(opening, tuple(point))
             assert radius > 0.0
             r, turn = 1.5 * radius * np.sqrt(random.random(800)), 2.0 * np.pi * random.random(800)
             to = np.column_stack([cx + r * np.cos(turn), cy + r * np.sin(turn), np.full(800, opening.plane_z)])
@@ -58,17 +59,17 @@ def test_rays_that_come_through_from_near_points_are_held_by_their_disks(stop_mm
 
 
 def test_far_targets_keep_their_table_where_nothing_is_near() -> None:
-    alone, beside = world_of([FAR]).aim.entrance, world_of([FAR, FAR | {"position_mm": [0.0, 0.0, -13.0]}]).aim.entrance
-    assert alone.near.depth == beside.near.depth == 0.0
+    alone, beside = (world_of(t).aim.entrance.opening for t in ([FAR], [FAR, FAR | {"position_mm": [0.0, 0.0, -13.0]}]))
+    assert alone.near_depth == beside.near_depth == 0.0
 
 
 def test_a_near_target_that_ends_before_the_others_leaves_their_table_as_it_was() -> None:
     flat = NEAR | {"rotation_deg": [0.0, 0.0, 0.0], "position_mm": [0.0, 0.0, -0.5]}
-    alone, beside = world_of([FAR]).aim.entrance, world_of([FAR, flat]).aim.entrance
-    assert beside.near.depth > 0.0
+    alone, beside = (world_of(targets).aim.entrance.opening for targets in ([FAR], [FAR, flat]))
+    assert beside.near_depth > 0.0
     # To a hundredth, to which openings are measured.
-    assert alone.radius.shape == beside.radius.shape
-    assert beside.radius == pytest.approx(alone.radius, rel=0.02)
+    assert alone.far.radius.shape == beside.far.radius.shape
+    assert beside.far.radius == pytest.approx(alone.far.radius, rel=0.02)
 
 
 def test_a_wall_from_behind_the_camera_to_afar_is_near_only_where_it_passes_the_lens() -> None:
@@ -86,17 +87,18 @@ def test_rays_from_the_stop_prove_the_near_disks_with_and_without_poses() -> Non
     pose = {"surfaces": [0, 1], "pose": {"shift_mm": [0.3, -0.2, 0.0], "tilt_deg": [0.5, 0.0, 0.0]}}
     posed = lf.Scene.model_validate(world_of([NEAR, FAR]).scene.model_dump()).changed({"camera.lens.elements": [pose]})
     for world in (world_of([NEAR, FAR]), lf.build(posed)):
-        assert world.aim.entrance.near.depth > 0.0
+        assert world.aim.entrance.opening.near_depth > 0.0
         assert world.aim_proof is not None
         assert world.aim_proof.holds
-        narrow = world.aim.entrance.near._replace(radius=0.8 * world.aim.entrance.near.radius)
-        aim = world.aim._replace(entrance=world.aim.entrance._replace(near=narrow))
+        narrow = world.aim.entrance.opening.near._replace(radius=0.8 * world.aim.entrance.opening.near.radius)
+        opening = world.aim.entrance.opening._replace(near=narrow)
+        aim = world.aim._replace(entrance=world.aim.entrance._replace(opening=opening))
         through = CameraTables(world.tables.lens, world.tables.mla, world.tables.sensor, world.tables.frames)
         corners = world.targets[0].mesh.vertices
         edges = world.targets[0].mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-        near = near_viewpoints(aim.entrance.plane_z, aim.entrance.near.depth, [(corners, edges)])
+        near = near_viewpoints(opening.plane_z, opening.near_depth, [(corners, edges)])
         mended, proof = proven(aim, through, None, near)
         assert proof is not None
         assert proof.fitted > 0
         assert proof.holds
-        assert mended.entrance.near.radius.max() > narrow.radius.max()
+        assert mended.entrance.opening.near.radius.max() > narrow.radius.max()

@@ -15,12 +15,12 @@ from lfmesh.geometry.array.lenslets import Lenslets, border_segments, face_norma
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.transport.aiming.lenslet_aim import pixel_extent
-from lfmesh.transport.aiming.plate_view import NOTHING_SEEN, refract_if_possible, views_through_plate
-from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aims.lenslet_aim import pixel_extent
+from lfmesh.transport.aims.plate_view import NOTHING_SEEN, refract_if_possible, views_through_plate
+from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.media import with_media
-from lfmesh.transport.tables.tables import AimTables, MlaTables, Opening, SensorTables
+from lfmesh.transport.tables.tables import LensletAim, MlaTables, Opening, SensorTables
 
 ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, at which the view is measured."""
@@ -45,9 +45,29 @@ MOST_INDICES = 8
 """Refractive indices of the lenslets at which rays measure their views; between them a view changes steadily."""
 
 
+def by_rings(light: Array) -> Array:
+    """Return the light in the rings of a view, relative to the brightest, as `LensletAim.shown`.
+
+    Parameters
+    ----------
+    light : (rings,) float64
+        Root mean square of each ring.
+    """
+    return np.append(light / light.max(), 0.0)
+
+
 def unmeasured_light() -> Array:
-    """Return the light in the rings of a view where it has not been measured, see `AimTables.shown`."""
-    return np.where(np.arange(RINGS + 1) < SURELY_SHOWN * RINGS, 1.0, 0.0)
+    """Return the light in the rings of a view where it has not been measured, see `LensletAim.shown`."""
+    return by_rings(np.where(np.arange(RINGS) < SURELY_SHOWN * RINGS, 1.0, 0.0))
+
+
+def no_lenslets(cells: int) -> LensletAim:
+    """Return the aim through lenslets of which none is known to show anything."""
+    return LensletAim(
+        apex_z=0.0, pupil_x=0.0, pupil_y=0.0, pupil_vergence=0.0,
+        slope=np.zeros((cells, 2)), slope_radius2=np.full(cells, NOTHING_SEEN),
+        shown=unmeasured_light(), cell_margin=0.0, search=0.0,
+    )  # fmt: skip
 
 
 def grid(half_width: float, half_height: float, z: float) -> Array:
@@ -73,9 +93,9 @@ def apex_z(mla: MlaTables, glass: float) -> tuple[float, float]:
 
 
 def aim_through_lenslets(
-    scene: Scene, report: FirstOrder, mla: MlaTables, aim: AimTables, moves: Array, sensor: SensorTables, glass: float
-) -> AimTables:
-    """Return the aim tables with the view of the exit pupil through each lenslet.
+    scene: Scene, report: FirstOrder, mla: MlaTables, opening: Opening, moves: Array, sensor: SensorTables, glass: float
+) -> LensletAim:
+    """Return the aim through lenslets, with the view of the exit pupil through each of them.
 
     A ray from x through a lenslet's point c + u leaves it with slope (c + u − x)/d − φ (u − e), where e is the apex's
     decentre. The opening lies at slope σ − κ u from there. So, seen from the lenslet's centre, it is off (c − x)/d by
@@ -86,7 +106,8 @@ def aim_through_lenslets(
     scene : Scene
     report : FirstOrder
     mla : MlaTables
-    aim : AimTables
+    opening : Opening
+        Of the lens, as seen from the lenslets.
     moves : (6, 6, 3, 4) float64
         Between frames.
     sensor : SensorTables
@@ -109,23 +130,25 @@ def aim_through_lenslets(
     slope, slope_radius = np.zeros((cells, 2)), np.zeros(cells)
     few = _at_few_indices(mla)
     if mla.back is not None:
-        views_through_plate(few, aim.exit, moves, sensor_z, slope, slope_radius)
+        views_through_plate(few, opening, moves, sensor_z, slope, slope_radius)
         slope_radius = VIEW_MARGIN * slope_radius
     else:
         _view_through_cells(
-            few, aim.exit, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
+            few, opening, moves, lens_z, sensor_z, glass - 1.0, lattice.corners(), slope, slope_radius
         )  # fmt: skip
     seen = slope_radius > 0.0
     # Lenslets that show nothing look along chief rays, should rays from the stop come through them all the same.
     slope[~seen] = vergence * ([pupil_x, pupil_y] - lattice.centres().reshape(-1, 2)[~seen])
-    aim = aim._replace(
-        lenslet_z=sensor_z,
+    aim = LensletAim(
+        apex_z=sensor_z,
         pupil_x=pupil_x,
         pupil_y=pupil_y,
         pupil_vergence=vergence,
         slope=slope,
         slope_radius2=np.where(seen, slope_radius**2, NOTHING_SEEN),
+        shown=unmeasured_light(),
         cell_margin=_off_by_facets(mla),
+        search=0.0,
     )
     return _searched(aim, mla, moves, sensor)
 
@@ -154,7 +177,7 @@ def _largest_curvature(lenslets: Lenslets) -> float:
     return float(np.abs(lenslets.curvature).max() if profile is None else profile.bend.max())
 
 
-def _searched(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables) -> AimTables:
+def _searched(aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables) -> LensletAim:
     """Return the aim with the largest distance of a lenslet that `list_cells` may list from a pixel's chief ray.
 
     With o = s + κ (c − p), where p is the pupil's centre and κ its vergence, the condition of `list_cells` is
@@ -165,7 +188,7 @@ def _searched(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables
     lattice = mla.lenslets.lattice
     width, height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     corners = frame.points(moves[SENSOR_FRAME, MLA_FRAME], grid(width, height, 0.0))
-    distance = np.abs(corners[:, 2] - aim.lenslet_z)
+    distance = np.abs(corners[:, 2] - aim.apex_z)
     distance = np.array([distance.min(), distance.max()])
     lateral, deep = pixel_extent(sensor, moves)
     seen = aim.slope_radius2 >= 0.0
@@ -185,8 +208,8 @@ def _searched(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables
 
 
 def fitted_views(
-    aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, opened: float
-) -> AimTables:
+    aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, needed: float, furthest: float, opened: float
+) -> LensletAim:
     """Return the aim with the lenslets' views as wide as the light needs, and with all lenslets that show them.
 
     Parameters
@@ -208,12 +231,12 @@ def fitted_views(
     return _with_views(aim, mla, moves, sensor, np.where(seen, radius2, unseen))
 
 
-def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> AimTables:
+def with_wider_views(aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> LensletAim:
     """Return the aim with lenslets' views that are wider.
 
     Parameters
     ----------
-    aim : AimTables
+    aim : LensletAim
     mla : MlaTables
     moves : (6, 6, 3, 4) float64
         Between frames.
@@ -225,17 +248,19 @@ def with_wider_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: Senso
     return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, NOTHING_SEEN))
 
 
-def _with_views(aim: AimTables, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array) -> AimTables:
+def _with_views(
+    aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array
+) -> LensletAim:
     """Return the aim with lenslets' views of given squared radii."""
     return _searched(aim._replace(slope_radius2=slope_radius2), mla, moves, sensor)
 
 
-def with_wider_cells(aim: AimTables, mla: MlaTables, by: float) -> AimTables:
+def with_wider_cells(aim: LensletAim, mla: MlaTables, by: float) -> LensletAim:
     """Return the aim with wider aimed cells.
 
     Parameters
     ----------
-    aim : AimTables
+    aim : LensletAim
     mla : MlaTables
     by : float
         Factor on the width of the cells.
@@ -268,7 +293,7 @@ def _view_through_cells(
             cell = row * lattice.columns + column
             cx, cy = centre(lattice, column, row)
             x, y, z = frame.move_point(moves, MLA_FRAME, CAMERA_FRAME, cx, cy, lens_z)
-            mx, my, radius = opening_from(opening, x, y, z)
+            mx, my, radius = opening_from(opening, (x, y, z))
             if radius <= 0.0:
                 slope_radius[cell] = -1.0
                 continue
@@ -327,7 +352,7 @@ def _farthest_landing(
         # If the plate lies between lens and face, the lens sees the face through it.
         seen_z = sag if mla.curved_to_lens else mla.lenslets.thickness - (mla.lenslets.thickness - sag) / glass
         px, py, pz = frame.move_point(moves, MLA_FRAME, CAMERA_FRAME, x, y, seen_z)
-        ox, oy, radius = opening_from(opening, px, py, pz)
+        ox, oy, radius = opening_from(opening, (px, py, pz))
         outward_x, outward_y, _ = frame.move_direction(moves, MLA_FRAME, CAMERA_FRAME, x - cx, y - cy, 0.0)
         length = np.sqrt(outward_x * outward_x + outward_y * outward_y)
         hx, hy = (outward_x / length, outward_y / length) if length > 0.0 else (1.0, 0.0)

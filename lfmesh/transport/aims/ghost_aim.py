@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.transport.aiming.lenslet_view import with_wider_views
-from lfmesh.transport.aiming.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
+from lfmesh.transport.aims.lenslet_view import by_rings, with_wider_views
+from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
 from lfmesh.transport.sequences.ghosts import (
@@ -125,11 +125,11 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
         sines=np.zeros((len(paths), SINES)),
         until=np.zeros((0, len(paths))),
         cells=np.zeros((HEIGHTS, 0)),
-        plane_z=tables.aim.exit.plane_z,
+        plane_z=tables.aim.exit.opening.plane_z,
         from_z=from_z,
         rings=np.append(
             np.linspace(0.0, opening**2, WITHIN_OPENING, endpoint=False),
-            np.linspace(opening**2, tables.aim.back_radius**2, RADII - WITHIN_OPENING + 1),
+            np.linspace(opening**2, tables.aim.exit.wide_radius**2, RADII - WITHIN_OPENING + 1),
         ),
         height=height,
     )
@@ -148,13 +148,9 @@ def _where_from(tables: Tables) -> tuple[float, float]:
 
 def _opening(aim: AimTables) -> float:
     """Return the distance from the axis, mm, that holds the lens's opening, and of which some is left outside."""
-    seen = aim.exit.radius > 0.0
-    if not seen.any():
-        return math.sqrt(0.5) * aim.back_radius
-    # Centres are of the corners of the intervals that the radii are of.
-    middle = np.abs(aim.exit.middle)
-    farthest = np.maximum.reduce([middle[:-1, :-1], middle[1:, :-1], middle[:-1, 1:], middle[1:, 1:]])
-    return float(min((farthest + aim.exit.radius)[seen].max(), math.sqrt(0.5) * aim.back_radius))
+    disks, within = aim.exit.opening.far, math.sqrt(0.5) * aim.exit.wide_radius
+    seen = disks.radius > 0.0
+    return min(float((np.abs(disks.middle) + disks.radius)[seen].max()), within) if seen.any() else within
 
 
 def _light(tables: Tables, ghosts: GhostTables) -> Array:
@@ -289,7 +285,7 @@ def _projected() -> Array:
 
 def _seen_by_sensor(tables: Tables, ghosts: GhostTables) -> float:
     """Return about the projected solid angle, sr, in which the sensor sees the disk at the lens."""
-    return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.back_radius) ** 2)
+    return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.exit.wide_radius) ** 2)
 
 
 def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: float) -> GhostTables:
@@ -425,16 +421,20 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
         With the aim of the image path.
     ghosts : GhostTables
     """
+    if not tables.mla.present:
+        # The cells hold all of the lens.
+        exit_ = tables.aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0)
+        return tables.aim._replace(exit=exit_)
     aim = with_wide_share(tables.aim, WIDE_SHARE_OF_GHOSTS)
-    known = aim.exit.radius > 0.0
-    if not (tables.mla.present and known.any()):
+    known = aim.exit.opening.far.radius > 0.0
+    if not known.any():
         return aim
-    wider = aim.back_radius / float(np.median(aim.exit.radius[known]))
+    wider = aim.exit.wide_radius / float(np.median(aim.exit.opening.far.radius[known]))
     if not wider > 1.0:
         return aim
-    rings = len(aim.shown) - 1
+    rings = len(aim.lenslets.shown) - 1
     light = np.diff(ghosts.cells, prepend=0.0, axis=1).reshape(HEIGHTS, RADII, ANGLES).sum(axis=(0, 2))
     middles = 0.5 * (ghosts.rings[1:] + ghosts.rings[:-1])
     shown = np.interp((np.arange(rings) + 0.5) / rings * ghosts.rings[-1], middles, light / np.diff(ghosts.rings))
-    wide = with_wider_views(aim, tables.mla, tables.frames, tables.sensor, wider)
-    return wide._replace(shown=np.append(shown / shown.max(), 0.0))
+    wide = with_wider_views(aim.lenslets, tables.mla, tables.frames, tables.sensor, wider)
+    return aim._replace(lenslets=wide._replace(shown=by_rings(shown)))

@@ -12,8 +12,8 @@ from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
 from lfmesh.geometry.array.lenslets import face_normal, face_sag, shape_of, type_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aiming.lenslet_aim import on_lenslet
-from lfmesh.transport.aiming.pupil import opening_from
+from lfmesh.transport.aims.lenslet_faces import on_lenslet
+from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.events.crossing import refracted
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.tables import MlaTables, Opening
@@ -110,7 +110,7 @@ def _slope_through(
     z = face_sag(back.lenslets, column, row, curvature, ux, uy)
     nx, ny, nz = face_normal(back.lenslets, column, row, curvature, ux, uy, z)
     px, py, pz = frame.move_point(moves, BACK_FRAME, CAMERA_FRAME, x, y, z)
-    ox, oy, radius = opening_from(opening, px, py, pz)
+    ox, oy, radius = opening_from(opening, (px, py, pz))
     if not radius > 0.0:
         return -1, 0.0, 0.0
     if which > 0:

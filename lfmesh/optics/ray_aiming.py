@@ -5,7 +5,6 @@ lens. Targets are apexes of the array, points of the stop, or image points. The 
 that every traced ray improves (C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math.
 Comp. 19 (1965) 577).
 
-Paths of the adjoint method are aimed in compiled code, by `lenslet_aim.slope_to`, which needs only eight digits.
 """
 
 from collections.abc import Callable

@@ -13,11 +13,18 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.array.lattice import Lattice
-from lfmesh.transport.aiming.lenslet_aim import LISTED, cells_that_show, list_cells, most_listed, spread_on_faces
-from lfmesh.transport.aiming.pupil import opening_from, real_opening, unknown_opening, viewpoints
+from lfmesh.transport.aims.lenslet_aim import (
+    LISTED,
+    ArraySeen,
+    cells_that_show,
+    lenslets_density,
+    list_cells,
+    most_listed,
+)
+from lfmesh.transport.aims.pupil import opening_from, real_opening, unknown_like, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.tables.tables import AimTables
+from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
 from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]
@@ -66,12 +73,9 @@ def uniform(aim: AimTables) -> AimTables:
     A tenth goes into the whole hemisphere, where there is an array.
     """
     return aim._replace(
-        entrance=unknown_opening(aim.entrance.plane_z, to_sensor=True),
-        exit=unknown_opening(aim.exit.plane_z, to_sensor=False),
-        slope_radius2=np.full_like(aim.slope_radius2, np.inf),
-        search=2.0,
-        wide_share=0.1,
-        share_without_aim=1.0,
+        entrance=aim.entrance._replace(opening=unknown_like(aim.entrance.opening)),
+        exit=aim.exit._replace(opening=unknown_like(aim.exit.opening), wide_share=0.1, share_without_aim=1.0),
+        lenslets=aim.lenslets._replace(slope_radius2=np.full_like(aim.lenslets.slope_radius2, np.inf), search=2.0),
     )
 
 
@@ -81,12 +85,18 @@ def shrunk(aim: AimTables) -> AimTables:
     Lenslets' a third: with a tilted array they stand out by the range of its distances from the sensor.
     """
     return aim._replace(
-        entrance=aim.entrance._replace(radius=0.8 * aim.entrance.radius),
-        exit=aim.exit._replace(radius=0.8 * aim.exit.radius),
-        slope_radius2=np.where(aim.slope_radius2 > 0.0, 0.45 * aim.slope_radius2, -1.0),
-        wide_share=0.0,
-        share_without_aim=0.0,
+        entrance=_narrow(aim.entrance),
+        exit=_narrow(aim.exit),
+        lenslets=aim.lenslets._replace(
+            slope_radius2=np.where(aim.lenslets.slope_radius2 > 0.0, 0.45 * aim.lenslets.slope_radius2, -1.0)
+        ),
     )
+
+
+def _narrow(aim: LensAim) -> LensAim:
+    disks = aim.opening.far
+    opening = aim.opening._replace(far=disks._replace(radius=0.8 * disks.radius))
+    return aim._replace(opening=opening, wide_share=0.0, share_without_aim=0.0)
 
 
 def images(of: lf.Scene, first: int, change: Change = lambda aim: aim) -> Array:
@@ -151,9 +161,9 @@ def test_fewer_rays_are_sent_in_vain(name: str) -> None:
 def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
     """Rays from points of the sensor to a grid on the lens's back, by the mesh engine, against the table."""
     world = lf.build(scene(None))
-    opening = world.aim.exit
+    opening = world.aim.exit.opening
     z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
-    grid = np.linspace(-1.0, 1.0, 61) * world.aim.back_radius
+    grid = np.linspace(-1.0, 1.0, 61) * world.aim.exit.wide_radius
     for height in (0.0, 0.7, 1.6, 2.4, 3.1):
         x, y = 0.6 * height, -0.8 * height
         to = np.array([(a, b, opening.plane_z) for a in grid for b in grid])
@@ -161,7 +171,7 @@ def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
         paths = lf.trace(world, start, to - start, split="transmit")
         out = (paths.status == lf.Status.TARGET) | (paths.status == lf.Status.ESCAPED)
         passed = to[paths.source[out]]
-        cx, cy, radius = opening_from(opening, x, y, z)
+        cx, cy, radius = opening_from(opening, (x, y, z))
         assert len(passed) > 50
         off = np.hypot(passed[:, 0] - cx, passed[:, 1] - cy)
         assert off.max() <= radius
@@ -177,7 +187,7 @@ def test_a_point_by_itself_sees_the_lens() -> None:
         seen = viewpoints(float(lens.box_low[2]), 3.5, place[None], to_sensor=True)
         assert seen is not None
         opening = real_opening(seen, lens, 6.0, 2.2)
-        if not opening_from(opening, *place)[2] > 0.0:
+        if not opening_from(opening, tuple(place))[2] > 0.0:
             dark.append(place)
     assert not dark
 
@@ -185,8 +195,8 @@ def test_a_point_by_itself_sees_the_lens() -> None:
 def test_nothing_is_sent_from_where_the_lens_shows_no_opening() -> None:
     world = lf.build(scene(None, samples=256))
     z = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3]
-    assert opening_from(world.aim.exit, 40.0, 0.0, z)[2] < 0.0
-    assert opening_from(world.aim.exit, 0.0, 0.0, z)[2] > 0.0
+    assert opening_from(world.aim.exit.opening, (40.0, 0.0, z))[2] < 0.0
+    assert opening_from(world.aim.exit.opening, (0.0, 0.0, z))[2] > 0.0
 
 
 PLATES = {
@@ -209,7 +219,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     of = lf.load(asset_path(f"scenes/{file}.toml"))
     small = {"camera.mla.count": (24, 24), "camera.sensor.pixels": (240, 240), "transport.split": "transmit"}
     world = lf.build(of.changed(small | {"targets": [], "lights": []} | changes))
-    array, aim, moves = world.tables.mla, world.aim, world.tables.frames
+    array, aim, moves = world.tables.mla, world.aim.lenslets, world.tables.frames
     lattice = array.lenslets.lattice
     random = np.random.default_rng(5)
     rays = 200_000
@@ -223,17 +233,18 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
         world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
     )
     out = paths.source[paths.status == lf.Status.ESCAPED]
-    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros((2, most_listed(aim) + 1), np.int64)
+    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros(most_listed(aim) + 1, np.int64)
     glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
-    past = 0
+    past, seen = 0, ArraySeen(array, aim, glass)
     for i in out:
-        maybe = cells_that_show(aim, near, list_cells(array, aim, glass, *p[i], (0.0, 0.0), near), cells, *p[i])[0]
-        past += max(spread_on_faces(array, aim, glass, near, cells, maybe, *p[i], *d[i])) == 0.0
+        point = tuple(p[i])
+        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), near), cells, point)
+        past += max(lenslets_density(seen, shown, point, tuple(d[i]))) == 0.0
     assert len(out) > 500
     assert past == 0
 
 
-def corners(lattice: Lattice, aim: AimTables, p: Array, random: np.random.Generator) -> Array:
+def corners(lattice: Lattice, aim: LensletAim, p: Array, random: np.random.Generator) -> Array:
     """Return points near corners of cells within some pitches of points p (n, 3) of the array's frame, as seen."""
     centres = lattice.centres().reshape(-1, 2)
     nearest = cKDTree(centres).query(p[:, :2], 12)[1]
@@ -241,4 +252,4 @@ def corners(lattice: Lattice, aim: AimTables, p: Array, random: np.random.Genera
     around = lattice.corners()
     at = cell + around[random.integers(0, len(around), len(p))]
     at += 0.05 * lattice.pitch * random.uniform(-1.0, 1.0, at.shape)
-    return np.column_stack([at, np.full(len(p), aim.lenslet_z)])
+    return np.column_stack([at, np.full(len(p), aim.apex_z)])

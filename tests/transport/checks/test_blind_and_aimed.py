@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.render.blind_check import BlindSamples, without_aim
+from lfmesh.transport.checks.blind_check import BlindSamples, without_aim
 from lfmesh.transport.render.render import Renderer
 
 RandomCamera = Callable[[int], lf.Scene]

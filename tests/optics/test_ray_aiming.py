@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lfmesh.transport.aiming.ray_aiming import ARRIVED, MOST_STEPS, TOLERANCE, aim_rays
+from lfmesh.optics.ray_aiming import ARRIVED, MOST_STEPS, TOLERANCE, aim_rays
 
 Array = NDArray[np.float64]
 Which = NDArray[np.int64]

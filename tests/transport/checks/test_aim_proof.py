@@ -10,22 +10,19 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.accuracy.reported_error import crop
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming import aim_proof
-from lfmesh.transport.aiming.aim_proof import (
-    ALLOWED,
+from lfmesh.transport.aims.fitting import ALLOWED, shown_by
+from lfmesh.transport.aims.pupil import viewpoints
+from lfmesh.transport.aims.support import beyond_object_aim, beyond_sensor_aim
+from lfmesh.transport.checks import aim_proof
+from lfmesh.transport.checks.aim_proof import (
     CONFIDENCE,
     AimProof,
-    CameraTables,
     Missed,
-    _beyond_object_aim,
-    _beyond_sensor_aim,
-    _rays_from_stop,
-    _reach,
-    _shown,
     proven,
 )
-from lfmesh.transport.aiming.pupil import viewpoints
-from lfmesh.transport.tables.tables import AimTables
+from lfmesh.transport.sequences import stop_rays
+from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop, reach_of
+from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
 from lfmesh.transport.world import World
 from tests.renders import of_world
 from tests.transport.conftest import TARGET
@@ -38,10 +35,10 @@ def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     random = np.random.default_rng(seed)
     tables = world.tables
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
-    rays = _rays_from_stop(through, _reach(through, random), random)
+    rays = rays_from_stop(through, reach_of(through, random), random)
     corners = world.targets[0].mesh.vertices
-    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, corners, to_sensor=True)
-    found = _beyond_sensor_aim(aim, through, rays), _beyond_object_aim(aim, seen, rays, random)
+    seen = viewpoints(aim.entrance.opening.plane_z, aim.entrance.wide_radius, corners, to_sensor=True)
+    found = beyond_sensor_aim(aim, through, rays), beyond_object_aim(aim, seen, None, rays, random)[0]
     return tuple(float(rays.throughput[of > 1.0].sum() / rays.throughput.sum()) for of in found)  # type: ignore[return-value]
 
 
@@ -63,12 +60,23 @@ def test_the_aim_of_many_random_cameras_holds_all_light(seed: int, random_camera
     assert max(missed(world, world.aim)) <= 2.0 * ALLOWED
 
 
-NARROWER = {
-    "lenslets' views": lambda aim: aim._replace(slope_radius2=0.8 * aim.slope_radius2),
-    "lenslets' faces": lambda aim: aim._replace(cell_margin=-1e-3, shown=np.zeros(2)),
-    "fewer cells": lambda aim: aim._replace(slope_radius2=np.where(np.arange(64 * 64) % 500 == 7, -1.0, 1.0)
-                                            * aim.slope_radius2),
-    "the entrance pupil": lambda aim: aim._replace(entrance=aim.entrance._replace(radius=0.97 * aim.entrance.radius)),
+def with_opening(aim: LensAim, **changes: Any) -> LensAim:
+    return aim._replace(opening=aim.opening._replace(far=aim.opening.far._replace(**changes)))
+
+
+def with_lenslets(change: Callable[[LensletAim], dict[str, Any]]) -> Callable[[AimTables], AimTables]:
+    return lambda aim: aim._replace(lenslets=aim.lenslets._replace(**change(aim.lenslets)))
+
+
+NARROWER: dict[str, Callable[[AimTables], AimTables]] = {
+    "lenslets' views": with_lenslets(lambda aim: {"slope_radius2": 0.8 * aim.slope_radius2}),
+    "lenslets' faces": with_lenslets(lambda aim: {"cell_margin": -1e-3, "shown": np.zeros(2)}),
+    "fewer cells": with_lenslets(
+        lambda aim: {"slope_radius2": np.where(np.arange(64 * 64) % 500 == 7, -1.0, 1.0) * aim.slope_radius2}
+    ),
+    "the entrance pupil": lambda aim: aim._replace(
+        entrance=with_opening(aim.entrance, radius=0.97 * aim.entrance.opening.far.radius)
+    ),
 }  # fmt: skip
 
 
@@ -84,7 +92,8 @@ def test_rays_from_the_stop_find_what_a_narrower_aim_misses(name: str, emitting_
 def test_rays_from_the_stop_find_what_a_narrower_pupil_misses_without_an_array(emitting_plane: dict[str, Any]) -> None:
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    narrower = world.aim._replace(exit=world.aim.exit._replace(radius=0.97 * world.aim.exit.radius))
+    exit_ = with_opening(world.aim.exit, radius=0.97 * world.aim.exit.opening.far.radius)
+    narrower = world.aim._replace(exit=exit_)
     assert missed(world, world.aim)[0] <= ALLOWED
     assert missed(world, narrower)[0] > 5.0 * ALLOWED
 
@@ -99,7 +108,7 @@ def test_lenslets_near_hemispheres_are_searched_among_few_cells() -> None:
     world = lf.build(scene)
     assert world.aim_proof is not None
     assert world.aim_proof.holds
-    assert world.aim.search <= 6.5
+    assert world.aim.lenslets.search <= 6.5
 
 
 @pytest.mark.parametrize("side", ["exit", "entrance"])
@@ -108,10 +117,12 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
     aim, tables = world.aim, world.tables
-    opening = getattr(aim, side)
-    closed = aim._replace(**{side: opening._replace(radius=np.full_like(opening.radius, -1.0))})
+    at_lens = getattr(aim, side)
+    closed = aim._replace(**{side: with_opening(at_lens, radius=np.full_like(at_lens.opening.far.radius, -1.0))})
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
-    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
+    seen = viewpoints(
+        aim.entrance.opening.plane_z, aim.entrance.wide_radius, world.targets[0].mesh.vertices, to_sensor=True
+    )
     mended, proof = proven(closed, through, seen)
     assert proof is not None
     assert proof.holds
@@ -121,15 +132,14 @@ def test_an_opening_that_is_taken_for_closed_is_opened_again(side: str, emitting
 
 
 HOBBLED = {
-    "narrow views": lambda aim: aim._replace(slope_radius2=0.01 * aim.slope_radius2),
-    "views that look aside": lambda aim: aim._replace(slope=aim.slope + 0.1),
-    # Main rays, which go to whole cells, would hold what margin rays leave out.
-    "narrow cells": lambda aim: aim._replace(cell_margin=-0.02, shown=np.zeros_like(aim.shown)),
-    "lenslets that show nothing": lambda aim: aim._replace(
-        slope_radius2=np.where(np.arange(64) % 3 == 0, -1.0, aim.slope_radius2)
+    "narrow views": with_lenslets(lambda aim: {"slope_radius2": 0.01 * aim.slope_radius2}),
+    "views that look aside": with_lenslets(lambda aim: {"slope": aim.slope + 0.1}),
+    "narrow cells": with_lenslets(lambda aim: {"cell_margin": -0.02, "shown": np.zeros_like(aim.shown)}),
+    "lenslets that show nothing": with_lenslets(
+        lambda aim: {"slope_radius2": np.where(np.arange(64) % 3 == 0, -1.0, aim.slope_radius2)}
     ),
-    "a search that ends at the nearest lenslet": lambda aim: aim._replace(search=0.5),
-}  # fmt: skip
+    "a search that ends at the nearest lenslet": with_lenslets(lambda aim: {"search": 0.5}),
+}
 
 
 def few_pixels(**changes: Any) -> lf.Scene:
@@ -143,7 +153,9 @@ def few_pixels(**changes: Any) -> lf.Scene:
 
 def proof_of(world: World, aim: AimTables) -> tuple[AimTables, AimProof]:
     tables = world.tables
-    seen = viewpoints(aim.entrance.plane_z, aim.front_radius, world.targets[0].mesh.vertices, to_sensor=True)
+    seen = viewpoints(
+        aim.entrance.opening.plane_z, aim.entrance.wide_radius, world.targets[0].mesh.vertices, to_sensor=True
+    )
     mended, proof = proven(aim, CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames), seen)
     assert proof is not None
     return mended, proof
@@ -180,12 +192,12 @@ def test_where_fitting_does_not_succeed_rays_go_all_over_the_lens(
 ) -> None:
     scene = lf.load(asset_path("scenes/conventional.toml")).changed({"targets": [emitting_plane], "lights": []})
     world = lf.build(scene)
-    opening = getattr(world.aim, side)
+    at_lens = getattr(world.aim, side)
     monkeypatch.setattr(aim_proof, "ATTEMPTS", 1)
-    narrow = world.aim._replace(**{side: opening._replace(radius=0.5 * opening.radius)})
+    narrow = world.aim._replace(**{side: with_opening(at_lens, radius=0.5 * at_lens.opening.far.radius)})
     mended, proof = proof_of(world, narrow)
     assert proof.fallback
-    assert not getattr(mended, side).known
+    assert not getattr(mended, side).opening.known
     assert max(missed(world, mended)) == 0.0
 
 
@@ -203,8 +215,8 @@ def test_the_bounds_of_a_share_hold_the_truth_as_often_as_they_say(expected: flo
 def test_rays_are_drawn_until_they_tell_whether_the_share_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With four times too few rays in a round, none outside does not prove the share."""
     world = lf.build(few_pixels())
-    monkeypatch.setattr(aim_proof, "BATCH", 1 << 14)
-    monkeypatch.setattr(aim_proof, "BATCHES", 1)
+    monkeypatch.setattr(stop_rays, "BATCH", 1 << 14)
+    monkeypatch.setattr(stop_rays, "BATCHES", 1)
     proof = proof_of(world, world.aim)[1]
     assert proof.holds
     assert proof.most <= ALLOWED
@@ -232,7 +244,7 @@ def test_a_small_piece_of_a_sensor_far_off_the_axis_has_its_aim_proven() -> None
     assert world.aim_proof.holds
     assert world.aim_proof.rays > 10_000
     # Micro-images touch: where the view of one lenslet ends, the opening is partly hidden, and the next one shows it.
-    shown = world.aim.shown
+    shown = world.aim.lenslets.shown
     assert shown[:40].min() > 0.8
     assert ((shown > 0.0) & (shown < 0.8)).any()
     assert shown[-2] == 0.0
@@ -242,21 +254,21 @@ def test_a_small_piece_of_a_sensor_far_off_the_axis_has_its_aim_proven() -> None
 def test_no_part_of_a_view_is_dark_because_few_rays_met_it(rays: int) -> None:
     """Of an evenly lit view: up to the last ring that has a ray, every ring has its chance."""
     off = np.sqrt(np.random.default_rng(rays).random(rays))
-    shown = _shown(off, np.ones(rays))
+    shown = shown_by(off, np.ones(rays))
     last = int(off.max() ** 2 * (len(shown) - 1))
     assert (shown[: last + 1] > 0.0).all()
     assert (np.diff(shown) <= 0.0).all()
     assert shown[-1] == 0.0
 
 
-def test_main_rays_go_wherever_rays_have_met_light() -> None:
+def test_rays_go_wherever_rays_have_met_light() -> None:
     """Light at the rim that they leave out, 5e-4 of all here, makes pixels of an even picture several times too bright.
 
     Margin rays alone would bring it, one of fifty rays with some fifty times the weight.
     """
     off = np.sqrt(np.random.default_rng(3).random(40_000) * 0.8)
     off[:20] = np.sqrt(0.9)
-    shown = _shown(off, np.ones(len(off)))
+    shown = shown_by(off, np.ones(len(off)))
     rim = int(0.9 * (len(shown) - 1))
     assert (shown[: rim + 1] > 0.0).all()
     assert (shown[rim + 1 :] == 0.0).all()

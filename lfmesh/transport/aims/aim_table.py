@@ -1,9 +1,6 @@
 """The aim tables of a scene: the lens's opening as seen from targets and sensor."""
 
-import hashlib
-import threading
-from collections import OrderedDict
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +13,11 @@ from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.solve import cover_shift_mm
-from lfmesh.transport.aiming.aim_proof import AimProof, CameraTables, CoverPlate, decentred, proven
-from lfmesh.transport.aiming.lenslet_view import aim_through_lenslets, apex_z, grid, unmeasured_light
-from lfmesh.transport.aiming.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
-from lfmesh.transport.aiming.near_points import NearViewpoints, near_viewpoints
-from lfmesh.transport.aiming.plate_view import NOTHING_SEEN
-from lfmesh.transport.aiming.pupil import (
+from lfmesh.transport.aims.fitting import decentred
+from lfmesh.transport.aims.lenslet_view import aim_through_lenslets, apex_z, grid, no_lenslets
+from lfmesh.transport.aims.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aims.near_points import NearViewpoints, near_viewpoints
+from lfmesh.transport.aims.pupil import (
     Viewpoints,
     paraxial_near,
     paraxial_opening,
@@ -31,14 +27,15 @@ from lfmesh.transport.aiming.pupil import (
     viewpoints,
 )
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.sequences.stop_rays import CameraTables, CoverPlate
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.tables import (
     AimTables,
+    Camera,
+    Disks,
+    LensAim,
     LensTables,
-    MlaTables,
-    NearOpening,
     Opening,
-    SensorTables,
 )
 
 FAR = 1e9
@@ -52,55 +49,6 @@ DISTANT, WIDE = 1e4, 10.0
 
 CORNERS = 8
 """Of a box."""
-
-KEPT = 8
-"""Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
-
-_kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
-_access = threading.Lock()
-
-
-def aim_table(
-    scene: Scene,
-    report: FirstOrder,
-    lens: LensTables,
-    mla: MlaTables,
-    sensor: SensorTables,
-    shapes: Shapes,
-    moves: Array,
-    *,
-    analytic: bool,
-) -> tuple[AimTables, AimProof | None]:
-    """Return the aim tables of a scene, and their proof by rays from the stop.
-
-    Parameters
-    ----------
-    scene : Scene
-    report : FirstOrder
-    lens, mla, sensor
-        Tables of the scene.
-    shapes : of (points (n, 3) float64, mm, camera frame; edges (m, 2) int)
-        From which light comes: corners of targets and media, and round particles, see `shapes_in_camera`.
-    moves : (6, 6, 3, 4) float64
-        Between frames, see `frame_table`.
-    analytic : bool
-        Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
-    """
-    if lens.interfaces.rough or mla.interfaces.rough:
-        return _anywhere(scene, lens, mla, shapes, moves), None
-    key = digest(
-        scene.camera, scene.transport.split, report, lens, mla, sensor, shapes, _has_glass(scene), moves, analytic
-    )
-    with _access:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key]
-    found = _found(scene, report, lens, mla, sensor, shapes, moves, analytic)
-    with _access:
-        _kept[key] = found
-        while len(_kept) > KEPT:
-            _kept.popitem(last=False)
-    return found
 
 
 def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> Shapes:
@@ -137,33 +85,54 @@ def all_before(lens: LensTables) -> Array:
     )  # fmt: skip
 
 
+class Unproven(NamedTuple):
+    """Aim tables of a scene, and what proves them.
+
+    Attributes
+    ----------
+    aim : AimTables
+    through : CameraTables
+        Of the camera that rays from the stop go through.
+    seen : Viewpoints or None
+        Viewpoints of the targets; None if no target lies before the lens.
+    near : NearViewpoints or None
+        Those close before the lens.
+    fits : bool
+        Rays from the stop are fit to widen the aim.
+    """
+
+    aim: AimTables
+    through: CameraTables
+    seen: Viewpoints | None
+    near: NearViewpoints | None
+    fits: bool
+
+
 def _points_of(shapes: Shapes) -> Array:
     """Return the corners of all shapes, (n, 3) mm."""
     return np.concatenate([points for points, _ in shapes] or [np.zeros((0, 3))])
 
 
-def digest(*values: Any) -> bytes:
-    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`."""
-    hashed = hashlib.blake2b(digest_size=16)
-    for value in values:
-        if isinstance(value, np.ndarray):
-            hashed.update(f"{value.dtype} {value.shape}".encode())
-            hashed.update(value.tobytes())
-        elif isinstance(value, tuple):
-            hashed.update(digest(*value))
-        else:
-            hashed.update(repr(value).encode())
-    return hashed.digest()
+def aim_table(scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, *, analytic: bool) -> Unproven:
+    """Return the aim tables of a scene before rays from the stop have proven them.
 
-
-def _found(
-    scene: Scene, report: FirstOrder, lens: LensTables, mla: MlaTables, sensor: SensorTables, shapes: Shapes,
-    moves: Array, analytic: bool,
-) -> tuple[AimTables, AimProof | None]:  # fmt: skip
-    """Return the result of `aim_table`."""
+    Parameters
+    ----------
+    scene : Scene
+    report : FirstOrder
+    camera : Camera
+        Tables of the scene, without absorption; its frames have the sensor where it appears to be.
+    shapes : of (points (n, 3) float64, mm, camera frame; edges (m, 2) int)
+        From which light comes: corners of targets and media, and round particles, see `shapes_in_camera`.
+    analytic : bool
+        Every surface of the lens is exact, so that the opening is found by real rays; else by first-order optics.
+    """
+    lens, mla, sensor, moves = camera.lens, camera.mla, camera.sensor, camera.frames
+    through = CameraTables(lens, mla, sensor, moves, _cover_of(scene))
+    if lens.interfaces.rough or mla.interfaces.rough:
+        return Unproven(_anywhere(scene, camera, shapes), through, None, None, fits=False)
     seen = _points_of(shapes)
-    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    behind = _sensor_corners(scene, moves)
     front_radius = widest_disk(lens, seen, front=True)
     back_radius = widest_disk(lens, behind, front=False)
     glass = 1.0
@@ -173,25 +142,30 @@ def _found(
         apexes = grid(*lattice.half_extent, apex_z(mla, glass)[1])
         behind = frame.points(moves[MLA_FRAME, CAMERA_FRAME], apexes)
     near, disks = _seen_close(report, lens, shapes, analytic)
-    if near is not None and not _has_glass(scene):
+    if near is not None and not has_glass(scene):
         # Rays from near points go everywhere; from glass they are aimed at a disk alone.
         front_radius = widest_disk(lens, seen, front=True, nearest=near.depth)
     from_targets = viewpoints(float(lens.box_low[2]), front_radius, seen, to_sensor=True, near=near)
     posed = has_poses(lens) or not all(map(is_revolved, lens.surfaces))
     entrance = opening_seen(report, lens, seen, front_radius, analytic, front=True, near=near)
-    if disks is not None:
-        entrance = entrance._replace(near=disks)
+    if near is not None and disks is not None:
+        entrance = entrance._replace(near=disks, near_depth=near.depth)
     exit_ = opening_seen(report, lens, behind, back_radius, analytic, front=False)
-    through = CameraTables(lens, mla, sensor, moves, _cover_of(scene))
     if posed:
         # Poses move the disks of the openings, and other sections open other field angles; the proof widens them.
         entrance, exit_ = decentred(entrance, exit_, through)
     aim = before_array(scene, (entrance, exit_), (front_radius, back_radius))
-    aim = aim_through_lenslets(scene, report, mla, aim, moves, sensor, glass) if mla.present else aim
-    if not analytic:
-        # The surfaces that fit the meshes tell how much wider poses make the openings, but prove nothing.
-        return (proven(aim, through, from_targets, near)[0] if posed else aim), None
-    return proven(aim, through, from_targets, near)
+    if mla.present:
+        lenslets = aim_through_lenslets(scene, report, mla, exit_, moves, sensor, glass)
+        aim = aim._replace(lenslets=lenslets)
+    # The surfaces that fit meshes tell how much wider poses make the openings.
+    return Unproven(aim, through, from_targets, near, fits=analytic or posed)
+
+
+def _sensor_corners(scene: Scene, moves: Array) -> Array:
+    """Return corners, middles of the sides and centre of the sensor, (9, 3) mm, camera frame."""
+    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
+    return frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
 
 
 def _cover_of(scene: Scene) -> CoverPlate | None:
@@ -203,7 +177,7 @@ def _cover_of(scene: Scene) -> CoverPlate | None:
     return CoverPlate(sensor.cover.thickness_mm, cover_shift_mm(sensor, scene.primary_nm), np.array(indices))
 
 
-def _has_glass(scene: Scene) -> bool:
+def has_glass(scene: Scene) -> bool:
     """Tell whether there are bodies of glass or liquid before the camera."""
     return bool(scene.tanks) or any(target.refractor is not None for target in scene.targets)
 
@@ -215,7 +189,7 @@ def _near_points(lens: LensTables, shapes: Shapes) -> NearViewpoints | None:
 
 def _seen_close(
     report: FirstOrder, lens: LensTables, shapes: Shapes, analytic: bool
-) -> tuple[NearViewpoints | None, NearOpening | None]:
+) -> tuple[NearViewpoints | None, Disks | None]:
     """Return viewpoints close before the lens that see light through it, and the opening from them; None: none do."""
     near = _near_points(lens, shapes)
     if near is None:
@@ -228,13 +202,13 @@ def _seen_close(
     return (near, found) if found is not None else (None, None)
 
 
-def _anywhere(scene: Scene, lens: LensTables, mla: MlaTables, shapes: Shapes, moves: Array) -> AimTables:
+def _anywhere(scene: Scene, camera: Camera, shapes: Shapes) -> AimTables:
     """Return the aim tables of a camera in which light is scattered, so that it may come from anywhere on the lens."""
-    width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
-    behind = frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], grid(width, height, 0.0))
+    lens, mla = camera.lens, camera.mla
+    behind = _sensor_corners(scene, camera.frames)
     near = _near_points(lens, shapes)
     depth = near.depth if near is not None else 0.0
-    nearest = 0.0 if _has_glass(scene) else depth
+    nearest = 0.0 if has_glass(scene) else depth
     radii = (
         widest_disk(lens, _points_of(shapes), front=True, nearest=nearest), widest_disk(lens, behind, front=False)
     )  # fmt: skip
@@ -242,12 +216,12 @@ def _anywhere(scene: Scene, lens: LensTables, mla: MlaTables, shapes: Shapes, mo
     openings = (
         unknown_opening(planes[0], to_sensor=True, near_depth=depth), unknown_opening(planes[1], to_sensor=False)
     )  # fmt: skip
+    aim = before_array(scene, openings, radii)
     cells = mla.lenslets.lattice.columns * mla.lenslets.lattice.rows if mla.present else 1
-    return before_array(scene, openings, radii)._replace(
-        wide_share=1.0,
-        share_without_aim=1.0,
-        slope=np.zeros((cells, 2)),
-        slope_radius2=np.full(cells, NOTHING_SEEN),
+    return aim._replace(
+        entrance=aim.entrance._replace(wide_share=1.0, share_without_aim=1.0),
+        exit=aim.exit._replace(wide_share=1.0, share_without_aim=1.0),
+        lenslets=no_lenslets(cells),
     )
 
 
@@ -264,23 +238,9 @@ def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[f
     # Reflections reach the sensor from all over the lens; without them the wide disk only brings light beside the
     # measured opening.
     followed = scene.transport.split != "transmit"
-    return AimTables(
-        entrance=openings[0],
-        front_radius=radii[0],
-        exit=openings[1],
-        back_radius=radii[1],
-        wide_share=WIDE_SHARE if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        share_without_aim=1.0 if followed else WIDE_SHARE_OF_IMAGE_PATH,
-        lenslet_z=0.0,
-        pupil_x=0.0,
-        pupil_y=0.0,
-        pupil_vergence=0.0,
-        slope=np.zeros((1, 2)),
-        slope_radius2=np.zeros(1),
-        shown=unmeasured_light(),
-        cell_margin=0.0,
-        search=0.0,
-    )
+    shares = (WIDE_SHARE, 1.0) if followed else (WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
+    entrance, exit_ = (LensAim(opening, radius, *shares) for opening, radius in zip(openings, radii, strict=True))
+    return AimTables(entrance, exit_, no_lenslets(1))
 
 
 def unaimed(scene: Scene, lens: LensTables) -> AimTables:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import BOTH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS
 from lfmesh.transport.paths.automaton import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
-from lfmesh.transport.render.order_check import OrderCheck
 from lfmesh.transport.sequences.ghosts import GhostRoom, GhostTables, ghost_room
 from lfmesh.transport.world import World
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.render.blind_check import LEVEL, BlindCheck, BlindSamples, first_of_runs
+from lfmesh.transport.checks.blind_check import LEVEL, BlindCheck, BlindSamples, first_of_runs
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables
 
@@ -89,11 +89,17 @@ SMALL = {
 
 def half_a_pupil(aim: AimTables) -> AimTables:
     """Views of half the size, and nothing that makes up for it."""
+    disks = aim.entrance.opening.far
     return aim._replace(
-        slope_radius2=np.where(aim.slope_radius2 > 0.0, 0.25 * aim.slope_radius2, -1.0),
-        entrance=aim.entrance._replace(radius=0.5 * aim.entrance.radius),
-        wide_share=0.0,
-        share_without_aim=0.0,
+        lenslets=aim.lenslets._replace(
+            slope_radius2=np.where(aim.lenslets.slope_radius2 > 0.0, 0.25 * aim.lenslets.slope_radius2, -1.0)
+        ),
+        entrance=aim.entrance._replace(
+            opening=aim.entrance.opening._replace(far=disks._replace(radius=0.5 * disks.radius)),
+            wide_share=0.0,
+            share_without_aim=0.0,
+        ),
+        exit=aim.exit._replace(wide_share=0.0, share_without_aim=0.0),
     )
 
 

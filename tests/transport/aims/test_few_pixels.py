@@ -10,7 +10,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.aiming.lenslet_aim import LISTED, list_cells, most_listed, pixel_extent
+from lfmesh.transport.aims.lenslet_aim import LISTED, ArraySeen, list_cells, most_listed, pixel_extent
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from tests.random_scenes.generator import draw
 from tests.renders import by_seed
@@ -110,7 +110,7 @@ def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(se
              "camera.sensor.pose.tilt_deg": (tilt_deg, -0.6 * tilt_deg, 30.0)}
         )
     )  # fmt: skip
-    aim, mla, frames = world.aim, world.tables.mla, world.tables.frames
+    aim, mla, frames = world.aim.lenslets, world.tables.mla, world.tables.frames
     centres, radius = mla.lenslets.lattice.centres().reshape(-1, 2), np.sqrt(np.maximum(aim.slope_radius2, 0.0))
     to_array = frames[SENSOR_FRAME, MLA_FRAME]
     near = np.zeros((most_listed(aim) + 1, LISTED))
@@ -119,11 +119,11 @@ def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(se
     shown = 0
     for middle in (random.integers(0, 8, (150, 2)) - 3.5) * pixel:
         centre = to_array[:, :2] @ middle + to_array[:, 3]
-        listed = list_cells(mla, aim, 1.0, *centre, extent, near)
+        listed = list_cells(ArraySeen(mla, aim, 1.0), tuple(centre), extent, near)
         known = {tuple(row) for row in near[:listed, :2].round(9)}
         for off in (random.choice([-0.5, 0.5], 2), random.uniform(-0.5, 0.5, 2)):
             point = to_array[:, :2] @ (middle + off * pixel) + to_array[:, 3]
-            slope = (centres - point[:2]) / abs(point[2] - aim.lenslet_z) - aim.slope
+            slope = (centres - point[:2]) / abs(point[2] - aim.apex_z) - aim.slope
             shows = (np.hypot(*slope.T) <= radius) & (aim.slope_radius2 >= 0.0)
             shown += shows.sum()
             assert {tuple(row) for row in centres[shows].round(9)} <= known

@@ -12,13 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.aiming.near_points import (
-    NearViewpoints,
-    cover,
-    near_disk,
-    near_opening,
-    no_near_points,
-)
+from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.disks import covering, disk_at, no_disks
+from lfmesh.transport.aims.near_points import NearViewpoints, near_disks
 from lfmesh.transport.sequences.bundle import (
     BLOCK,
     DROPPED,
@@ -36,7 +32,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.lens_surfaces import at_surface
 from lfmesh.transport.sequences.ray_tables import unread_book
-from lfmesh.transport.tables.tables import LensTables, NearOpening, Opening
+from lfmesh.transport.tables.tables import Disks, LensTables, Opening
 
 Array = NDArray[np.float64]
 
@@ -51,10 +47,6 @@ DISTANCES = 6
 
 DISTANCES_TO_NEAR = 24
 """The same where points lie close before the lens too."""
-
-BEYOND = 1.0 + 2.0**-40
-"""Factor on the widest tangent of a table: beyond it the lens counts as closed, and the outermost of the points that it
-was made for must not be there by rounding."""
 
 SEARCH = 49
 """Rays along the meridian of the outermost plane with which the search for the opening begins."""
@@ -155,12 +147,12 @@ def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0)
     near_depth : float, mm
         From points nearer than this half of the rays go everywhere towards the lens.
     """
-    sense = 1.0 if to_sensor else -1.0
-    return Opening(
-        known=False, plane_z=plane_z, sense=sense, tangent_step=1.0, nearness=0.0, nearness_step=1.0,
-        middle=np.zeros((2, 2)), radius=np.full((1, 1), -1.0), decentre=np.zeros((2, 2)),
-        near=no_near_points(near_depth),
-    )  # fmt: skip
+    return Opening(False, plane_z, 1.0 if to_sensor else -1.0, no_disks(), near_depth, no_disks())
+
+
+def unknown_like(opening: Opening) -> Opening:
+    """Return the opening that stands for "not known" on the same side of the lens."""
+    return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near_depth)
 
 
 def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
@@ -177,7 +169,7 @@ def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> O
     return _opening(seen, *_paraxial_disks(seen, *_places(seen), pupil_z, pupil_radius))
 
 
-def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_radius: float) -> NearOpening:
+def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_radius: float) -> Disks:
     """Return the same for points close before the lens.
 
     Parameters
@@ -188,7 +180,7 @@ def paraxial_near(seen: Viewpoints, near: NearViewpoints, pupil_z: float, pupil_
     pupil_z, pupil_radius : float, mm
         Camera frame.
     """
-    return near_opening(near, *_paraxial_disks(seen, *np.meshgrid(near.height, near.measured), pupil_z, pupil_radius))
+    return near_disks(near, *_paraxial_disks(seen, *np.meshgrid(near.height, near.measured), pupil_z, pupil_radius))
 
 
 def _places(seen: Viewpoints) -> tuple[Array, Array]:
@@ -234,7 +226,7 @@ def real_opening(seen: Viewpoints, lens: LensTables, pupil_z: float, pupil_radiu
 
 def real_near(
     seen: Viewpoints, near: NearViewpoints, lens: LensTables, pupil_z: float, pupil_radius: float
-) -> tuple[NearViewpoints, NearOpening | None]:
+) -> tuple[NearViewpoints, Disks | None]:
     """Return the opening of real rays from points close before the lens; None if it is closed to all of them.
 
     Heights beyond which no light gets through are left out of the table, and of the viewpoints that are returned.
@@ -255,7 +247,7 @@ def real_near(
             return near, None
         last = int(open_columns[-1]) + 1
         if last > len(near.height) // 2:
-            return near, near_opening(near, middle, radius)
+            return near, near_disks(near, middle, radius)
         near = near._replace(height=np.linspace(0.0, near.height[last], len(near.height)))
 
 
@@ -440,82 +432,27 @@ def _trace_unbounded(
 
 
 def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
-    """Return measured disks as a table, with centres that are interpolated and radii that cover each interval.
-
-    The radius of an interval is the largest of its corners, enlarged by the error of interpolation. Beyond the last
-    field angle at which light gets through, the lens is closed.
-    """
-    if len(seen.distance) == DISTANCES_TO_NEAR:
-        middle, radius = middle.copy(), radius.copy()
-        allowed = cover(middle, radius, seen.distance)
-        radius = np.where(radius >= 0.0, radius, -np.inf)
-        return _table(seen, middle, _largest_corner(radius) + _largest_corner(allowed))
-    closed = radius <= 0.0
-    for column in range(1, middle.shape[1]):
-        # A closed point has no centre of its own; its neighbour's allows interpolation up to there.
-        middle[:, column] = np.where(closed[:, column], middle[:, column - 1], middle[:, column])
-    if len(seen.distance) == 1:
-        middle, radius = np.repeat(middle, 2, axis=0), np.repeat(radius, 2, axis=0)
-    largest = _largest_corner(radius)
-    # The error of linear interpolation is at most an eighth of the second difference.
-    bend = 0.125 * np.abs(np.diff(middle, 2, axis=1)).max(axis=1, initial=0.0)
-    bend += 0.125 * np.abs(np.diff(middle, 2, axis=0)).max(initial=0.0)
-    allowed = np.maximum(bend[:-1], bend[1:])[:, None]
-    return _table(seen, middle, np.where(largest > 0.0, largest + allowed, -1.0))
-
-
-def _largest_corner(nodes: Array) -> Array:
-    """Return the largest of the values at the corners of each interval between nodes (n, m), (n − 1, m − 1)."""
-    return np.asarray(np.maximum.reduce([nodes[:-1, :-1], nodes[1:, :-1], nodes[:-1, 1:], nodes[1:, 1:]]))
-
-
-def _table(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
-    """Return centres at the viewpoints and radii between them as a table; a radius that is not positive: closed."""
-    nearness = 1.0 / seen.distance
-    step = (nearness[-1] - nearness[0]) / (len(nearness) - 1) if len(nearness) > 1 else 1.0
-    return Opening(
-        known=True,
-        plane_z=seen.plane_z,
-        sense=1.0 if seen.to_sensor else -1.0,
-        tangent_step=float(seen.tangent[1]),
-        nearness=float(nearness[0]),
-        nearness_step=float(step),
-        middle=np.ascontiguousarray(middle),
-        radius=np.where(radius > 0.0, radius, -1.0),
-        decentre=np.zeros((2, 2)),
-        near=no_near_points(),
-    )  # fmt: skip
+    """Return the opening of measured disks. Beyond the last field angle at which light gets through it is closed."""
+    sense, tangent_step = 1.0 if seen.to_sensor else -1.0, float(seen.tangent[1])
+    far = covering(tangent_step, 1.0 / seen.distance, middle, radius, seen.distance)
+    return Opening(True, seen.plane_z, sense, far, 0.0, no_disks())
 
 
 @inlined
-def opening_from(opening: Opening, x: float, y: float, z: float) -> tuple[float, float, float]:
+def opening_from(opening: Opening, p: Vector) -> tuple[float, float, float]:
     """Return centre (x, y) and radius, in the plane of the opening, of the disk seen from a point; radius −1: none.
 
     Parameters
     ----------
     opening : Opening
-    x, y, z : float, mm
+    p : (3,) float, mm
         The point, camera frame.
     """
+    x, y, z = p
     distance = (opening.plane_z - z) * opening.sense
     if distance <= 0.0:
         return 0.0, 0.0, -1.0
-    if distance < opening.near.depth:
-        return near_disk(opening.near, x, y, distance)
     height = np.sqrt(x * x + y * y)
-    a = height / (distance * opening.tangent_step)
-    b = (1.0 / distance - opening.nearness) / opening.nearness_step
-    rows, columns = opening.radius.shape
-    if a > columns * BEYOND:
-        return 0.0, 0.0, -1.0
-    column, row = min(int(a), columns - 1), min(max(int(b), 0), rows - 1)
-    a, b = a - column, min(max(b - row, 0.0), 1.0)
-    middle = opening.middle
-    m = (1.0 - b) * ((1.0 - a) * middle[row, column] + a * middle[row, column + 1])
-    m += b * ((1.0 - a) * middle[row + 1, column] + a * middle[row + 1, column + 1])
-    # Along the meridian of the point; for a point on the axis the centre is on the axis too.
-    m = m / height if height > 0.0 else 0.0
-    shift = opening.decentre
-    down = row + b
-    cx, cy = m * x + (shift[0, 0] + down * shift[1, 0]), m * y + (shift[0, 1] + down * shift[1, 1])
-    return cx, cy, opening.radius[row, column]
+    if distance < opening.near_depth:
+        return disk_at(opening.near, x, y, height, distance)
+    return disk_at(opening.far, x, y, height / distance, 1.0 / distance)

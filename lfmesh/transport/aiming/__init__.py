@@ -1,1 +1,0 @@
-"""Pupils, lenslet views and the aim: where rays are sent, and the proof that nothing is missed."""

@@ -1,0 +1,479 @@
+"""Directions from a point of the sensor through the lenslets that show it the lens's opening, and their density.
+
+`lenslet_view` measures beforehand what each lenslet shows; here the directions are drawn. Most rays go to a cell of a
+lenslet that shows the opening; where several do, each is chosen by the root mean square of the light that lenslets show
+at that distance from the centre of their view. They alone estimate directions that meet such a cell, so that they all
+bring the same in an evenly lit pixel. All other directions are estimated by the mixture of margin rays, which go to
+cells with a margin of all lenslets that may show the opening, and of rays that go anywhere: ghosts and stray light come
+that way. Whether a direction meets a face is computed exactly: the face is met where the ray in the glass crosses the
+sphere, and a ray aimed at a point of the face reaches it through the plate.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.array.lattice import ROW_SPACING, centre, columns_near, rows_near
+from lfmesh.geometry.array.lenslet_profile import next_fall
+from lfmesh.geometry.array.lenslets import Lenslets, is_spherical, shape_of, type_of
+from lfmesh.geometry.frame import move_direction
+from lfmesh.kernels.decorators import inlined, pasted
+from lfmesh.optics.scattering import lambertian
+from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.lenslet_faces import (
+    face_over,
+    half_width_to,
+    meets_once,
+    on_face,
+    path_to_apexes,
+    point_of_cell,
+    slope_to,
+    solid_angle,
+    spread_on_face,
+)
+from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.tables.tables import LensletAim, MlaTables, SensorTables
+
+Array = NDArray[np.float64]
+
+MARGIN_SHARE = 0.02
+"""Share of the rays through lenslets that go to all of those that may show the opening, by their solid angles."""
+
+FEW = 2.0
+"""Expected number of a pixel's aimed rays below which chance says of each ray whether it is one."""
+
+NUMBER_OF_UNAIMED = -1
+"""Number of the child of a pixel's key from which the number of its other rays is drawn; no sample has it."""
+
+CELL_U, CELL_V, PIXEL_U, PIXEL_V, WHICH_CELL, DISCRETE = 0, 1, 2, 3, 4, 5
+"""Dimensions of a path's starting numbers. The point of the lenslet gets the first two, which are distributed the most
+evenly: where the image is in focus, sharp detail in the scene is sharp over the lenslet."""
+
+LISTED = 11
+"""Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
+
+SOLID_ANGLE, CHANCE = 8, 9
+"""Two of these values: the relative probabilities with which margin rays, by solid angle, and all others choose the
+lenslet, by the light that it shows too."""
+
+KIND = 10
+"""The last of them: the type of a lenslet that is no sphere."""
+
+ALIKE = 3.5
+"""Distance from the chief ray, in pitches, up to which all lenslets are taken to have the same solid angle."""
+
+_TINY = float(np.finfo(np.float64).tiny)
+
+HALF_DIAGONAL = 0.72
+"""Half diagonal of a pixel, in its width, with a margin: largest distance from its centre at which a path starts."""
+
+
+Numbers = tuple[float, float, float, float, float, float]
+"""Starting numbers of a path, in [0, 1): point of the lenslet (or pupil), point of the pixel, lenslet, role."""
+
+
+class ArraySeen(NamedTuple):
+    """The array as the aim sees it.
+
+    Attributes
+    ----------
+    mla : MlaTables
+    aim : LensletAim
+    glass : float
+        Refractive index of the plate between the sensor and the lenslets' faces; 1 without a plate.
+    """
+
+    mla: MlaTables
+    aim: LensletAim
+    glass: float
+
+
+class Shown(NamedTuple):
+    """Lenslets that may show the opening to a point.
+
+    Attributes
+    ----------
+    near : (n, LISTED) float64
+        From `list_cells`; `CHANCE` is that of the point.
+    cells : (n,) int64
+        Indices in that list.
+    number : int
+        Number of these.
+    by_light, by_angle : float
+        Sums of their chances and of their solid angles.
+    on_cells, on_wider : float
+        Density, 1/mm², of rays that choose by chance on a lenslet's cell, over its chance, and of margin rays on the
+        cell with its margin, over its solid angle.
+    """
+
+    near: Array
+    cells: NDArray[np.int64]
+    number: int
+    by_light: float
+    by_angle: float
+    on_cells: float
+    on_wider: float
+
+
+def most_listed(aim: LensletAim) -> int:
+    """Return the largest number of lenslets that `list_cells` may list."""
+    most = (2.0 * aim.search + 1.0) * (2.0 * aim.search / ROW_SPACING + 1.0)
+    return int(min(most, len(aim.slope_radius2)))
+
+
+@inlined
+def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
+    """Return the largest distance of a pixel's points from its centre, and their largest difference in z, mm.
+
+    The latter is in the array's frame, against which the sensor may be tilted.
+    """
+    nx, ny, _ = move_direction(frames, SENSOR_FRAME, MLA_FRAME, 0.0, 0.0, 1.0)
+    half = HALF_DIAGONAL * sensor.pixel
+    return half, half * np.sqrt(nx * nx + ny * ny)
+
+
+@pasted
+def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
+    """List the lenslets that may show the lens's opening to points of a pixel.
+
+    A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
+    ρ its radius. Over the pixel x and d change by `extent`, so both sides do by no more than that and (|s| + ρ) times
+    the latter.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    p : (3,) float, mm
+        Centre of the pixel, array frame.
+    extent : (2,) float, mm
+        See `pixel_extent`.
+    near : (n, LISTED) float64
+        Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
+        its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
+        `cells_that_show` (9), and the type (10) where lenslets are no spheres.
+
+    Returns
+    -------
+    int
+        Number of lenslets listed.
+    """
+    (mla, aim, glass), (x, y, z) = array, p
+    lattice = mla.lenslets.lattice
+    over = 1.0 / abs(z - aim.apex_z)
+    kappa = aim.pupil_vergence
+    lateral, deep = extent
+    # Where the chief ray meets the array.
+    chief_x = (kappa * aim.pupil_x + over * x) / (kappa + over)
+    chief_y = (kappa * aim.pupil_y + over * y) / (kappa + over)
+    distance = aim.search * lattice.pitch
+    count = 0
+    first_row, end_row = rows_near(lattice, chief_y, distance)
+    for r in range(first_row, end_row):
+        first, end = columns_near(lattice, r, chief_x, distance)
+        for c in range(first, end):
+            cell = r * lattice.columns + c
+            radius2, sx, sy = aim.slope_radius2[cell], aim.slope[cell, 0], aim.slope[cell, 1]
+            cx, cy = centre(lattice, c, r)
+            a, b = (cx - x) * over - sx, (cy - y) * over - sy
+            limit = np.sqrt(max(radius2, 0.0)) * (1.0 + deep * over)
+            limit += (lateral + deep * (abs(sx) + abs(sy))) * over
+            # Without a branch, which the processor would mispredict half of the time.
+            near[count, 0], near[count, 1] = cx, cy
+            near[count, 2], near[count, 3], near[count, 4] = sx, sy, radius2
+            near[count, 5], near[count, 6] = c, r
+            count += a * a + b * b <= limit * limit and radius2 >= 0.0
+    for i in range(count):
+        if not is_spherical(mla.lenslets.profile):
+            near[i, KIND] = type_of(mla.lenslets, int(near[i, 5]), int(near[i, 6]))
+        near[i, 5], near[i, 6], near[i, 7] = shape_of(mla.lenslets, int(near[i, 5]), int(near[i, 6]))
+        near[i, SOLID_ANGLE] = 1.0
+    if aim.search > ALIKE:
+        air, plate, _ = path_to_apexes(mla, z)
+        for i in range(count):
+            dx, dy = near[i, 0] - x, near[i, 1] - y
+            near[i, SOLID_ANGLE] = solid_angle(np.sqrt(dx * dx + dy * dy), air, plate, glass)
+    return count
+
+
+@inlined
+def unaimed_share(wide: float) -> float:
+    """Return the share of a pixel's rays that go anywhere, or to lenslets by their solid angles.
+
+    Parameters
+    ----------
+    wide : float
+        Share of those that go anywhere.
+    """
+    return wide + (1.0 - wide) * MARGIN_SHARE
+
+
+@pasted
+def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
+    """Return how many of a pixel's samples are aimed by the light that lenslets show, and the weight of each of them.
+
+    Their number is its expected value rounded up or down at random, and their weight its inverse relative to that, so
+    that they all bring the same in an evenly lit pixel. The number −1 stands for chance.
+
+    Parameters
+    ----------
+    share : float
+        Of samples that are not.
+    samples : int
+    key : uint64
+        Key of the pixel in its replicate.
+    """
+    expected = samples * (1.0 - share)
+    if expected < FEW:
+        return -1, 1.0
+    number = samples - int(samples * share + uniform(derived(key, NUMBER_OF_UNAIMED), 0))
+    return number, expected / number
+
+
+@pasted
+def aimed_through_array(
+    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, choice: float
+) -> tuple[float, float, float, float]:
+    """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
+
+    From a point to which no lenslet shows the opening only a share of the rays is sent, anywhere; for the others the
+    last value is zero.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    shown : Shown
+    wide : float
+        Share of the rays that go anywhere.
+    normal : (3,) float
+        The sensor's normal towards the array, array frame.
+    p : (3,) float, mm
+        The point, array frame.
+    numbers : Numbers
+    choice : float
+        From 0 to 1: below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its solid
+        angle, else to one by the light that it shows.
+    """
+    point, by_light = (numbers[CELL_U], numbers[CELL_V]), choice >= unaimed_share(wide) and shown.by_light > 0.0
+    if choice < wide:
+        d = lambertian(normal[0], normal[1], normal[2], point[0], point[1])
+        on_cells, on_wider = lenslets_density(array, shown, p, d)
+    elif shown.number > 0:
+        chosen = _by_chance(shown, CHANCE if by_light else SOLID_ANGLE, numbers[WHICH_CELL])
+        width = array.mla.lenslets.lattice.pitch + (0.0 if by_light else 2.0 * array.aim.cell_margin)
+        d, on_cells, on_wider = toward_lenslet(array, shown, p, chosen, width, point)
+    else:
+        return 0.0, 0.0, 0.0, 0.0
+    cos_theta = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
+    density = 0.0
+    if on_cells > 0.0:
+        density = (1.0 - wide) * on_cells if by_light else 0.0
+    elif not by_light:
+        density = (1.0 - wide) * on_wider + wide * max(cos_theta, 0.0) / np.pi
+    return d[0], d[1], d[2], cos_theta / density if density > 0.0 else 0.0
+
+
+@pasted
+def toward_lenslet(
+    array: ArraySeen, shown: Shown, p: Vector, chosen: int, width: float, point: tuple[float, float]
+) -> tuple[Vector, float, float]:
+    """Return the direction from a point of the sensor to a uniform point of a lenslet's cell, and its densities.
+
+    These, of directions to all lenslets, are zero where the face has ended in the margin round the cell, see
+    `lenslets_density`.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    shown : Shown
+    p : (3,) float, mm
+        The point, array frame.
+    chosen : int
+        Index of the lenslet in the list.
+    width : float, mm
+        Of its cell, with or without the margin.
+    point : (2,) float
+        Random numbers, uniform in [0, 1).
+    """
+    mla, aim, glass = array
+    lattice, near = mla.lenslets.lattice, shown.near
+    air, depth, growth = path_to_apexes(mla, p[2])
+    u, v = point_of_cell(lattice.hexagonal, point[0], point[1])
+    u, v = u * width, v * width
+    profile, kind = mla.lenslets.profile, near[chosen, KIND]
+    ax, ay = u - near[chosen, 6], v - near[chosen, 7]
+    exists, sag, tilt, tilt_x, tilt_y, level = face_over(profile, kind, near[chosen, 5], ax, ay)
+    if not exists or (profile is not None and not mla.lenslets.top <= sag <= mla.lenslets.valley):
+        return (0.0, 0.0, 1.0), 0.0, 0.0
+    plate = depth + growth * sag
+    dx, dy = near[chosen, 0] + u - p[0], near[chosen, 1] + v - p[1]
+    r = np.sqrt(dx * dx + dy * dy)
+    s = slope_to(r, air, plate, glass)
+    part = s / r if r > 0.0 else 0.0
+    sx, sy, s2 = dx * part, dy * part, s * s
+    scale = 1.0 / np.sqrt(1.0 + s2)
+    d = sx * scale, sy * scale, (-scale if mla.curved_to_lens else scale)
+    q2 = glass * glass + (glass * glass - 1.0) * s2
+    q = np.sqrt(q2)
+    layer = mla.lenslets.valley - mla.lenslets.top
+    # A ray that stays in its cell throughout the layer of faces meets no other lenslet. Twice, as in the margin the
+    # faces go on beyond the layer.
+    stays = half_width_to(lattice, u, v) + 2.0 * (layer * s / q + max(aim.cell_margin, 0.0)) < 0.5 * lattice.pitch
+    if not (stays and meets_once(profile, kind, sx, sy, q)):
+        on_cells, on_wider = lenslets_density(array, shown, p, d)
+        return d, on_cells, on_wider
+    turned = 1.0 - growth * tilt * (sx * tilt_x + sy * tilt_y) / (q * level)
+    if turned <= 0.0:
+        return d, 0.0, 0.0
+    spread = spread_on_face(air, plate, glass, s2, q2, q, turned)
+    return d, spread * near[chosen, CHANCE] * shown.on_cells, spread * near[chosen, SOLID_ANGLE] * shown.on_wider
+
+
+@pasted
+def cells_that_show(array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector) -> Shown:
+    """Find the listed lenslets that may show the opening to a point.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    near, listed
+        From `list_cells`; `CHANCE` is filled in: solid angle times the root mean square of the light that a lenslet
+        shows at this distance from the centre of its view.
+    cells : (n,) int64
+        Filled with indices in the list.
+    p : (3,) float, mm
+        The point, array frame.
+    """
+    aim, lattice = array.aim, array.mla.lenslets.lattice
+    over = 1.0 / abs(p[2] - aim.apex_z)
+    rings = len(aim.shown) - 1
+    count, by_light, by_angle = 0, 0.0, 0.0
+    for cell in range(listed):
+        a, b = (near[cell, 0] - p[0]) * over - near[cell, 2], (near[cell, 1] - p[1]) * over - near[cell, 3]
+        part2 = (a * a + b * b) / max(near[cell, 4], _TINY)
+        shows = part2 <= 1.0
+        # The last entry of `shown`, for lenslets that do not show the opening, is zero.
+        chance = near[cell, SOLID_ANGLE] * aim.shown[int(min(part2, 1.0) * rings)]
+        cells[count], near[cell, CHANCE] = cell, chance
+        count += shows
+        by_light += chance
+        by_angle += near[cell, SOLID_ANGLE] * shows
+    filled, width = ROW_SPACING if lattice.hexagonal else 1.0, lattice.pitch + 2.0 * aim.cell_margin
+    margin = MARGIN_SHARE if by_light > 0.0 else 1.0
+    on_cells = (1.0 - margin) / (filled * lattice.pitch * lattice.pitch * max(by_light, _TINY))
+    return Shown(
+        near, cells, count, by_light, by_angle, on_cells, margin / (filled * width * width * max(by_angle, _TINY))
+    )
+
+
+@inlined
+def _by_chance(shown: Shown, kind: int, choice: float) -> int:
+    """Choose a lenslet by a random number in [0, 1); return its index in the list.
+
+    Parameters
+    ----------
+    kind : int
+        `CHANCE` or `SOLID_ANGLE`: the column that holds the relative probabilities.
+    choice : float
+    """
+    part = choice * (shown.by_light if kind == CHANCE else shown.by_angle)
+    for number in range(shown.number - 1):
+        part -= shown.near[shown.cells[number], kind]
+        if part < 0.0:
+            return shown.cells[number]
+    return shown.cells[shown.number - 1]
+
+
+@pasted
+def lenslets_density(array: ArraySeen, shown: Shown, p: Vector, d: Vector) -> tuple[float, float]:
+    """Return the densities, 1/sr, with which `toward_lenslet` draws a direction; both 0 outside its support.
+
+    The first is that of rays that choose lenslets by the light that they show, the second that of margin rays.
+
+    Summed over the faces that the direction meets, as each could have drawn it.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    shown : Shown
+    p : (3,) float, mm
+        Point of the sensor, array frame.
+    d : (3,) float
+        Unit direction.
+    """
+    mla, aim, glass = array
+    if shown.number == 0 or d[2] * (-1.0 if mla.curved_to_lens else 1.0) <= 0.0:
+        return 0.0, 0.0
+    lattice, near = mla.lenslets.lattice, shown.near
+    air, depth, growth = path_to_apexes(mla, p[2])
+    sx, sy = d[0] / abs(d[2]), d[1] / abs(d[2])
+    s2 = sx * sx + sy * sy
+    q2 = glass * glass + (glass * glass - 1.0) * s2
+    q = np.sqrt(q2)
+    gx, gy = sx / q, sy / q
+    px, py = p[0] + sx * air + gx * depth, p[1] + sy * air + gy * depth
+    half = 0.5 * lattice.pitch
+    on_cells, on_wider = 0.0, 0.0
+    for i in range(shown.number):
+        cell = shown.cells[i]
+        ex, ey = near[cell, 6], near[cell, 7]
+        ax, ay = px - near[cell, 0] - ex, py - near[cell, 1] - ey
+        by_light, by_angle = near[cell, CHANCE] * shown.on_cells, near[cell, SOLID_ANGLE] * shown.on_wider
+        if not is_spherical(mla.lenslets.profile):
+            on_cell, on_margin = _spread_on_profile(
+                mla.lenslets.profile, mla.lenslets, near[cell], (ax, ay), (gx, gy), aim.cell_margin,
+                (air, depth, growth, glass, s2, q2, q),
+            )  # fmt: skip
+            on_cells += by_light * on_cell
+            on_wider += by_angle * on_margin
+            continue
+        met, ax, ay, sag, turned = on_face(near[cell, 5], ax, ay, growth * gx, growth * gy)
+        if not met:
+            continue
+        out = half_width_to(lattice, ax + ex, ay + ey)
+        spread = spread_on_face(air, depth + growth * sag, glass, s2, q2, q, turned)
+        on_cells += spread * by_light * (out <= half)
+        on_wider += spread * by_angle * (out <= half + aim.cell_margin)
+    return on_cells, on_wider
+
+
+@inlined
+def _spread_on_profile(
+    profile: Any, lenslets: Lenslets, lenslet: Array, a: tuple[float, float], g: tuple[float, float], margin: float,
+    way: tuple[float, float, float, float, float, float, float],
+) -> tuple[float, float]:  # fmt: skip
+    """Return area over solid angle where a line crosses the face of a cell, and that of the cell with its margin.
+
+    Of a face that is no sphere, which a line may cross more than once: each crossing could have drawn it.
+
+    Parameters
+    ----------
+    lenslet : (LISTED,) float64
+        Its row in the list.
+    a : (2,) float, mm
+        The line at the height of the apexes, from the apex.
+    g : (2,) float
+        Its slopes, away from the sensor.
+    margin : float, mm
+    way : (7,) float
+        Thickness of air and of glass, sense in which the sag changes that, index, and slopes as `spread_on_face` takes
+        them.
+    """
+    on_cell, on_wider = 0.0, 0.0
+    if profile is None:
+        return on_cell, on_wider
+    air, depth, growth, glass, s2, q2, q = way
+    half, side, begin = 0.5 * lenslets.lattice.pitch, 0.0, lenslets.top
+    gx, gy = growth * g[0], growth * g[1]
+    while True:
+        falls, z, turned = next_fall(
+            profile, int(lenslet[KIND]), lenslet[5], a[0], a[1], gx, gy, side, begin, lenslets.valley
+        )
+        if not falls:
+            return on_cell, on_wider
+        out = half_width_to(lenslets.lattice, a[0] + gx * z + lenslet[6], a[1] + gy * z + lenslet[7])
+        spread = spread_on_face(air, depth + growth * z, glass, s2, q2, q, turned)
+        on_wider += spread * (out <= half + margin)
+        on_cell += spread * (out <= half)
+        begin, side = z, -1.0

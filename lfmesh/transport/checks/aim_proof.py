@@ -1,0 +1,285 @@
+"""Proof that the aim holds all light, by rays that start in the stop and are traced both ways.
+
+Aiming decides where samples go, never what light there is; light outside the aim is found only by the few samples that
+go anywhere, with large weights. Rays drawn uniformly in the stop, over all directions, are independent of the search
+that made the aim. Traced to the sensor and to object space, each either is or is not a ray that the aim could draw. The
+throughput of those that are not, over the throughput of all, is the share that the aim misses. It is measured when a
+world is built, and the aim is widened until the share is negligible. Where that does not succeed, rays go anywhere.
+"""
+
+import hashlib
+import threading
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from lfmesh.scene import FirstOrder, Scene
+from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
+from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
+from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK
+from lfmesh.transport.aims.near_points import NearViewpoints
+from lfmesh.transport.aims.pupil import Viewpoints, unknown_like
+from lfmesh.transport.aims.support import beyond_object_aim, beyond_sensor_aim, seen_from_cells
+from lfmesh.transport.sequences.stop_rays import CameraTables, Rays, rays_from_stop, reach_of
+from lfmesh.transport.tables.tables import (
+    AimTables,
+    Camera,
+    LensAim,
+)
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+"""With which a share is known to be below its bound, when it is decided whether it is allowed."""
+
+ROUNDS = 8
+"""Number of times that rays are drawn, at most, until they tell whether the share is allowed."""
+
+ATTEMPTS = 5
+"""Number of attempts to fit the aim, each with its own rays."""
+
+FEWEST = 3000
+"""Least number of rays by which the light over the views is measured. Rings that none of them meets hold less than 1e-3
+of the light (with 95 % confidence), and main rays do not go there."""
+
+FEW_CELLS = 6.5
+"""Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
+
+
+KEPT = 8
+"""Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
+
+
+class Missed(NamedTuple):
+    """Share of the throughput outside the aim of one side, and its standard error.
+
+    If no ray was outside, `error` is the share of a single ray.
+    """
+
+    share: float
+    error: float
+
+    @property
+    def most(self) -> float:
+        """Upper bound of the share, by the number of rays outside (Poisson), of the mean weight that they have."""
+        number, weight = self._outside
+        return float(weight * gammaincinv(number + 1.0, CONFIDENCE))
+
+    @property
+    def least(self) -> float:
+        """Lower bound of the share, likewise."""
+        number, weight = self._outside
+        return float(weight * gammaincinv(number, 1.0 - CONFIDENCE)) if number > 0.0 else 0.0
+
+    @property
+    def _outside(self) -> tuple[float, float]:
+        """Number of equal rays that would give share and error, and the share of each."""
+        return ((self.share / self.error) ** 2, self.error**2 / self.share) if self.share > 0.0 else (0.0, self.error)
+
+
+class AimProof(NamedTuple):
+    """Result of the proof of an aim by rays from the stop.
+
+    Attributes
+    ----------
+    rays : int
+        Number of rays that came through lens and array to the sensor.
+    sensor, objects : Missed
+        Share missed by the aim from the sensor, and by the aim from the targets.
+    fitted : int
+        Number of times that the aim was fitted to rays.
+    fallback : bool
+        Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
+
+    A share that few rays tell is as large as chance has it: so its upper bound decides whether the proof holds.
+    """
+
+    rays: int
+    sensor: Missed
+    objects: Missed
+    fitted: int
+    fallback: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """True if the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
+        return self.most <= ALLOWED
+
+    @property
+    def is_open(self) -> bool:
+        """True if more rays might tell that the share is allowed, or that it is not."""
+        return max(self.sensor.least, self.objects.least) <= ALLOWED < self.most
+
+    @property
+    def most(self) -> float:
+        """Upper bound of the throughput outside the aim, the larger of both sides."""
+        return max(self.sensor.most, self.objects.most)
+
+    @property
+    def missed(self) -> float:
+        """Share of the throughput outside the aim, the larger of both sides."""
+        return max(self.sensor.share, self.objects.share)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "AimProof":
+        """Return the proof whose `_asdict` was written as JSON."""
+        sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
+        return cls(values["rays"], sensor, objects, values["fitted"], values.get("fallback", False))
+
+
+_kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
+_access = threading.Lock()
+
+
+def proven_aim(
+    scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, *, analytic: bool
+) -> tuple[AimTables, AimProof | None]:
+    """Return the aim tables of a scene, and their proof by rays from the stop.
+
+    None in place of the proof: the lens is not exact, a surface scatters light, or no ray arrives at the sensor.
+
+    Parameters
+    ----------
+    scene, report, camera, shapes, analytic
+        As for `aim_table`.
+    """
+    key = _digest(scene.camera, scene.transport.split, has_glass(scene), report, camera, shapes, analytic)
+    with _access:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key]
+    found = aim_table(scene, report, camera, shapes, analytic=analytic)
+    aim, proof = proven(found.aim, found.through, found.seen, found.near) if found.fits else (found.aim, None)
+    with _access:
+        _kept[key] = aim, proof if analytic else None
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+        return _kept[key]
+
+
+def _digest(*values: Any) -> bytes:
+    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`."""
+    hashed = hashlib.blake2b(digest_size=16)
+    for value in values:
+        if isinstance(value, np.ndarray):
+            hashed.update(f"{value.dtype} {value.shape}".encode())
+            hashed.update(value.tobytes())
+        elif isinstance(value, tuple):
+            hashed.update(_digest(*value))
+        else:
+            hashed.update(repr(value).encode())
+    return hashed.digest()
+
+
+def proven(
+    aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None = None
+) -> tuple[AimTables, AimProof | None]:
+    """Return the aim, widened until it misses a negligible share of the light, and the proof by rays from the stop.
+
+    The proof is None if no ray from the stop arrives at the sensor.
+
+    Parameters
+    ----------
+    aim : AimTables
+    through : CameraTables
+        Every surface of the lens must be exact.
+    seen : Viewpoints or None
+        Viewpoints of the targets; None if no target lies before the lens.
+    near : NearViewpoints, optional
+        Those close before the lens.
+    """
+    random = np.random.default_rng(0x5106)
+    reach = reach_of(through, random)
+    if reach == 0.0:
+        return aim, None
+    proof = None
+    for attempt in range(ATTEMPTS):
+        rays = rays_from_stop(through, reach, random)
+        if not len(rays.throughput):
+            return aim, None
+        if attempt == 0 and through.mla.present and aim.lenslets.search > FEW_CELLS:
+            aim = fitted(aim, through, rays)
+            continue
+        proof, factors = _measured(aim, through, seen, near, rays, random, attempt)
+        for _ in range(ROUNDS - 1):
+            if not proof.is_open:
+                break
+            more = rays_from_stop(through, reach, random)
+            rays = Rays(*(np.concatenate(each) for each in zip(rays, more, strict=True)))
+            proof, factors = _measured(aim, through, seen, near, rays, random, attempt)
+        if proof.holds:
+            break
+        if attempt == ATTEMPTS - 1:
+            aim, proof = _completed(aim, proof, through.mla.present)
+            break
+        aim = _widened(aim, through, rays, factors)
+    if through.mla.present and len(rays.throughput) >= FEWEST:
+        off, radius, _ = seen_from_cells(aim, through, rays)
+        shown = shown_by((off / radius)[radius > 0.0], rays.throughput[radius > 0.0])
+        aim = aim._replace(lenslets=aim.lenslets._replace(shown=shown))
+    return aim, proof
+
+
+def _measured(
+    aim: AimTables, through: CameraTables, seen: Viewpoints | None, near: NearViewpoints | None, rays: Rays,
+    random: np.random.Generator, attempt: int,
+) -> tuple[AimProof, tuple[Array, Array, Array]]:  # fmt: skip
+    """Return the proof of an aim by rays from the stop, and the factors of both sides that it follows from."""
+    factors = beyond_sensor_aim(aim, through, rays), *beyond_object_aim(aim, seen, near, rays, random)
+    behind, before, close = (_missed(beyond, rays.throughput) for beyond in factors)
+    return AimProof(len(rays.throughput), behind, max(before, close, key=lambda m: m.most), attempt), factors
+
+
+def _widened(aim: AimTables, through: CameraTables, rays: Rays, factors: tuple[Array, Array, Array]) -> AimTables:
+    """Return the aim as wide as the rays need by the factors of `_measured`."""
+    behind, before, close = factors
+    if through.mla.present:
+        aim = fitted(aim, through, rays)
+    else:
+        opening, radius = aim.exit.opening, aim.exit.wide_radius
+        far = widened(opening.far, behind, rays.throughput, radius)
+        aim = aim._replace(exit=aim.exit._replace(opening=opening._replace(far=far)))
+    opening, radius = aim.entrance.opening, aim.entrance.wide_radius
+    opening = opening._replace(
+        far=widened(opening.far, before, rays.throughput, radius),
+        near=widened(opening.near, close, rays.throughput, radius),
+    )
+    return aim._replace(entrance=aim.entrance._replace(opening=opening))
+
+
+def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTables, AimProof]:
+    """Return an aim that holds all light, whatever rays from the stop found outside, and its proof, which says so.
+
+    Rays to the lens go all over it. Behind an array half of the rays go into the whole hemisphere. A side of which rays
+    found no more outside than is allowed keeps its aim, though too few of them came through to prove it.
+
+    Parameters
+    ----------
+    aim : AimTables
+        Fitted as often as may be.
+    proof : AimProof
+        That it misses more than is allowed, or may do so.
+    has_array : bool
+    """
+    if proof.objects.share > ALLOWED:
+        aim = aim._replace(entrance=_anywhere(aim.entrance))
+    if proof.sensor.share > ALLOWED:
+        aim = (
+            aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))
+            if has_array
+            else aim._replace(exit=_anywhere(aim.exit))
+        )
+    return aim, proof._replace(fallback=proof.missed > ALLOWED)
+
+
+def _anywhere(aim: LensAim) -> LensAim:
+    """Return the aim at one side of the lens of which nothing is known."""
+    return aim._replace(opening=unknown_like(aim.opening))
+
+
+def _missed(beyond: Array, throughput: Array) -> Missed:
+    outside, total = throughput * (beyond > 1.0), throughput.sum()
+    return Missed(float(outside.sum() / total), float(max(np.sqrt((outside**2).sum()), throughput.mean()) / total))

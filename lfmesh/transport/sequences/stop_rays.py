@@ -1,0 +1,286 @@
+"""Rays from the stop, uniform over its area and over all directions, traced to the sensor and to object space."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.surfaces.tessellation import QUARTER, mesh_heights
+from lfmesh.kernels.by_address import by_address
+from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.sequences.bundle import (
+    BLOCK,
+    DROPPED,
+    DX,
+    DY,
+    DZ,
+    ENDED_ON,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    empty_bundle,
+    load,
+    move_bundle,
+    normalise,
+    pad,
+)
+from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, Route, follow_legs, image_route
+from lfmesh.transport.sequences.lens_surfaces import at_surface
+from lfmesh.transport.sequences.ray_tables import unread_book
+from lfmesh.transport.tables.tables import (
+    Camera,
+    LensTables,
+    MlaTables,
+    SensorTables,
+    thin_lens_power,
+)
+
+Array = NDArray[np.float64]
+
+BATCH = 1 << 16
+"""Rays that are drawn at once."""
+
+BATCHES = 40
+"""Largest number of batches in a round; fewer once `ENOUGH` rays have come through."""
+
+ENOUGH = 45_000
+"""Number of rays in a round: if none of them is outside the aim, less than 7e-5 of the throughput is (with 95 %
+confidence)."""
+
+NEAREST = 1e-3
+"""Least distance from the sensor's centre, in its half diagonals, at which rays of the first search would land by
+first-order optics."""
+
+FURTHEST = 1e3
+"""Largest distance, likewise."""
+
+ROOM = 1.15
+"""Factor on the largest such distance of a ray that reached the sensor; rays of the measurement are drawn within it."""
+
+
+class Rays(NamedTuple):
+    """Rays that came through from the stop to the sensor and to object space.
+
+    Attributes
+    ----------
+    sensor : (n, 5) float64
+        Place (mm) and direction (unit, towards the sensor), sensor frame.
+    objects : (n, 6) float64
+        Point (mm) and direction (unit, away from the lens), camera frame.
+    throughput : (n,) float64
+        Relative throughput.
+    colour : (n,) int64
+        Number of the wavelength.
+    """
+
+    sensor: Array
+    objects: Array
+    throughput: Array
+    colour: NDArray[np.int64]
+
+
+class CoverPlate(NamedTuple):
+    """Plate before the sensor: thickness, how much nearer the sensor appears through it (mm), and indices by colour."""
+
+    thickness: float
+    nearer: float
+    indices: Array
+
+
+@by_address
+class CameraTables(NamedTuple):
+    """Tables of the camera that rays from the stop go through; the sensor is where it appears to be."""
+
+    lens: LensTables
+    mla: MlaTables
+    sensor: SensorTables
+    frames: Array
+    cover: CoverPlate | None = None
+
+
+def reach_of(through: CameraTables, random: np.random.Generator) -> float:
+    """Return the largest distance from the sensor's centre, by first-order optics, of rays that reach the sensor.
+
+    0: none does.
+    """
+    sensor = through.sensor
+    diagonal = 0.5 * sensor.pixel * np.hypot(sensor.columns, sensor.rows)
+    place = NEAREST * diagonal * (FURTHEST / NEAREST) ** random.random(BATCH)
+    _, found = _trace_from_stop(through, place, random)
+    return ROOM * float(place[found].max(initial=0.0))
+
+
+def rays_from_stop(through: CameraTables, reach: float, random: np.random.Generator) -> Rays:
+    """Return rays from the stop, uniform over its area and over their landing points by first-order optics.
+
+    Parameters
+    ----------
+    through : CameraTables
+    reach : float, mm
+        See `reach_of`.
+    random : Generator
+    """
+    some: list[Rays] = []
+    for _ in range(BATCHES):
+        rays, _ = _trace_from_stop(through, reach * np.sqrt(random.random(BATCH)), random)
+        some.append(rays)
+        if sum(len(r.throughput) for r in some) >= ENOUGH:
+            break
+    return Rays(*(np.concatenate(each) for each in zip(*some, strict=True)))
+
+
+def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Generator) -> tuple[Rays, NDArray[np.intp]]:
+    """Trace random rays from the stop; return those that come through, and their indices.
+
+    Parameters
+    ----------
+    place : (n,) float64, mm
+        Distance from the sensor's centre at which each ray would land by first-order optics.
+    """
+    lens, sensor = through.lens, through.sensor
+    space, z, rim, depth, pose = _stop_of(lens)
+    moves = through.frames[MLA_FRAME if through.mla.present else SENSOR_FRAME, CAMERA_FRAME]
+    centre_x, centre_y = through.frames[SENSOR_FRAME, CAMERA_FRAME][:2, 3]
+    height, angle = _to_plane(lens, space, z, float(moves[2, 3]))
+    out, turn = np.sqrt(random.random(len(place))), 2.0 * np.pi * random.random(len(place))
+    around = 2.0 * np.pi * random.random(len(place))
+    # The map from landing points to slopes is a shear at fixed height, so the density of slopes stays uniform.
+    slope = 1.0 / angle if abs(angle) > 1e-9 * abs(z - moves[2, 3]) else 1.0
+    # Rays through the aperture of a curved stop cross the plane at its vertex slightly further out.
+    radius = rim * (1.0 + depth * abs(height * slope)) + depth * (place + np.hypot(centre_x, centre_y)) * abs(slope)
+    x, y = radius * out * np.cos(turn), radius * out * np.sin(turn)
+    tx = slope * (centre_x + place * np.cos(around) - height * x)
+    ty = slope * (centre_y + place * np.sin(around) - height * y)
+    to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
+    count = lens.media.indices.shape[1]
+    colours = sorted({0, count // 2, count - 1})
+    start = float(lens.box_high[2] - lens.box_low[2]) + depth
+    camera = Camera(lens, through.mla, sensor, through.frames)
+    route, book = image_route(len(lens.surfaces), bool(through.mla.present)), unread_book(lens, through.mla)
+    for number, colour in enumerate(colours):
+        mine = slice(number, None, len(colours))
+        x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
+        one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
+        _follow_both_ways(
+            x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, one_way, other_way,
+        )  # fmt: skip
+        if through.cover is not None:
+            _land_behind(one_way, through.cover, colour)
+        to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
+    half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
+    throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
+    lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
+    found = np.flatnonzero(lands & (throughput > 0.0))
+    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found]), found
+
+
+def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
+    """Move rays (n, 6) from where they would meet the sensor as it appears to where they meet it behind its cover.
+
+    By first-order optics, with which the sensor's apparent place is found, these are the same.
+    """
+    slopes = rays[:, 2:4] / np.where(rays[:, 4:5] > 0.0, rays[:, 4:5], 1.0)
+    glass2 = cover.indices[colour] ** 2
+    in_glass = cover.thickness / np.sqrt(glass2 + (glass2 - 1.0) * (slopes**2).sum(axis=1, keepdims=True))
+    rays[:, :2] += (in_glass - (cover.thickness - cover.nearer)) * slopes
+
+
+def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[float, float]:
+    """Return the first-order coefficients of the height at a plane behind the lens by height and slope inside it.
+
+    The height there is the first number times the height at z in the space, plus the second times the slope.
+    """
+    surfaces, indices = lens.surfaces, lens.media.indices[lens.medium, lens.media.indices.shape[1] // 2]
+    heights, slopes = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    for k in range(space, len(surfaces)):
+        heights = heights + (float(surfaces[k]["vertex_z"]) - z) * slopes
+        z = float(surfaces[k]["vertex_z"])
+        power = (indices[k + 1] - indices[k]) * surfaces[k]["curvature"] + thin_lens_power(lens.interfaces, k)
+        slopes = (indices[k] * slopes - power * heights) / indices[k + 1]
+    heights = heights + (plane_z - z) * slopes
+    return float(heights[0]), float(heights[1])
+
+
+def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
+    """Return the space that the stop lies in or bounds, z and radius of the stop, sag of its surface, and its pose."""
+    if lens.stop_space >= 0:
+        return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
+    surfaces = lens.surfaces
+    k = int(np.argmax(surfaces["stop"] == 1))
+    rim = float(surfaces[k]["semi_diameter"])
+    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    depth = float(np.abs(mesh_heights(surfaces[k], rim * np.cos(phi), rim * np.sin(phi))).max())
+    return k, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
+
+
+@kernel
+def _follow_both_ways(
+    x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
+    camera: Camera, route: Route, bundle: Array, book: Array, to_sensor: Array, to_objects: Array,
+) -> None:  # fmt: skip
+    """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
+
+    Parameters
+    ----------
+    x, y, tx, ty : (n,) float64
+        Place, mm, and slopes.
+    start : float, mm
+        Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
+    pose : (3, 4) float64
+        Rigid motion of that plane and of the rays from their place in the prescription.
+    to_sensor : (n, 6) float64
+        Filled with place and direction in the sensor's frame, and transmittance; 0 for what ends.
+    to_objects : (n, 7) float64
+        Filled with point and direction in the camera's frame, and transmittance.
+    """
+    lens, frames = camera.lens, camera.frames
+    last = len(lens.surfaces)
+    for first in range(0, len(x), BLOCK):
+        count = min(BLOCK, len(x) - first)
+        for sense in (-1.0, 1.0):
+            for i in range(count):
+                sx, sy = tx[first + i], ty[first + i]
+                scale = 1.0 / np.sqrt(1.0 + sx * sx + sy * sy)
+                back = sense * start
+                load(
+                    bundle, i, x[first + i] - back * sx, y[first + i] - back * sy, z - back,
+                    sense * scale * sx, sense * scale * sy, sense * scale, 1.0,
+                )  # fmt: skip
+            pad(bundle, count)
+            move_bundle(bundle, pose)
+            here = space
+            while 0 <= here + (sense > 0.0) - 1 < last:
+                k = here if sense > 0.0 else here - 1
+                into = here + 1 if sense > 0.0 else here - 1
+                fates = (lens.surfaces[k].semi_diameter, DROPPED, DROPPED)
+                at_surface(bundle, lens, k, False, colour, sense, fates, False, book)
+                here = into
+            if sense < 0.0:
+                normalise(bundle)
+                _keep_object_side(bundle, count, first, to_objects)
+                continue
+            follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, book)
+            normalise(bundle)
+            move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
+            _keep_sensor_side(bundle, count, first, to_sensor)
+
+
+@kernel
+def _keep_object_side(bundle: Array, count: int, first: int, to_objects: Array) -> None:
+    for i in range(count):
+        kept = to_objects[first + i]
+        kept[0], kept[1], kept[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]
+        kept[3], kept[4], kept[5] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        kept[6] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] < 0.0 else 0.0
+
+
+@kernel
+def _keep_sensor_side(bundle: Array, count: int, first: int, to_sensor: Array) -> None:
+    for i in range(count):
+        kept = to_sensor[first + i]
+        t = -bundle[Z + i] / bundle[DZ + i]
+        kept[0], kept[1] = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
+        kept[2], kept[3], kept[4] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
+        kept[5] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] > 0.0 and t > 0.0 else 0.0

@@ -4,7 +4,8 @@ Numba caches a kernel beside its module, or in NUMBA_CACHE_DIR, and takes it as 
 same. But the functions that a kernel calls and the constants that it reads are compiled into it and stand in other
 files. So the cache's file names carry a digest of the kernel's module and of all modules that it imports, directly or
 not, from its own package and from lfmesh. Of the scene's models, which define no kernels, only the constants count: a
-new key of a scene file would otherwise compile everything again.
+new key of a scene file would otherwise compile everything again. The places of all classes count too: numba's index of
+a kernel names those of its arguments, and cannot be read once one of them has moved.
 """
 
 import glob
@@ -31,6 +32,9 @@ _COMPILES = f"{__package__}.accelerator"
 """The module that imports the compilers, when they are first used."""
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
 _WORD = re.compile(rb"\w+")
+_CLASS = re.compile(rb"^class (\w+)", re.MULTILINE)
+_WITH_CLASSES = ("geometry", "kernels", "optics", "transport")
+"""Packages whose classes are arguments of kernels."""
 _FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?:\.\d+)?\.nb[ic]")
 
 
@@ -54,6 +58,7 @@ def digest(module: ModuleType) -> str:
     """
     source = _source(module)
     found = hashlib.sha256(_constants(module) if module.__name__.startswith(_WITHOUT_KERNELS) else source)
+    found.update(_places_of_classes(HERE))
     if module.__name__ == _COMPILES:
         for file in sorted(Path(__file__).with_name("private").glob("*.py")):
             found.update(file.read_bytes())
@@ -62,6 +67,14 @@ def digest(module: ModuleType) -> str:
         if other is not None and _is_followed(other, module):
             found.update(digest(other).encode())
     return found.hexdigest()[:_DIGITS]
+
+
+@cache
+def _places_of_classes(folder: str) -> bytes:
+    """Return the names of the classes that may be arguments of kernels, by file, below a folder."""
+    files = sorted(file for part in _WITH_CLASSES for file in Path(folder, part).rglob("*.py"))
+    held = [(str(file.relative_to(folder)), sorted(_CLASS.findall(file.read_bytes()))) for file in files]
+    return repr([each for each in held if each[1]]).encode()
 
 
 def _source(module: ModuleType) -> bytes:

@@ -13,6 +13,7 @@ import pytest
 
 import lfmesh.geometry.surfaces.surface
 import lfmesh.kernels.decorators
+from lfmesh.kernels import cache
 from lfmesh.kernels.cache import KEPT, digest, remove_older_versions
 from lfmesh.scene.camera import lens, qcon
 from tests.processor_time import HANGS_S
@@ -138,6 +139,27 @@ def test_of_the_scenes_models_only_constants_count(monkeypatch: pytest.MonkeyPat
         changed.setattr(qcon, "MOST_ASPHERE_TERMS", qcon.MOST_ASPHERE_TERMS + 1)
         assert fresh() != before
     assert fresh() == before
+
+
+def test_a_class_that_moves_compiles_all_kernels_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numba's index of a kernel names the classes of its arguments by their files, and cannot be read without them."""
+    (tmp_path / "geometry").mkdir()
+    one, other = (tmp_path / "geometry" / name for name in ("one.py", "other.py"))
+
+    def fresh(here: str) -> str:
+        one.write_text(here)
+        other.write_text("x = 1\n" if "class" in here else "class Lattice:\n    pitch = 1.0\n")
+        cache._places_of_classes.cache_clear()
+        digest.cache_clear()
+        return digest(lfmesh.kernels.decorators)
+
+    monkeypatch.setattr(cache, "HERE", f"{tmp_path}{os.sep}")
+    before = fresh("class Lattice:\n    pitch = 1.0\n")
+    assert fresh("class Lattice:\n    pitch = 2.0\n") == before
+    assert fresh("y = 2\n") != before
+    monkeypatch.undo()
+    cache._places_of_classes.cache_clear()
+    digest.cache_clear()
 
 
 def test_no_model_of_the_scene_defines_a_kernel_or_an_enumeration() -> None:

@@ -96,6 +96,11 @@ class Column(NamedTuple):
         return f" {self.title.rsplit(' / ', 1)[1]}" if " / " in self.title else ""
 
     @property
+    def reach(self) -> tuple[float, float]:
+        """Least and largest value that the column can have."""
+        return (max(self.possible[0], 0.0) if self.of == "root" else self.possible[0], self.possible[1])
+
+    @property
     def is_square(self) -> bool:
         """True if the mean of the pseudo-values is a mean square, to which independent errors add."""
         return self.of in ("root", "psnr")

@@ -216,6 +216,8 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         if not of and not is_number(value_at(ready_scene, each.path)):
             found = value_at(ready_scene, each.path)
             of.append(f"path: {each.path} is {found!r} in the reference camera, no number to adjust")
+        elif not of and isinstance(value_at(ready_scene, each.path), int):
+            of.append(f"path: {each.path} is a whole number, which cannot be adjusted by parts; make it an axis")
         faults += [f"compensators[{i}].{line}" for line in of]
     faults += _metric_faults(study, ready_scene)
     faults += _count_faults(study, axes)

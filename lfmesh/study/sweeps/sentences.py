@@ -104,8 +104,12 @@ def _progress(table: Table) -> str:
 def _limits(table: Table) -> Iterator[str]:
     """Yield for every limit how many cameras keep it; one that nothing breaks is held."""
     rows = [row for row in table.drawn if row.means]
+    reference = table.rows[0]
     for column in table.limited:
         limit = _limit(table, column)
+        if not table.plan.scenes and reference.means and not table.keeps(reference, column):
+            value = column_value(reference, column)
+            yield f"The reference camera itself is beyond the limit {limit}: its value is {value}{column.unit}."
         bad = [row for row in rows if not table.keeps(row, column)]
         unsure = sum(table.keeps(row, column, 1.96) != table.keeps(row, column, -1.96) for row in rows)
         doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
@@ -141,6 +145,9 @@ def largest_changes(table: Table) -> Iterator[str]:
     bound = {i: [row for row in rows if _known(row).column] for i, rows in sides.items()}
     for i in sorted((i for i in bound if bound[i]), key=lambda i: min(_tightness(table, row) for row in bound[i])):
         name, unit = name_and_unit(table.plan.axes[i].title)
+        if not any(change_of(table, row) for row in sides[i]):
+            yield f"{name} may not change at all: the reference itself is beyond a limit."
+            continue
         spans = [_span(table, row) for row in sides[i]]
         yield f"{name} may change by {' and '.join(spans)}{unit and ' ' + unit}{_until(table, bound[i])}."
     for i in (i for i in bound if not bound[i]):
@@ -160,8 +167,6 @@ def _breaking(table: Table) -> Iterator[str]:
 
 def _until(table: Table, rows: list[Row]) -> str:
     reached = {_known(row).column for row in rows if change_of(table, row)}
-    if not reached:
-        return ": the reference itself is beyond a limit"
     titles = {column.name: _limit(table, column) for column in table.limited}
     return f", until a limit is reached: {', '.join(titles[name] for name in titles if name in reached)}"
 

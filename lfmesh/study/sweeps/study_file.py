@@ -81,11 +81,16 @@ class StudyFile(Model):
                 )
         if not self.metrics:
             yield Fault(("metrics",), [], "must not be empty")
-        judged = [column.name for column in columns_of(tuple(filter(METRICS.get, self.metrics))) if column.worse]
+        columns = {each.name: each for each in columns_of(tuple(filter(METRICS.get, self.metrics))) if each.worse}
+        judged = list(columns)
         for name, limit in self.limits.items():
             if name not in judged:
                 valid = f"no column that can be limited{nearest(name, judged)}; there are {', '.join(judged)}"
                 yield Fault(("limits", name), limit, valid)
+                continue
+            low, high = columns[name].reach
+            if not low <= limit <= high:
+                yield Fault(("limits", name), limit, f"must be from {low:g} to {high:g}, as the column's values are")
         for i, each in enumerate(self.compensators):
             if each.metric not in judged:
                 valid = f"no column that can be made best{nearest(each.metric, judged)}; there are {', '.join(judged)}"

@@ -101,6 +101,32 @@ def test_a_reference_beyond_a_limit_allows_no_change() -> None:
     assert allowed == (2.0, 2.0, 2.0, "light_ratio")
 
 
+def test_a_reference_beyond_a_limit_is_said_first(tmp_path: Path) -> None:
+    axes = [{"path": SHIFT, "values": [0.05], "label": "array: decentre / mm"}]
+    study = lf.Study(small_scene(), axes=axes, metrics=["noise"], limits={"noise": 1e-6})
+    study.run(tmp_path, workers=0)
+    page = (tmp_path / "report.html").read_text()
+    assert "The reference camera itself is beyond the limit noise" in page
+    assert "array: decentre may not change at all: the reference itself is beyond a limit." in page
+    assert "+0 (+0" not in page
+
+
+@pytest.mark.parametrize(("column", "limit", "valid"), [
+    ("chief_rays_rms_px", -0.3, "must be from 0 to inf"), ("ncc", 1.5, "must be from -1 to 1"),
+])  # fmt: skip
+def test_a_limit_that_no_camera_can_have_is_refused(column: str, limit: float, valid: str) -> None:
+    axes = [{"path": SHIFT, "values": [0.05]}]
+    with pytest.raises(lf.LfmeshError, match=valid):
+        lf.Study(small_scene(), axes=axes, metrics=["chief_rays", "ncc"], limits={column: limit})
+
+
+def test_a_whole_number_is_no_compensator() -> None:
+    adjusted = [{"path": "camera.sensor.pixels[0]", "range": [-2, 2], "metric": "ncc"}]
+    axes = [{"path": SHIFT, "values": [0.05]}]
+    with pytest.raises(lf.LfmeshError, match="is a whole number"):
+        lf.Study(small_scene(), axes=axes, metrics=["ncc"], compensators=adjusted).plan  # noqa: B018
+
+
 def test_the_interval_is_that_of_the_metrics_error() -> None:
     """A straight line with slope −2 and an error of 0.01 of 4 replicates: Student's 3.182 times 0.005."""
     column = Column("light_ratio", "light", worse="low")

@@ -117,6 +117,7 @@ if TYPE_CHECKING:
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.show import show
+    from lfmesh.waves.wavefront import Wavefront, wavefront
 
 __all__ = [
     "AllInFocus",
@@ -197,6 +198,7 @@ __all__ = [
     "Transport",
     "VoxelBox",
     "Wall",
+    "Wavefront",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -237,6 +239,7 @@ __all__ = [
     "solved",
     "trace",
     "volume_quality",
+    "wavefront",
     "white_image",
     "write_camera_model",
     "write_projection_matrix",
@@ -323,6 +326,7 @@ _HOMES = {
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.show": ["show"],
+    "lfmesh.waves.wavefront": ["Wavefront", "wavefront"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

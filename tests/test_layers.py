@@ -16,7 +16,7 @@ PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = ["assets", "cluster", "errors", "notebook", "provenance", "regular_file", "signatures", "templates"]
 ORDER = [
-    *["kernels", "optics", "scene", "geometry", "imports", "transport"],
+    *["kernels", "optics", "scene", "geometry", "imports", "transport", "waves"],
     *["lightfield", "analysis", "files", "view", "accuracy", "study", "cli", "__main__"],
 ]
 """Each may import those before it, and the foundation."""

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.analysis.bundle import Bundle, LensRays, pupil_grid
 from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_scale, zone_foci
 from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
@@ -17,6 +16,7 @@ from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.report import airy_disk_mm
 from lfmesh.transport.world import World, build
+from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
 
 Array = NDArray[np.float64]
 

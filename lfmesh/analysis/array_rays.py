@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.geometry import frame as frames
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.rays.chief_rays import Plate, plate_of
@@ -22,6 +21,7 @@ from lfmesh.transport.sequences.sequences import Itinerary
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
+from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

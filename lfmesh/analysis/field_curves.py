@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.analysis.quadrature import integral
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.sequences.ray_tables import follow_sequence
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
+from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.analysis.array_rays import ArrayRays, Landed, even_points
-from lfmesh.analysis.bundle import LensRays
 from lfmesh.analysis.field_curves import paraxial_scale
 from lfmesh.analysis.spots import half_contrast
 from lfmesh.geometry.lens.solved_camera import solved_camera
@@ -26,6 +25,7 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 from lfmesh.transport.world import World
+from lfmesh.waves.bundle import LensRays
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -12,7 +12,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.analysis.analysis import ACROSS
-from lfmesh.analysis.bundle import pupil_grid
+from lfmesh.waves.bundle import pupil_grid
 
 IMAGE_MM = 19.792
 RAY = (

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.analysis.analysis import FIELDS, wavelengths_of
-from lfmesh.analysis.bundle import LensRays, pupil_grid
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import Scene
 from lfmesh.study.optimise.design_file import Goal, Rays
@@ -15,6 +14,7 @@ from lfmesh.study.optimise.jet import Jet
 from lfmesh.study.optimise.lens_numbers import RayLayout, layout_of
 from lfmesh.study.optimise.ray_derivatives import Landed, RayFan, land
 from lfmesh.transport.world import build
+from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

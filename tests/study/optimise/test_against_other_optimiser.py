@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.analysis.bundle import pupil_grid
+from lfmesh.waves.bundle import pupil_grid
 from tests.study.optimise.designs import camera, detuned, lens_variables, prescription
 from tests.study.optimise.other_optimiser import OtherLens, OtherProblem
 

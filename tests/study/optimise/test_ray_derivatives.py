@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.analysis.bundle import LensRays
 from lfmesh.study.optimise.design_file import DesignFile
 from lfmesh.study.optimise.jet import Jet
 from lfmesh.study.optimise.problem import Place, Problem
+from lfmesh.waves.bundle import LensRays
 from tests.study.optimise.designs import TRIPLET_MM, camera, lens_variables
 
 WAVES_NM = [500.0, 550.0, 600.0]

@@ -1,0 +1,221 @@
+"""The wavefront in the exit pupil: optical path lengths along traced rays, against the sphere about the image point.
+
+Rays of one object point run through the lens by the order of its surfaces. The optical path of each, from the object
+point (or from a plane square to a parallel bundle) over all faces to the reference sphere, is compared with that of the
+chief ray. The sphere is centred where the chief ray meets the image plane, and passes through the axial point of the
+exit pupil, as in OpticStudio and CODE V; its radius matters little (W. T. Welford, Aberrations of Optical Systems,
+1986, chapter 7). Optical path lengths are those of the glasses relative to air, waves those of the wavelength in air.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.notebook import Shown
+from lfmesh.optics.glass import refractive_index
+from lfmesh.scene import Scene
+from lfmesh.transport.sequences.ray_tables import follow_sequence
+from lfmesh.transport.sequences.sequences import image_path
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.world import build
+from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.waves.zernike import FRINGE_TERMS, fitted
+
+Array = NDArray[np.float64]
+
+FAR = 1e4
+"""Of the focal length: radius of the reference sphere of a lens whose exit pupil lies at infinity."""
+
+ACROSS = 64
+"""Rays on a diameter of the stop, if not said."""
+
+NM_PER_MM = 1e6
+
+
+@dataclass(frozen=True)
+class Wavefront(Shown):
+    """The wavefront of one object point at one wavelength.
+
+    Attributes
+    ----------
+    wavelength_nm : float
+    slope : float
+        Of the object point: its height over its distance from the first vertex, in the meridional plane; of parallel
+        bundles the tangent of the field angle.
+    image_mm : (3,) float64
+        Centre of the reference sphere, camera frame: where the chief ray meets the image plane.
+    radius_mm : float
+        Of the reference sphere.
+    pupil : (n, 2) float64
+        Where the rays cross the stop, in units of its radius. Points are equal areas of the stop.
+    opd_waves : (n,) float64
+        Optical path of the chief ray less that of each ray, up to the reference sphere: positive where the wavefront is
+        ahead of the sphere.
+    weight : (n,) float64
+        Transmittance of each ray by Fresnel's equations, coatings included.
+    passed : float
+        Share of the stop's points whose rays the lens lets through.
+    """
+
+    wavelength_nm: float
+    slope: float
+    image_mm: Array
+    radius_mm: float
+    pupil: Array
+    opd_waves: Array
+    weight: Array
+    passed: float
+
+    def __repr__(self) -> str:
+        return (
+            f"<Wavefront: {self.wavelength_nm:g} nm, rms {self.rms_waves:.4g} waves, P-V {self.pv_waves:.4g}, "
+            f"Strehl {self.strehl:.4g}>"
+        )
+
+    @cached_property
+    def rms_waves(self) -> float:
+        """Standard deviation of the path difference over the pupil, weighted by transmittance; no tilt is removed."""
+        mean = np.average(self.opd_waves, weights=self.weight)
+        return float(np.sqrt(np.average((self.opd_waves - mean) ** 2, weights=self.weight)))
+
+    @property
+    def pv_waves(self) -> float:
+        """Peak to valley."""
+        return float(np.ptp(self.opd_waves))
+
+    @cached_property
+    def strehl(self) -> float:
+        """Intensity at the centre of the sphere over that without aberrations, |Σ √w exp(2πi W)|² / (Σ √w)²."""
+        amplitude = np.sqrt(self.weight)
+        return float(np.abs(amplitude @ np.exp(2j * np.pi * self.opd_waves)) ** 2 / amplitude.sum() ** 2)
+
+    def zernike(self, terms: int = FRINGE_TERMS, order: Literal["fringe", "noll"] = "fringe") -> Array:
+        """Return the coefficients of Zernike polynomials, (terms,) waves, by least squares over the points of the stop.
+
+        Parameters
+        ----------
+        terms : int
+            From the first, piston, on; up to 37 of the Fringe order.
+        order : {"fringe", "noll"}
+            Noll's polynomials are orthonormal; those of the Fringe order are 1 at the rim.
+
+        Raises
+        ------
+        LfmeshError
+            A number of terms or an order that there is not, or fewer rays than terms.
+        """
+        if order not in ("fringe", "noll"):
+            raise LfmeshError(f'order = {order!r}: use "fringe" or "noll"')
+        most = FRINGE_TERMS if order == "fringe" else len(self.opd_waves)
+        if not 1 <= terms <= min(most, len(self.opd_waves)):
+            raise LfmeshError(f"terms = {terms}: must be from 1 to {min(most, len(self.opd_waves))}")
+        return fitted(self.pupil, self.opd_waves, terms, order)
+
+
+def wavefront(
+    scene: Scene,
+    height_mm: float = 0.0,
+    wavelength_nm: float | None = None,
+    *,
+    object_mm: float | None = None,
+    image_z_mm: float | None = None,
+    across: int = ACROSS,
+) -> Wavefront:
+    """Compute the wavefront of an object point in the exit pupil of a camera's lens.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its lens counts; array and sensor only say where the image plane is.
+    height_mm : float
+        Of the object point above the axis (y), at the object distance; of an object at infinity the tangent of the
+        field angle.
+    wavelength_nm : float, optional
+        The scene's primary one if left out.
+    object_mm : float, optional
+        Distance of the object before the first vertex, or inf; the plane in focus if left out.
+    image_z_mm : float, optional
+        Plane in which the reference sphere has its centre, from the first vertex; where the lens images the plane in
+        focus if left out.
+    across : int
+        Rays on a diameter of the stop, from 4 to 1000.
+
+    Raises
+    ------
+    LfmeshError
+        Surfaces that are meshes or ideal lenses, a field whose rays do not pass, or a value out of range.
+    """
+    camera = solved_camera(scene)
+    facts = camera.report
+    waves = scene.primary_nm if wavelength_nm is None else float(wavelength_nm)
+    if not 4 <= across <= 1000:
+        raise LfmeshError(f"across = {across}: must be from 4 to 1000 rays")
+    if not 0.0 < waves < math.inf:
+        raise LfmeshError(f"wavelength_nm = {waves:g}: must be above 0 and finite")
+    if not math.isfinite(height_mm):
+        raise LfmeshError(f"height_mm = {height_mm}: must be finite")
+    ideal = next((i for i, each in enumerate(camera.scene.camera.lens.surfaces) if each.paraxial), None)
+    if ideal is not None:
+        raise LfmeshError(f"camera.lens.surfaces[{ideal}] is an ideal lens, which has no optical path; give a real one")
+    distance = facts.object_distance_mm if object_mm is None else float(object_mm)
+    image_z = facts.image_z_mm if image_z_mm is None else float(image_z_mm)
+    rays = LensRays(build(camera.scene.camera_alone()), distance, image_z)
+    slope = float(height_mm) if math.isinf(distance) else float(height_mm) / distance
+    pupil = np.vstack([np.zeros(2), pupil_grid(across)])
+    bundle = rays.bundle(slope, pupil, waves)
+    if not bundle.passes[0]:
+        raise LfmeshError(f"height_mm = {height_mm:g}: the lens stops the chief ray of this field")
+    passes = bundle.passes
+    image = np.array([*bundle.place[0], rays.image_z_mm])
+    pupil_z = facts.exit_pupil_z_mm if math.isfinite(facts.exit_pupil_z_mm) else image[2] - FAR * abs(facts.efl_mm)
+    radius = float(np.linalg.norm(image - [0.0, 0.0, pupil_z]))
+    paths = _optical_paths(rays, slope, bundle.entry[passes], waves, (image, radius, pupil_z < image[2]))
+    opd = (paths[0] - paths) * NM_PER_MM / waves
+    return Wavefront(
+        waves, slope, image, radius, pupil[passes][1:], opd[1:], bundle.weight[passes][1:],
+        float(bundle.passes[1:].mean()),
+    )  # fmt: skip
+
+
+def _optical_paths(
+    rays: LensRays, slope: float, entry: Array, wavelength_nm: float, sphere: tuple[Array, float, bool]
+) -> Array:
+    """Return the optical path of each ray from the object to the reference sphere, (n,) mm.
+
+    Parameters
+    ----------
+    rays : LensRays
+    slope : float
+    entry : (n, 2) float64, mm
+        Where the rays cross the plane of the first vertex.
+    wavelength_nm : float
+    sphere : (3,) float64, float, bool
+        Centre and radius of the reference sphere, mm, and whether light meets it before its centre.
+    """
+    fields = np.broadcast_to([0.0, slope], entry.shape)
+    position, direction = rays.starts(fields, entry)
+    if math.isinf(rays.object_mm):
+        # From a plane through the origin, square to the bundle.
+        path = (position * direction).sum(axis=1)
+    else:
+        point = np.array([0.0, slope * rays.object_mm, -rays.object_mm])
+        path = np.linalg.norm(position - point, axis=1)
+    tables = at_wavelength(rays.world, wavelength_nm)
+    whole = image_path(len(tables.lens.surfaces))
+    media = [refractive_index(medium, wavelength_nm) for medium in rays.world.lens_shape.media]
+    start = (position, direction)
+    for face, index in enumerate(media[:-1]):
+        arrived = follow_sequence(tables, whole.until(face + 1), *start)
+        path = path + index * np.linalg.norm(arrived.position - position, axis=1)
+        position, direction = arrived.position, arrived.direction
+    centre, radius, before = sphere
+    off = position - centre
+    along = (off * direction).sum(axis=1)
+    root = np.sqrt(along**2 - (off * off).sum(axis=1) + radius**2)
+    return np.asarray(path + media[-1] * (-along - root if before else -along + root))

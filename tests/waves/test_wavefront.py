@@ -1,0 +1,192 @@
+"""Wavefronts: optical paths against 40 digits, perfect lenses, defocus, Strehl's ratio and Zernike's polynomials."""
+
+import math
+from typing import Any
+
+import mpmath as mp
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.optics.glass import refractive_index
+from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.waves.zernike import ORDERS, fitted, zernike
+
+Array = NDArray[np.float64]
+
+DIGITS = 40
+WAVE_NM = 546.07
+
+
+def camera(surfaces: list[dict[str, Any]], focus_mm: float = math.inf, **lens: Any) -> lf.Scene:
+    return lf.Scene.model_validate(
+        {
+            "schema_version": 1,
+            "camera": {
+                "focus_mm": focus_mm,
+                "lens": {"surfaces": surfaces, **lens},
+                "sensor": {"pixels": [8, 8], "pixel_mm": 0.01},
+            },
+        }
+    )
+
+
+def hyperbola() -> lf.Scene:
+    """A plano-hyperbolic lens of index 1.5 with conic −1.5²: collimated light comes to a point, to all orders."""
+    flat = {"radius_mm": math.inf, "thickness_mm": 6.0, "index": 1.5, "semi_diameter_mm": 11.0, "stop": True}
+    surfaces = [flat, {"radius_mm": -25.0, "conic": -2.25, "semi_diameter_mm": 11.0}]
+    return camera(surfaces, stop_semi_diameter_mm=10.0)
+
+
+def exact_path(scene: lf.Scene, start: Array, direction: Array, point: Array, sphere: tuple[Array, float]) -> mp.mpf:
+    """Return the optical path of a ray over spheres and planes to the reference sphere, with 40 digits."""
+    lens = scene.camera.lens
+    p, d = ([mp.mpf(float(x)) for x in v] for v in (start, direction))
+    norm = mp.sqrt(mp.fsum(x * x for x in d))
+    d = [x / norm for x in d]
+    path = mp.sqrt(mp.fsum((a - mp.mpf(float(b))) ** 2 for a, b in zip(p, point, strict=True)))
+    before = mp.mpf(1)
+    for z, surface in zip(lens.vertices_mm, lens.surfaces, strict=True):
+        if surface.stop and surface.index is None and surface.glass is None and math.isinf(surface.radius_mm):
+            continue
+        after = mp.mpf(refractive_index(surface.index or surface.glass or 1.0, WAVE_NM))
+        c = mp.mpf(0) if math.isinf(surface.radius_mm) else 1 / mp.mpf(surface.radius_mm)
+        q = [p[0], p[1], p[2] - mp.mpf(float(z))]
+        a = c
+        b = c * mp.fsum(x * y for x, y in zip(q, d, strict=True)) - d[2]
+        e = c * mp.fsum(x * x for x in q) - 2 * q[2]
+        t = e / (-b + mp.sqrt(b * b - a * e))
+        p = [x + t * y for x, y in zip(p, d, strict=True)]
+        path += before * t
+        q = [x + t * y for x, y in zip(q, d, strict=True)]
+        n = [-c * q[0], -c * q[1], 1 - c * q[2]]
+        cosine = mp.fsum(x * y for x, y in zip(n, d, strict=True))
+        ratio = before / after
+        other = mp.sqrt(1 - ratio**2 * (1 - cosine**2))
+        d = [ratio * x + (other - ratio * cosine) * y for x, y in zip(d, n, strict=True)]
+        before = after
+    off = [x - mp.mpf(float(y)) for x, y in zip(p, sphere[0], strict=True)]
+    along = mp.fsum(x * y for x, y in zip(off, d, strict=True))
+    return path - along - mp.sqrt(along**2 - mp.fsum(x * x for x in off) + mp.mpf(float(sphere[1])) ** 2)
+
+
+@pytest.mark.parametrize(("focus_mm", "height_mm"), [(500.0, 0.0), (500.0, 30.0), (10_000.0, 600.0)])
+@pytest.mark.parametrize("lens", ["double_gauss_50mm", "cooke_triplet_50mm", "tessar_50mm", "achromat_100mm"])
+def test_optical_paths_agree_with_those_of_forty_digits(lens: str, focus_mm: float, height_mm: float) -> None:
+    """To λ/10,000 at 0.5 and 10 m, the field included; the exact trace shares only the rays' starts."""
+    scene = lf.solved(
+        lf.Scene.model_validate(
+            {
+                "schema_version": 1,
+                "camera": {
+                    "focus_mm": focus_mm,
+                    "lens": {"file": f"lib:{lens}", "f_number": 6.0},
+                    "sensor": {"pixels": [8, 8], "pixel_mm": 0.01},
+                },
+            }
+        ).in_folder(asset_path("scenes"))
+    )
+    found = lf.wavefront(scene, height_mm, WAVE_NM, across=8)
+    rays = LensRays(lf.build(scene), lf.first_order(scene).object_distance_mm, lf.first_order(scene).image_z_mm)
+    pupil = np.vstack([np.zeros(2), pupil_grid(8)])
+    bundle = rays.bundle(found.slope, pupil, WAVE_NM)
+    point = np.array([0.0, height_mm, -rays.object_mm])
+    position, direction = rays.starts(np.broadcast_to([0.0, found.slope], bundle.entry.shape), bundle.entry)
+    sphere = found.image_mm, found.radius_mm
+    with mp.workdps(DIGITS):
+        paths = [exact_path(scene, *each, point, sphere) for each in zip(position, direction, strict=True)]
+        opd = np.array([float((paths[0] - path) * 1e6 / WAVE_NM) for path in paths[1:]])
+    assert len(found.opd_waves) == len(opd)
+    assert np.abs(found.opd_waves - opd).max() < 1e-4
+    assert np.ptp(opd) > 0.05
+
+
+def test_a_perfect_lens_has_no_aberration() -> None:
+    found = lf.wavefront(hyperbola())
+    assert found.pv_waves < 1e-9
+    assert found.strehl == pytest.approx(1.0, abs=1e-12)
+    assert found.passed == 1.0
+
+
+@pytest.mark.parametrize("shift_mm", [-0.01, 0.003, 0.01])
+def test_defocus_is_the_depth_of_the_cone(shift_mm: float) -> None:
+    """A point δ behind the focus: δ (1 − cos θ)/λ over the cone, in the order of δ; for 0.003 mm Maréchal's Strehl."""
+    scene = hyperbola()
+    focus = lf.wavefront(scene)
+    found = lf.wavefront(scene, image_z_mm=focus.image_mm[2] + shift_mm)
+    # At the rim, 10 mm from the axis: the lens' sag there, and the distance to the focus 2 R behind the vertex.
+    radius, conic, height = 25.0, -2.25, 10.0 * np.sqrt((found.pupil**2).sum(axis=1).max())
+    sag = -(height**2) / radius / (1.0 + math.sqrt(1.0 - (1.0 + conic) * (height / radius) ** 2))
+    angle = math.atan(height / (2.0 * radius - sag))
+    assert found.pv_waves == pytest.approx(abs(shift_mm) * (1.0 - math.cos(angle)) * 1e6 / 587.6, rel=5e-3)
+    assert found.zernike(4)[3] * shift_mm > 0.0
+    if abs(shift_mm) == 0.003:
+        marechal = math.exp(-((2.0 * math.pi * found.rms_waves) ** 2))
+        assert found.strehl > 0.8
+        assert found.strehl == pytest.approx(marechal, abs=0.01)
+
+
+def test_the_reference_spheres_radius_and_a_plane_wave_from_afar_matter_little() -> None:
+    scene = lf.load(asset_path("scenes/first_light.toml")).changed({"camera.focus_mm": math.inf})
+    far = lf.wavefront(scene, 0.05)
+    near = lf.wavefront(scene, 0.05 * 1e8, object_mm=1e8)
+    assert np.abs(far.opd_waves - near.opd_waves).max() < 1e-3
+    assert np.ptp(far.opd_waves) > 0.3
+
+
+@pytest.mark.parametrize("order", ["fringe", "noll"])
+def test_a_fit_gives_back_the_coefficients_of_zernikes_polynomials(order: str) -> None:
+    x, y = pupil_grid(40).T
+    wanted = np.random.default_rng(5).normal(size=20)
+    values = sum(
+        c * zernike(ORDERS[order](j), x, y, orthonormal=order == "noll") for j, c in enumerate(wanted, start=1)
+    )
+    assert fitted(np.column_stack([x, y]), np.asarray(values), 20, order) == pytest.approx(wanted, abs=1e-10)
+
+
+def test_polynomials_are_those_of_the_literature() -> None:
+    """Noll 1976, table 1, and Wyant and Creath 1992, table III: names, norms and signs of a few of each."""
+    x, y = np.array([0.6]), np.array([0.3])
+    r, t = math.hypot(0.6, 0.3), math.atan2(0.3, 0.6)
+    noll = {2: 2 * r * math.cos(t), 3: 2 * r * math.sin(t), 4: math.sqrt(3) * (2 * r**2 - 1),
+            5: math.sqrt(6) * r**2 * math.sin(2 * t), 6: math.sqrt(6) * r**2 * math.cos(2 * t),
+            7: math.sqrt(8) * (3 * r**3 - 2 * r) * math.sin(t), 8: math.sqrt(8) * (3 * r**3 - 2 * r) * math.cos(t),
+            9: math.sqrt(8) * r**3 * math.sin(3 * t), 11: math.sqrt(5) * (6 * r**4 - 6 * r**2 + 1),
+            12: math.sqrt(10) * (4 * r**4 - 3 * r**2) * math.cos(2 * t)}  # fmt: skip
+    fringe = {2: r * math.cos(t), 4: 2 * r**2 - 1, 5: r**2 * math.cos(2 * t), 6: r**2 * math.sin(2 * t),
+              7: (3 * r**3 - 2 * r) * math.cos(t), 9: 6 * r**4 - 6 * r**2 + 1, 10: r**3 * math.cos(3 * t),
+              12: (4 * r**4 - 3 * r**2) * math.cos(2 * t), 16: 20 * r**6 - 30 * r**4 + 12 * r**2 - 1,
+              37: 924 * r**12 - 2772 * r**10 + 3150 * r**8 - 1680 * r**6 + 420 * r**4 - 42 * r**2 + 1}  # fmt: skip
+    for order, known in (("noll", noll), ("fringe", fringe)):
+        for j, value in known.items():
+            assert zernike(ORDERS[order](j), x, y, orthonormal=order == "noll")[0] == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"across": 3}, "across = 3"),
+        ({"wavelength_nm": -1.0}, "wavelength_nm = -1"),
+        ({"height_mm": math.nan}, "height_mm = nan"),
+        ({"object_mm": -5.0}, "object distance = -5"),
+        ({"height_mm": 4000.0}, "the lens stops the chief ray"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
+    scene = lf.load(asset_path("scenes/first_light.toml"))
+    with pytest.raises(lf.LfmeshError, match=message) as caught:
+        lf.wavefront(scene, **changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_ideal_lenses_and_orders_that_there_are_not_are_refused() -> None:
+    thin = camera([{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0}], focus_mm=500.0)
+    with pytest.raises(lf.LfmeshError, match=r"surfaces\[0\] is an ideal lens"):
+        lf.wavefront(thin)
+    found = lf.wavefront(hyperbola(), across=8)
+    with pytest.raises(lf.LfmeshError, match="terms = 38"):
+        found.zernike(38)
+    with pytest.raises(lf.LfmeshError, match="order = 'born'"):
+        found.zernike(4, "born")  # type: ignore[arg-type]

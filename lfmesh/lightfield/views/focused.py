@@ -69,6 +69,12 @@ def focused(
             f"reduction = {reductions}: the array would stand {-distance:.4g} mm inside the lens; give a smaller one"
         )
     focal_lengths = [b / (1.0 + toward / r) for r in reductions]
+    pixels = camera.mla.pitch_mm / camera.sensor.pixel_mm
+    if sorted(reductions)[len(reductions) // 2] >= pixels:
+        raise LfmeshError(
+            f"reduction = {reductions}: the middle one must be below {pixels:g}, the pixels a lenslet; lenslets that "
+            "reduce by more image the pupil as sharply, as those of a standard camera"
+        )
     return solved(
         scene.changed(
             {

@@ -8,20 +8,23 @@ and rendering", J. Electronic Imaging 19 (2010) 021106; C. Perwass, L. Wietzke, 
 depth-of-field", Proc. SPIE 8291 (2012) 829108).
 
 With N pixels a lenslet, the blur of a point of virtual depth v' is N |1/v − 1/v'| pixels wide: the depth range of a
-lenslet ends where that is one pixel. A lenslet sees points of the main image up to |v| w/2 from its axis, where w is
-the diameter of its micro-image: on the total covering plane and beyond all points are seen by a lenslet of the type.
+lenslet ends where that is one pixel. A point of the main image lights what its cone from the exit pupil covers of the
+lenslets: on the total covering plane and beyond, that holds a lenslet of each type wherever the point lies.
 """
 
 import math
 from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.lenslet_optics import lenslet_optics
+from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm
 
 FOCUSED_BLUR_PX = 1.0
 """Lenslets that blur the image of a distant pupil by more image the main image, not the pupil."""
+
+PUPIL_IMAGED = 1e-12
+"""In place of 1/v = 0, of lenslets that image a pupil at infinity."""
 
 COVERING = {
     ("square", 1): math.sqrt(0.5),
@@ -39,6 +42,8 @@ class FocusedLenslets:
     """Lenslets of one type of a focused plenoptic camera."""
 
     focal_length_mm: float
+    to_sensor_mm: float
+    """From the lenslet to the sensor, as in air."""
     main_image_mm: float
     """How far before the lenslets the plane lies that they image onto the sensor; negative behind them."""
     virtual_depth: float
@@ -61,10 +66,12 @@ class FocusedLenslets:
     """Size of a pixel on the plane in focus, through a lenslet: the lateral resolution of rendered pictures."""
 
 
-def focused_lenslets(camera: Camera, wavelength_nm: float, lens: Paraxial, micro_image_mm: float) -> tuple[
-    FocusedLenslets, ...
-]:  # fmt: skip
+def focused_lenslets(
+    camera: Camera, wavelength_nm: float, lens: Paraxial, cone: float, pupil_mm: float
+) -> tuple[FocusedLenslets, ...]:
     """Return the lenslets of a focused plenoptic camera by type; nothing of another camera.
+
+    A multi-focus camera is focused where the lenslets of its middle focal length are.
 
     Parameters
     ----------
@@ -73,50 +80,72 @@ def focused_lenslets(camera: Camera, wavelength_nm: float, lens: Paraxial, micro
     wavelength_nm : float
     lens : Paraxial
         The camera's, at this wavelength.
-    micro_image_mm : float
-        Diameter of the micro-images.
+    cone : float
+        Diameter of the exit pupil over its distance from the lenslets.
+    pupil_mm : float
+        This distance; inf for a telecentric lens.
     """
-    mla, sensor = camera.mla, camera.sensor
+    mla = camera.mla
     if mla is None or mla.cylinder_axis is not None:
         return ()
-    pixels = mla.pitch_mm / sensor.pixel_mm
-    wide = min(micro_image_mm / mla.pitch_mm, 1.0)
-    found = []
-    for kind in range(mla.types):
-        at = lenslet_optics(mla, wavelength_nm, kind)
-        to_sensor = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
-        per_depth = to_sensor * at.power_per_mm - 1.0  # 1/v
-        if not pixels * abs(per_depth) > FOCUSED_BLUR_PX or not to_sensor > 0.0:
-            return ()
-        plane = (mla.distance_mm or math.nan) + at.front_principal_mm
+    types = [lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)]
+    middle = sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]
+    blur = abs(_per_depth(camera, wavelength_nm, middle)) * mla.pitch_mm / camera.sensor.pixel_mm
+    if not blur > FOCUSED_BLUR_PX or not _to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
+        return ()
+    return tuple(_of_type(camera, wavelength_nm, at, lens, (cone, pupil_mm)) for at in types)
 
-        def object_mm(per_depth: float, plane: float = plane, to_sensor: float = to_sensor) -> float:
-            distance = lens.object_mm(plane - to_sensor / per_depth)
-            return distance if distance > 0.0 else math.inf
 
-        sharp = FOCUSED_BLUR_PX / pixels
-        ends = sorted(object_mm(per_depth + step) for step in (-sharp, sharp))
-        covering = quotient(2.0 * COVERING[mla.layout, mla.types], wide)
-        main_image = to_sensor / per_depth
-        cell = mla.row_pitch_mm / mla.pitch_mm
-        found.append(
-            FocusedLenslets(
-                focal_length_mm=at.focal_length_mm,
-                main_image_mm=main_image,
-                virtual_depth=1.0 / per_depth,
-                in_focus_mm=object_mm(per_depth),
-                near_mm=ends[0],
-                far_mm=ends[1],
-                covering_depth=covering,
-                covering_mm=object_mm(math.copysign(1.0 / covering, per_depth)),
-                seen_by=math.pi / 4.0 * (wide / per_depth) ** 2 / cell / mla.types,
-                sampling_mm=quotient(
-                    sensor.pixel_mm / abs(per_depth),
-                    abs(lens.magnification(lens.object_mm(plane - main_image))),
-                ),
-            )
-        )
-    return tuple(found)
+def _to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
+    sensor = camera.sensor
+    return (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
+
+
+def _per_depth(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
+    """Return 1/v = d/f − 1, which is never quite zero."""
+    return _to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0 or PUPIL_IMAGED
+
+
+def _of_type(
+    camera: Camera, wavelength_nm: float, at: LensletOptics, lens: Paraxial, pupil: tuple[float, float]
+) -> FocusedLenslets:
+    mla, sensor = camera.mla, camera.sensor
+    assert mla is not None
+    to_sensor, per_depth = _to_sensor_mm(camera, wavelength_nm, at), _per_depth(camera, wavelength_nm, at)
+    plane = (mla.distance_mm or math.nan) + at.front_principal_mm
+
+    def object_mm(per_depth: float) -> float:
+        return lens.object_mm(plane - to_sensor / per_depth)
+
+    focus = object_mm(per_depth)
+    focus = focus if focus > 0.0 else math.inf
+    sharp = FOCUSED_BLUR_PX * sensor.pixel_mm / mla.pitch_mm
+    before = per_depth > 0.0
+    # As 1/v falls, planes lie farther off. Past v = 0, and past infinity, they come round from the other side.
+    near = object_mm(per_depth + sharp) if before or per_depth + sharp < 0.0 else math.nan
+    far = object_mm(per_depth - sharp) if not before or per_depth - sharp > 0.0 else math.nan
+    # What a lenslet sees of the main image's cone: at most its own pitch wide.
+    cone, pupil_mm = min(pupil[0], mla.pitch_mm / to_sensor), math.copysign(pupil[1], per_depth)
+    main_image = to_sensor / per_depth
+    apart = 2.0 * COVERING[mla.layout, mla.types] * mla.pitch_mm
+    covering = quotient(apart, cone + apart / pupil_mm) / to_sensor
+    covered = object_mm(math.copysign(1.0 / covering, per_depth)) if 0.0 < covering < math.inf else math.nan
+    is_farther = (covering > abs(1.0 / per_depth)) == before
+    wide = abs(main_image) * cone / (1.0 - main_image / pupil[1]) / mla.pitch_mm
+    cell = mla.row_pitch_mm / mla.pitch_mm
+    return FocusedLenslets(
+        focal_length_mm=at.focal_length_mm,
+        to_sensor_mm=to_sensor,
+        main_image_mm=main_image,
+        virtual_depth=1.0 / per_depth,
+        in_focus_mm=focus,
+        near_mm=near if 0.0 < near < focus else max(-lens.ffl_mm, 0.0),
+        far_mm=far if far > focus else math.inf,
+        covering_depth=covering,
+        covering_mm=covered if (covered > focus if is_farther else 0.0 < covered < focus) else math.inf,
+        seen_by=math.pi / 4.0 * wide**2 / cell / mla.types,
+        sampling_mm=quotient(sensor.pixel_mm / abs(per_depth), abs(lens.magnification(object_mm(per_depth)))),
+    )
 
 
 def middle_of(types: tuple[FocusedLenslets, ...]) -> FocusedLenslets:

@@ -267,7 +267,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
 
     f_number = cone(lens.object_mm(plane))
     micro = micro_image(camera, wavelength, pupil_to_plane, f_number)
-    focused = focused_lenslets(camera, wavelength, lens, micro[2] * camera.sensor.pixel_mm) if micro else ()
+    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, f_number), pupil_to_plane)
     standard = micro is not None and not focused
     image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
     kind = STANDARD if standard else CONVENTIONAL

@@ -270,8 +270,8 @@ def aimed_through_array(
     if on_cells > 0.0:
         density = (1.0 - wide) * on_cells if by_light else 0.0
     elif choice < wide or (on_wider > 0.0 and not by_light):
-        # A margin ray whose face no ray finds, as of a cylinder beyond the layer of faces, is outside the support, where
-        # only rays that go anywhere count.
+        # A margin ray whose face no ray finds, as of a cylinder beyond the layer of faces, is outside the support,
+        # where only rays that go anywhere count.
         density = (1.0 - wide) * on_wider + wide * max(cos_theta, 0.0) / np.pi
     return d[0], d[1], d[2], cos_theta / density if density > 0.0 else 0.0
 

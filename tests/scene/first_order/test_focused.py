@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import lfmesh as lf
+from lfmesh.assets import asset_path
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslets import lenslets, type_of
 from lfmesh.lightfield.calibration.calibration import calibrate
@@ -166,18 +167,61 @@ def test_every_point_is_as_near_to_a_lenslet_of_each_type_as_is_said(layout: str
         assert COVERING[layout, types] - 0.02 < farthest <= COVERING[layout, types] + 1e-9
 
 
-def test_three_hexagonal_types_with_matched_f_numbers_cover_all_from_a_virtual_depth_of_two_on() -> None:
-    """As Perwass and Wietzke have it; and a point in focus is seen by (π/4) v² / (√3/2) / 3 lenslets of a type."""
-    base = standard(np.random.default_rng(1))
-    scene = lf.focused(base.changed({"camera.mla.layout": "hexagonal"}), [3.0, 4.0, 5.0])
-    facts = lf.first_order(scene)
-    wide = min(1.0, facts.micro_image_diameter_px * scene.camera.sensor.pixel_mm / scene.camera.mla.pitch_mm)
+def test_covering_and_views_are_those_of_the_cone_from_the_pupil() -> None:
+    """A point a before the lenslets lights P a / (D − a) of them, for a pupil P wide and D away; all by that.
+
+    Far from the pupil, three hexagonal types with matched f-numbers cover all from a virtual depth of 2 on (Perwass and
+    Wietzke).
+    """
+    base = standard(np.random.default_rng(1)).changed({"camera.mla.layout": "hexagonal"})
+    scene = lf.focused(base, [3.0, 4.0, 5.0])
+    facts, pitch = lf.first_order(scene), scene.camera.mla.pitch_mm
+    away = facts.lenslets_z_mm - facts.exit_pupil_z_mm
     for at in facts.focused:
-        assert at.covering_depth * wide == pytest.approx(2.0, rel=1e-12)
-        seen = math.pi / 4.0 * (wide * at.virtual_depth) ** 2 / math.sqrt(0.75) / 3.0
-        assert at.seen_by == pytest.approx(seen, rel=1e-12)
+        wide = facts.exit_pupil_diameter_mm * at.main_image_mm / (away - at.main_image_mm)
+        assert at.seen_by == pytest.approx(math.pi / 4.0 * (wide / pitch) ** 2 / math.sqrt(0.75) / 3.0, rel=1e-9)
+        a = at.covering_depth * at.to_sensor_mm
+        assert facts.exit_pupil_diameter_mm * a / (away - a) == pytest.approx(2.0 * pitch, rel=1e-9)
+        matched = at.covering_depth * facts.exit_pupil_diameter_mm / away * at.to_sensor_mm / pitch
+        assert matched == pytest.approx(2.0, rel=0.1)
     assert facts.object_distance_mm == pytest.approx(sorted(at.in_focus_mm for at in facts.focused)[1])
     assert facts.near_mm == min(at.near_mm for at in facts.focused)
+
+
+def thin_camera(reduction: float | tuple[float, ...], kind: str = "keplerian") -> lf.Scene:
+    """A focused camera from a lens of 50 mm at f/4, in focus at 500 mm, with 10 pixels a lenslet."""
+    base = lf.load(asset_path("scenes/emitting_plane.toml"))
+    thin = {"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 20.0, "stop": True}
+    lens = {"surfaces": [thin], "stop_semi_diameter_mm": 6.25}
+    return lf.focused(base.changed({"camera.lens": lens}), reduction, kind)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", ["keplerian", "galilean"])
+@pytest.mark.parametrize("reduction", [1.5, 3.0, 5.0, 9.0, 9.2, 9.5, 9.9])
+def test_the_plane_in_focus_lies_within_the_depth_range_by_the_thin_lens_formula(reduction: float, kind: str) -> None:
+    """1/a ± a pixel of blur, imaged by 1/z = 1/f − 1/z'; past infinity the range ends there."""
+    scene = thin_camera(reduction, kind)
+    said, mla = lf.first_order(scene).focused[0], scene.camera.mla
+    step = scene.camera.sensor.pixel_mm / mla.pitch_mm / said.to_sensor_mm
+    ends = []
+    for shift in (step, -step):
+        image = mla.distance_mm - 1.0 / (1.0 / said.main_image_mm + shift)
+        ends.append(1.0 / (1.0 / 50.0 - 1.0 / image) if image > 50.0 else math.inf)
+    assert (said.near_mm, said.far_mm) == pytest.approx(tuple(ends), rel=1e-9)
+    assert said.near_mm < said.in_focus_mm < said.far_mm
+    assert not [text for text in lf.first_order(scene).warnings if "out of the range" in text]
+
+
+def test_a_multi_focus_array_with_a_type_for_far_objects_is_focused() -> None:
+    facts = lf.first_order(thin_camera((2.0, 8.0, 20.0)))
+    assert facts.kind == "focused plenoptic, Keplerian"
+    assert facts.object_distance_mm == pytest.approx(500.0, rel=1e-9)
+    assert max(at.far_mm for at in facts.focused) == math.inf
+
+
+def test_reductions_that_make_a_standard_camera_are_refused() -> None:
+    with pytest.raises(lf.LfmeshError, match="must be below 10, the pixels a lenslet"):
+        thin_camera(12.0)
 
 
 def test_a_sensor_a_little_off_the_focal_plane_leaves_a_camera_a_standard_one() -> None:

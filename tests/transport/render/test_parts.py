@@ -85,13 +85,16 @@ def test_the_parts_make_the_picture_of_the_mesh_engine(changes: dict[str, Any], 
 
 
 def test_the_ledger_is_that_of_all_paths() -> None:
-    apart = lf.render(scene()).ledger
-    whole = lf.render(scene(**{"transport.engine": "mesh"})).ledger
-    assert abs(apart.imbalance) < 1e-12
-    # What is emitted depends on where the samples go, by far less than what reflections bring.
-    assert apart.emitted == pytest.approx(whole.emitted, rel=0.02)
-    assert apart.reached_target == pytest.approx(whole.reached_target, rel=0.02)
-    assert apart.lit == pytest.approx(whole.lit, rel=0.02)
+    """Means over six seeds, by a t-test: what a single run emits depends on where its few rays that go anywhere go."""
+    apart = [lf.render(scene(**{"transport.seed": seed})).ledger for seed in range(6)]
+    mesh = {"transport.engine": "mesh"}
+    whole = [lf.render(scene(**mesh, **{"transport.seed": seed})).ledger for seed in range(6, 12)]
+    assert max(abs(ledger.imbalance) for ledger in apart) < 1e-12
+    for name in ("emitted", "reached_target", "lit"):
+        one, other = (np.array([getattr(ledger, name) for ledger in ledgers]) for ledgers in (apart, whole))
+        assert stats.ttest_ind(one, other, equal_var=False).pvalue > LEVEL, name
+        # Which sees less than what reflections bring.
+        assert np.hypot(one.std(), other.std()) / np.sqrt(6.0) < 0.015 * other.mean(), name
 
 
 @pytest.mark.parametrize("changes", [{}, {"transport.target_error": 0.05, "transport.max_samples": 64}])

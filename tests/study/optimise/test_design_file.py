@@ -18,6 +18,12 @@ SCENE = plano_convex()
 VARIABLE: dict[str, Any] = {"path": RADIUS, "range": [20.0, 90.0]}
 TERM: dict[str, Any] = {"metric": "efl_mm", "target": 80.0}
 
+
+def glasses(other: Any) -> dict[str, Any]:
+    """The glass of a lens as a variable, with a value that is none beside its own."""
+    return {"path": "camera.lens.surfaces[0].glass", "values": ["SCHOTT/N-BK7", other]}
+
+
 REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "no variables": ({"variables": []}, ["variables: missing"]),
     "no merit": ({"merit": []}, ["merit: missing"]),
@@ -56,6 +62,29 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "limits crossed": (
         {"constraints": [{"metric": "efl_mm", "least": 9.0, "most": 8.0}]}, ["constraints[0].most = 8.0"],
     ),
+    "limits of two constraints crossed": (
+        {"constraints": [{"metric": "efl_mm", "least": 100.0}, {"metric": "efl_mm", "most": 90.0}]},
+        ["constraints[1].most = 90.0", "100 or more", "constraints[0]"],
+    ),
+    "limits of two constraints crossed, the other way": (
+        {"constraints": [{"metric": "efl_mm", "most": 90.0}, {"metric": "efl_mm", "least": 100.0}]},
+        ["constraints[1].least = 100.0", "90 or less", "constraints[0]"],
+    ),
+    "mistyped glass": (
+        {"variables": [glasses("SCHOTT/N-BK77")]},
+        ['variables[0].values[1]: camera.lens.surfaces[0].glass = "SCHOTT/N-BK77": not in', "SCHOTT/N-BK7 "],
+    ),
+    "glass of no maker": (
+        {"variables": [VARIABLE, glasses("MOON/CHEESE")]}, ['variables[1].values[1]: ', '"MOON/CHEESE"', "names are"],
+    ),
+    "number in place of a glass": ({"variables": [glasses(3)]}, ["values[1]", "glass = 3: must be a name"]),
+    "radius below the aperture": (
+        {"variables": [{"path": RADIUS, "values": [40.0, 4.0]}]}, ["values[1]", "radius_mm = 4.0", "semi_diameter_mm"],
+    ),
+    "start in a range through flat": (
+        {"variables": [{"path": RADIUS, "range": [-400.0, 400.0]}]},
+        ["is 40 in the scene", "infinite radius", "R <= -400 and R >= 400", "[-400, 40]", "[20, 400]"],
+    ),
     "infinite": ({"merit": [{"metric": "far_mm", "target": 900.0}], "focus": math.inf}, ["far_mm is inf"]),
     "search": ({"search": {"method": "best"}}, ['search.method = "best"', "'local' or 'global'"]),
     "too many rays": ({"rays": {"across": 2147483647}}, ["rays.across = 2147483647", "100 or less"]),
@@ -69,7 +98,9 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
 def test_a_fault_is_refused_in_one_line_that_names_it(case: str) -> None:
     given, words = REFUSED[case]
     given = {"variables": [VARIABLE], "merit": [TERM], **given}
-    scene = SCENE.changed({"camera.focus_mm": given.pop("focus")}) if "focus" in given else SCENE
+    changes = {"camera.lens.surfaces[0].index": None, "camera.lens.surfaces[0].glass": "SCHOTT/N-BK7"}
+    scene = SCENE.changed(changes) if "glass" in case else SCENE
+    scene = scene.changed({"camera.focus_mm": given.pop("focus")}) if "focus" in given else scene
     with pytest.raises(LfmeshError) as refused:
         lf.optimise(scene, **given)
     message = str(refused.value)

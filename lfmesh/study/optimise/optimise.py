@@ -17,6 +17,7 @@ from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term
 from lfmesh.study.optimise.figures import FIGURES, shown_value
 from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, term_residuals
 from lfmesh.study.optimise.search import Say, Search
+from lfmesh.wrapping import wrapped
 
 REACHED = 1e-3
 """Deviation from a target, over its size, up to which it counts as reached."""
@@ -121,6 +122,11 @@ class Optimum(Shown):
         """Targets that are not reached and limits that are not kept, a line each."""
         return tuple(each.missed for each in (*self.terms, *self.constraints) if each.missed)
 
+    @property
+    def violated(self) -> tuple[str, ...]:
+        """Limits that are not kept, a line each."""
+        return tuple(each.missed for each in self.constraints if each.missed)
+
     def __repr__(self) -> str:
         return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
 
@@ -142,8 +148,8 @@ class Optimum(Shown):
         for found in self.variables:
             note = f"  {found.note}" if found.note else ""
             lines.append(f"{found.variable.title:<{wide}}{_shown(found.before):>18}{_shown(found.after):>18}{note}")
-        lines += [f"not reached: {line}" for line in self.missed]
-        lines += [f"note: {line}" for line in self.notes]
+        told = [*(f"not reached: {line}" for line in self.missed), *(f"note: {line}" for line in self.notes)]
+        lines += [line for each in told for line in wrapped(each).splitlines()]
         ended = "" if self.complete else "; stopped before the search had ended"
         searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
         lines.append(f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}")

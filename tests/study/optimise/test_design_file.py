@@ -11,6 +11,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.study.optimise.figures import FIGURES
+from lfmesh.wrapping import COLUMNS
 from tests.cameras import close_up_camera
 from tests.study.optimise.test_optimise import RADIUS, THICKNESS, focal_length, plano_convex
 
@@ -167,8 +168,18 @@ def test_the_command_writes_the_best_scene_and_a_report(tmp_path: Path, capsys: 
     assert facts["cameras_tried"] > 1
     text = (tmp_path / "best" / "optimum.txt").read_text()
     printed = capsys.readouterr().out
-    assert text.splitlines()[1] in printed
+    assert text in printed
+    assert max(map(len, text.splitlines())) <= COLUMNS
     assert "thickness / mm" in text
+
+
+def test_the_exit_code_says_that_a_limit_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    design = write_design(tmp_path, "[[constraints]]", 'metric = "edge_thickness_mm"', "least = 6.0")
+    assert main(["optimise", str(design), "-o", str(tmp_path / "best")]) == 1
+    assert "edge_thickness_mm = " in (said := " ".join(capsys.readouterr().err.split()))
+    assert "violates at least 6" in said
+    assert "violates at least 6" in (tmp_path / "best" / "optimum.txt").read_text()
+    assert lf.load(tmp_path / "best" / "optimised.toml").camera.lens.surfaces[0].thickness_mm
 
 
 @pytest.mark.parametrize(

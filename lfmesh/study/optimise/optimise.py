@@ -308,13 +308,20 @@ def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableRes
 
 def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     sources = {FIGURES[goal.metric].source for goal in problem.goals}
-    notes = []
+    notes = [f"no term depends on {path}: it was left as it is" for path in search.idle.paths(problem)]
+    notes += _not_searched(problem, search)
     if search.cut:
         most = problem.design.search.evaluations
         notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
     if "rays" in sources:
         rays = problem.rays
         assert rays is not None
+        if rays.stopped:
+            named = "" if problem.design.rays.height_mm is None else f" = {problem.design.rays.height_mm:g}"
+            notes.append(
+                f"height_mm{named} in [rays]: the camera to begin with stops most rays, and terms are of those that "
+                f"pass: {rays.stopped}; give a smaller height_mm"
+            )
         notes.append(
             f"derivatives of rays are those of traced rays; the {rays.passed} rays are those that pass the lens at "
             "first, all of one weight; apertures take none of them later: lfmesh lens sheet tells what passes at last"
@@ -322,6 +329,17 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     if "render" in sources:
         notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
     return tuple(notes)
+
+
+def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
+    """Yield values with which no search could begin."""
+    for number, choice in enumerate(problem.choices):
+        searched, lost = ({picks[number] for picks in seen} for seen in (search.searched, search.lost))
+        for pick in sorted(lost - searched):
+            yield (
+                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: where searches began, the "
+                "camera with it is not valid, or rays have no path in it"
+            )
 
 
 def _differences(problem: Problem, best: Rated) -> Iterator[str]:

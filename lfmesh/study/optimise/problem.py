@@ -211,6 +211,24 @@ class Problem:
             self._last = rated
         return rated
 
+    def beside(self, place: Place) -> Array:
+        """Return all values of all figures of a camera beside the search, which neither counts nor remembers it.
+
+        Parameters
+        ----------
+        place : Place
+
+        Returns
+        -------
+        (k,) float64
+            NaN where the camera is not valid.
+        """
+        guess = self.rays.guess if self.rays is not None else None
+        figures = self._figures(_with_slopes(self._numbers, place, 0.0), _with_slopes(self._pictures, place, 0.0))
+        if self.rays is not None and guess is not None:
+            self.rays.guess = guess
+        return joined([figures[goal] for goal in self.goals]).value
+
     def residuals(self, rated: Rated) -> Jet:
         """Return the residuals of the merit, which is the sum of their squares."""
         return joined([term_residuals(term, rated.figures[term]) for term in self.design.merit])
@@ -321,7 +339,7 @@ class Problem:
             path, variable = choice.variable.path, self.design.variables.index(choice.variable)
             for pick, value in enumerate(choice.values):
                 reason = "is of a lens with another number of surfaces than the camera to begin with"
-                with_it = _picked(self.start, number, pick)
+                with_it = picked(self.start, number, pick)
                 try:
                     if len(self._numbers(with_it)) == size:
                         continue
@@ -399,7 +417,7 @@ def _known(function: Callable[[Place], Array], place: Place) -> Array | None:
         return None
 
 
-def _picked(place: Place, number: int, pick: int) -> Place:
+def picked(place: Place, number: int, pick: int) -> Place:
     """Return a camera with another value of a choice."""
     return Place(place.at, (*place.picks[:number], pick, *place.picks[number + 1 :]))
 

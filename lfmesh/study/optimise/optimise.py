@@ -69,7 +69,7 @@ class VariableResult:
     before, after : object
         Values of the scene.
     note : str
-        At which end of its range it is, if at one.
+        At which end of its range it is, if at one; that it was left as it was, if no term depends on it.
     """
 
     variable: Variable
@@ -271,7 +271,7 @@ def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
         merit_after=problem.merit(best),
         terms=tuple(_compared(goal, first, best) for goal in design.merit),
         constraints=tuple(_compared(goal, first, best) for goal in design.constraints),
-        variables=_variables(problem, first, best),
+        variables=_variables(problem, search),
         evaluations=problem.evaluations,
         starts=search.starts,
         seconds=time.perf_counter() - began,
@@ -294,12 +294,12 @@ def _compared(goal: Term | Constraint, first: Rated, best: Rated) -> TermResult:
     return TermResult(goal, values[0], values[1], shares[0], shares[1])
 
 
-def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableResult, ...]:
-    before, after = (problem.values_at(rated.place) for rated in (first, best))
+def _variables(problem: Problem, search: Search) -> tuple[VariableResult, ...]:
+    before, after = (problem.values_at(rated.place) for rated in (search.first, search.best))
     notes = {
         knob.variable.path: knob.bound_in_words(float(at))
-        for knob, at in zip(problem.knobs, best.place.at, strict=True)
-    }
+        for knob, at in zip(problem.knobs, search.best.place.at, strict=True)
+    } | dict.fromkeys(search.idle.paths(problem), "left as it was")
     return tuple(
         VariableResult(each, before[each.path], after[each.path], notes.get(each.path, ""))
         for each in problem.design.variables

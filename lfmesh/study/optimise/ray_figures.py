@@ -56,7 +56,7 @@ class RayFigures:
     @property
     def stopped(self) -> str:
         """Fields of whose rays less than half pass at the start, in words; "" where there is none."""
-        few = [f"{share:.0%} at {height:.4g} mm" for height, share in self.shares.items() if share < HALF]
+        few = [f"{100.0 * share:.0f} % at {height:.4g} mm" for height, share in self.shares.items() if share < HALF]
         return ", ".join(few)
 
     @property

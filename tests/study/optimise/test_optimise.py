@@ -283,6 +283,7 @@ def test_a_variable_that_no_term_depends_on_is_left_as_it_is(search: dict[str, A
     )
     idle = [note for note in found.notes if note.startswith("no term depends on ")]
     assert [note.split()[4].rstrip(":") for note in idle] == [REFLECTANCE, "camera.lens.surfaces[1].semi_diameter_mm"]
+    assert [variable.note for variable in found.variables] == ["left as it was", "", "left as it was"]
     assert found.scene.camera.sensor.reflectance == 0.3
     assert found.scene.camera.lens.surfaces[1].semi_diameter_mm == 5.0
     assert found.merit_after < 1e-9

@@ -418,7 +418,14 @@ def _known(function: Callable[[Place], Array], place: Place) -> Array | None:
 
 
 def picked(place: Place, number: int, pick: int) -> Place:
-    """Return a camera with another value of a choice."""
+    """Return a camera with another value of a choice.
+
+    Parameters
+    ----------
+    place : Place
+    number, pick : int
+        Of the choice, and of its value.
+    """
     return Place(place.at, (*place.picks[:number], pick, *place.picks[number + 1 :]))
 
 

@@ -14,7 +14,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
-FOUNDATION = ["assets", "cluster", "errors", "notebook", "provenance", "regular_file", "signatures", "templates"]
+FOUNDATION = [
+    *["assets", "cluster", "errors", "notebook", "provenance", "regular_file", "signatures", "templates"],
+    "wrapping",
+]
 ORDER = [
     *["kernels", "optics", "scene", "geometry", "imports", "transport", "waves"],
     *["lightfield", "analysis", "files", "view", "accuracy", "study", "cli", "__main__"],

@@ -11,8 +11,9 @@ from cyclopts import App
 
 import lfmesh
 from lfmesh.cli.interrupts import code_of_last, terminate_as_interrupt
-from lfmesh.cli.printing import warnings_in_words, wrapped
+from lfmesh.cli.printing import warnings_in_words
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 CASE_FAILED = 1
 WRONG_INPUT = 2

@@ -8,8 +8,9 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import SceneFile, Whole
-from lfmesh.cli.printing import list_files, wrapped
+from lfmesh.cli.printing import list_files
 from lfmesh.cli.progress import status
+from lfmesh.wrapping import wrapped
 
 
 @app.command(

@@ -8,9 +8,10 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Whole
-from lfmesh.cli.printing import list_files, say_note, wrapped
+from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.study.fits.board_fit import BoardFit

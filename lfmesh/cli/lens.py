@@ -6,8 +6,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from lfmesh.cli.application import app
-from lfmesh.cli.printing import wrapped
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 lens_app = App(name="lens", help="Lenses that come with lfmesh, and lens files of other programs.")
 app.command(lens_app)

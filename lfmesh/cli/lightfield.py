@@ -8,8 +8,9 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import RunFolder, Whole
-from lfmesh.cli.printing import list_files, say_note, wrapped
+from lfmesh.cli.printing import list_files, say_note
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Photograph

@@ -9,9 +9,10 @@ from cyclopts import Parameter
 from lfmesh.cli.application import app, stopped
 from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import Overrides, SceneFile, Whole, overridden
-from lfmesh.cli.printing import list_files, wrapped
+from lfmesh.cli.printing import list_files
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.lightfield.volumes.voxel_box import VoxelBox

@@ -27,7 +27,7 @@ def optimise(
 ) -> int:
     """Vary numbers of a camera until its merit is the best: optimised.toml, optimum.json, optimum.txt.
 
-    Ctrl-C keeps the best camera so far.
+    Ctrl-C keeps the best camera so far. The exit code is 1 if the best camera found violates a limit.
     """
     with defer_interrupt():
         from lfmesh.study.fits.fit_files import make_folder
@@ -44,5 +44,9 @@ def optimise(
         print(line)
     if not found.complete:
         say_note("stopped; the best camera so far is written")
+    if found.violated:
+        say_note(f"the best camera found does not keep all limits: {'; '.join(found.violated)}")
     list_files(paths)
-    return 0 if found.complete else code_of_last()
+    if not found.complete:
+        return code_of_last()
+    return 1 if found.violated else 0

@@ -1,7 +1,6 @@
-"""Printing: wrapped lines, warnings and notes on standard error, lists of the files written."""
+"""Printing: warnings and notes on standard error, lists of the files written."""
 
 import sys
-import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,17 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lfmesh.errors import PictureWarning, warn_caller
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.scene import FirstOrder
-
-COLUMNS = 80
-"""Width of what is printed, on a terminal or not."""
-
-
-def wrapped(text: str) -> str:
-    """Break a text into lines of at most `COLUMNS` characters; all but the first are indented."""
-    return textwrap.fill(text, COLUMNS, subsequent_indent="  ")
 
 
 @contextmanager

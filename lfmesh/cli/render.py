@@ -10,10 +10,11 @@ from cyclopts import Parameter
 from lfmesh.cli.application import WRONG_INPUT, app
 from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
-from lfmesh.cli.printing import list_files, say_note, say_warnings, wrapped
+from lfmesh.cli.printing import list_files, say_note, say_warnings
 from lfmesh.cli.progress import status
 from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.view.progress import progress
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.scene import Scene

@@ -80,6 +80,11 @@ class Goal(Model):
             yield Fault(("per_mm",), self.per_mm, words)
 
     @property
+    def figure(self) -> tuple[str, float | None, float | None]:
+        """Metric, field and frequency: what two goals of the same figure share."""
+        return self.metric, self.field, self.per_mm
+
+    @property
     def title(self) -> str:
         """The figure in reports."""
         at = [f"{self.per_mm:g} / mm"] if self.per_mm is not None else []
@@ -197,6 +202,22 @@ class DesignFile(Model):
         for i, path in enumerate(paths):
             if path in paths[:i]:
                 yield Fault(("variables", i, "path"), path, "is a variable already")
+        yield from self._contradictions()
+
+    def _contradictions(self) -> Iterator[Fault]:
+        """Yield the limits that exclude those of an earlier constraint of the same figure."""
+        for i, later in enumerate(self.constraints):
+            for j, earlier in enumerate(self.constraints[:i]):
+                if later.figure != earlier.figure:
+                    continue
+                least, most = later.least, later.most
+                held = f"constraints[{j}] holds the same figure to"
+                if least is not None and earlier.most is not None and least > earlier.most:
+                    words = f"must be {earlier.most:g} or less, as {held} most = {earlier.most:g}"
+                    yield Fault(("constraints", i, "least"), least, words)
+                if most is not None and earlier.least is not None and most < earlier.least:
+                    words = f"must be {earlier.least:g} or more, as {held} least = {earlier.least:g}"
+                    yield Fault(("constraints", i, "most"), most, words)
 
 
 def read_design(path: Path) -> DesignFile:

@@ -130,8 +130,21 @@ def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
     elif isinstance(value, int):
         yield f"{named}, a whole number; give values to choose from in place of a range"
     elif not 0.0 <= Knob(variable, value).place(value) <= 1.0:
-        low, high = variable.range
-        yield f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside of it"
+        yield _outside(variable, value)
+
+
+def _outside(variable: Variable, value: float) -> str:
+    """Say that a value of the scene is outside of the range of its variable."""
+    low, high = variable.range or (0.0, 0.0)
+    words = f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside of it"
+    if not (variable.is_radius and low < 0.0 < high):
+        return words
+    to_flat = f"[{value:g}, {high:g}]" if value < 0.0 else f"[{low:g}, {value:g}]"
+    one_sign = f"[{low:g}, {0.5 * value:g}]" if value < 0.0 else f"[{0.5 * value:g}, {high:g}]"
+    return (
+        f"{words}: that of a radius through 0 runs through flat (infinite radius) and holds R <= {low:g} and "
+        f"R >= {high:g}; give ends nearer to 0, such as {to_flat}, or of one sign, such as {one_sign}"
+    )
 
 
 def _same(value: Any, other: Any) -> bool:

@@ -17,6 +17,7 @@ from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term
 from lfmesh.study.optimise.figures import FIGURES, shown_value
 from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, term_residuals
 from lfmesh.study.optimise.search import Say, Search
+from lfmesh.wrapping import wrapped
 
 REACHED = 1e-3
 """Deviation from a target, over its size, up to which it counts as reached."""
@@ -68,7 +69,7 @@ class VariableResult:
     before, after : object
         Values of the scene.
     note : str
-        At which end of its range it is, if at one.
+        At which end of its range it is, if at one; that it was left as it was, if no term depends on it.
     """
 
     variable: Variable
@@ -121,6 +122,11 @@ class Optimum(Shown):
         """Targets that are not reached and limits that are not kept, a line each."""
         return tuple(each.missed for each in (*self.terms, *self.constraints) if each.missed)
 
+    @property
+    def violated(self) -> tuple[str, ...]:
+        """Limits that are not kept, a line each."""
+        return tuple(each.missed for each in self.constraints if each.missed)
+
     def __repr__(self) -> str:
         return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
 
@@ -142,8 +148,8 @@ class Optimum(Shown):
         for found in self.variables:
             note = f"  {found.note}" if found.note else ""
             lines.append(f"{found.variable.title:<{wide}}{_shown(found.before):>18}{_shown(found.after):>18}{note}")
-        lines += [f"not reached: {line}" for line in self.missed]
-        lines += [f"note: {line}" for line in self.notes]
+        told = [*(f"not reached: {line}" for line in self.missed), *(f"note: {line}" for line in self.notes)]
+        lines += [line for each in told for line in wrapped(each).splitlines()]
         ended = "" if self.complete else "; stopped before the search had ended"
         searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
         lines.append(f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}")
@@ -265,7 +271,7 @@ def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
         merit_after=problem.merit(best),
         terms=tuple(_compared(goal, first, best) for goal in design.merit),
         constraints=tuple(_compared(goal, first, best) for goal in design.constraints),
-        variables=_variables(problem, first, best),
+        variables=_variables(problem, search),
         evaluations=problem.evaluations,
         starts=search.starts,
         seconds=time.perf_counter() - began,
@@ -288,12 +294,12 @@ def _compared(goal: Term | Constraint, first: Rated, best: Rated) -> TermResult:
     return TermResult(goal, values[0], values[1], shares[0], shares[1])
 
 
-def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableResult, ...]:
-    before, after = (problem.values_at(rated.place) for rated in (first, best))
+def _variables(problem: Problem, search: Search) -> tuple[VariableResult, ...]:
+    before, after = (problem.values_at(rated.place) for rated in (search.first, search.best))
     notes = {
         knob.variable.path: knob.bound_in_words(float(at))
-        for knob, at in zip(problem.knobs, best.place.at, strict=True)
-    }
+        for knob, at in zip(problem.knobs, search.best.place.at, strict=True)
+    } | dict.fromkeys(search.idle.paths(problem), "left as it was")
     return tuple(
         VariableResult(each, before[each.path], after[each.path], notes.get(each.path, ""))
         for each in problem.design.variables
@@ -302,13 +308,20 @@ def _variables(problem: Problem, first: Rated, best: Rated) -> tuple[VariableRes
 
 def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     sources = {FIGURES[goal.metric].source for goal in problem.goals}
-    notes = []
+    notes = [f"no term depends on {path}: it was left as it is" for path in search.idle.paths(problem)]
+    notes += _not_searched(problem, search)
     if search.cut:
         most = problem.design.search.evaluations
         notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
     if "rays" in sources:
         rays = problem.rays
         assert rays is not None
+        if rays.stopped:
+            named = "" if problem.design.rays.height_mm is None else f" = {problem.design.rays.height_mm:g}"
+            notes.append(
+                f"height_mm{named} in [rays]: the camera to begin with stops most rays, and terms are of those that "
+                f"pass: {rays.stopped}; give a smaller height_mm"
+            )
         notes.append(
             f"derivatives of rays are those of traced rays; the {rays.passed} rays are those that pass the lens at "
             "first, all of one weight; apertures take none of them later: lfmesh lens sheet tells what passes at last"
@@ -316,6 +329,17 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     if "render" in sources:
         notes.append("derivatives of pictures are differences over 1 % of a range, with common random numbers")
     return tuple(notes)
+
+
+def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
+    """Yield values with which no search could begin."""
+    for number, choice in enumerate(problem.choices):
+        searched, lost = ({picks[number] for picks in seen} for seen in (search.searched, search.lost))
+        for pick in sorted(lost - searched):
+            yield (
+                f"{choice.variable.path} = {literal(choice.values[pick])} was not searched: where searches began, the "
+                "camera with it is not valid, or rays have no path in it"
+            )
 
 
 def _differences(problem: Problem, best: Rated) -> Iterator[str]:

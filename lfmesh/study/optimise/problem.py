@@ -1,6 +1,6 @@
 """A design as a problem of least squares: residuals of its merit and their derivatives, by the places of its knobs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from lfmesh.geometry.objects.refractors import measured
 from lfmesh.scene import Scene, solved
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.report import facts_of_solved
+from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS, metric_of
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term
 from lfmesh.study.optimise.figures import FIGURES, camera_values, shown_value
@@ -20,7 +21,7 @@ from lfmesh.study.optimise.jet import Jet, constant
 from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of
 from lfmesh.study.optimise.ray_figures import RayFigures, ray_figures_of
 from lfmesh.study.optimise.renders import Renders
-from lfmesh.study.sweeps.plan import path_faults
+from lfmesh.study.sweeps.plan import in_a_line, path_faults
 from lfmesh.study.sweeps.study_file import refused
 
 Array = NDArray[np.float64]
@@ -138,6 +139,8 @@ class Problem:
         self.evaluations = 0
         self._last: Rated | None = None
         self._refuse_unknown_values(name)
+        if faults := list(self._value_faults()):
+            raise refused(name, faults)
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -207,6 +210,24 @@ class Problem:
         if not slopes:
             self._last = rated
         return rated
+
+    def beside(self, place: Place) -> Array:
+        """Return all values of all figures of a camera beside the search, which neither counts nor remembers it.
+
+        Parameters
+        ----------
+        place : Place
+
+        Returns
+        -------
+        (k,) float64
+            NaN where the camera is not valid.
+        """
+        guess = self.rays.guess if self.rays is not None else None
+        figures = self._figures(_with_slopes(self._numbers, place, 0.0), _with_slopes(self._pictures, place, 0.0))
+        if self.rays is not None and guess is not None:
+            self.rays.guess = guess
+        return joined([figures[goal] for goal in self.goals]).value
 
     def residuals(self, rated: Rated) -> Jet:
         """Return the residuals of the merit, which is the sum of their squares."""
@@ -311,6 +332,21 @@ class Problem:
         if faults:
             raise refused(name, faults)
 
+    def _value_faults(self) -> Iterator[str]:
+        """Yield which values to choose from are none that the camera to begin with can take, in the scene's words."""
+        size = len(self._numbers(self.start))
+        for number, choice in enumerate(self.choices):
+            path, variable = choice.variable.path, self.design.variables.index(choice.variable)
+            for pick, value in enumerate(choice.values):
+                reason = "is of a lens with another number of surfaces than the camera to begin with"
+                with_it = picked(self.start, number, pick)
+                try:
+                    if len(self._numbers(with_it)) == size:
+                        continue
+                except LfmeshError as error:
+                    reason = in_a_line(error).removeprefix(f"{path} = {literal(value)}: ")
+                yield f"variables[{variable}].values[{pick}]: {path} = {literal(value)}: {reason}"
+
 
 def term_residuals(term: Term, values: Jet) -> Jet:
     """Return the residuals of a term, whose squares add up to (weight · (value − target))²."""
@@ -379,6 +415,18 @@ def _known(function: Callable[[Place], Array], place: Place) -> Array | None:
         return function(place)
     except LfmeshError:
         return None
+
+
+def picked(place: Place, number: int, pick: int) -> Place:
+    """Return a camera with another value of a choice.
+
+    Parameters
+    ----------
+    place : Place
+    number, pick : int
+        Of the choice, and of its value.
+    """
+    return Place(place.at, (*place.picks[:number], pick, *place.picks[number + 1 :]))
 
 
 def _same(place: Place, other: Place) -> bool:

@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 
+HALF = 0.5
+"""Share of a field's rays below which it is noted that the camera stops most of them."""
+
+
 @dataclass
 class RayFigures:
     """The rays of a design, which are those that the camera lets through at the start.
@@ -31,11 +35,14 @@ class RayFigures:
         The chief rays of each field and wavelength first, then all others.
     guess : (n, 2) float64
         Where the rays of the last camera cross the plane of the first vertex, mm.
+    shares : dict of float
+        Share of a field's rays that pass at the start, by its image height, mm.
     """
 
     layout: RayLayout
     fan: RayFan
     guess: Array
+    shares: dict[float, float]
     _start: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -45,6 +52,12 @@ class RayFigures:
     def passed(self) -> int:
         """Number of rays, chief rays left out."""
         return len(self.fan.field) - self._chiefs
+
+    @property
+    def stopped(self) -> str:
+        """Fields of whose rays less than half pass at the start, in words; "" where there is none."""
+        few = [f"{100.0 * share:.0f} % at {height:.4g} mm" for height, share in self.shares.items() if share < HALF]
+        return ", ".join(few)
 
     @property
     def _chiefs(self) -> int:
@@ -155,7 +168,7 @@ def ray_figures_of(scene: Scene, rays: Rays, shares: tuple[float, ...]) -> RayFi
         build(scene.camera_alone()), 1.0 / vergence if vergence else math.inf, float(lens.image_z.value)
     )  # fmt: skip
     grid = pupil_grid(rays.across)
-    chiefs, others = [], []
+    chiefs, others, through = [], [], {}
     for number, slope in enumerate(lens.slopes.value):
         passed = 0
         for wave, wavelength in enumerate(layout.waves_nm):
@@ -165,6 +178,7 @@ def ray_figures_of(scene: Scene, rays: Rays, shares: tuple[float, ...]) -> RayFi
             passed += int(passes.sum())
             chiefs.append(_rows_of(bundle.pupil[:1], bundle.entry[:1], number, wave))
             others.append(_rows_of(bundle.pupil[passes], bundle.entry[passes], number, wave))
+        through[float(lens.heights.value[number])] = passed / (len(grid) * len(layout.waves_nm))
         if not passed:
             raise LfmeshError(
                 f"no ray of the field at {lens.heights.value[number]:.4g} mm passes the lens; give a smaller height_mm "
@@ -174,7 +188,7 @@ def ray_figures_of(scene: Scene, rays: Rays, shares: tuple[float, ...]) -> RayFi
     if not np.isfinite(rows).all():
         raise LfmeshError("the chief ray of a field does not come to the stop; give a smaller height_mm in [rays]")
     numbers = rows[:, 4:].astype(np.int64)
-    return RayFigures(layout, RayFan(rows[:, :2], numbers[:, 0], numbers[:, 1]), rows[:, 2:4])
+    return RayFigures(layout, RayFan(rows[:, :2], numbers[:, 0], numbers[:, 1]), rows[:, 2:4], through)
 
 
 def _rows_of(pupil: Array, entry: Array, number: int, wave: int) -> Array:

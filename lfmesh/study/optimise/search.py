@@ -7,13 +7,14 @@ that leads to one is shortened.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.study.optimise.idle import Idle, idle_variables
 from lfmesh.study.optimise.jet import Jet
-from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem, Rated, joined
+from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem, Rated, joined, picked
 
 Array = NDArray[np.float64]
 
@@ -69,6 +70,11 @@ class Search:
     first, best : Rated
     starts : int
         Cameras that searches by least squares began with.
+    idle : Idle
+        Variables that stay as they are, as nothing depends on them.
+    searched, lost : set of Picks
+        Values of choices with which searches by least squares began, and with which they could not: the camera there is
+        not valid, or a ray loses its path.
     cut : bool
         A search ended because it had tried as many cameras as it may, not because it had found its best.
     """
@@ -78,10 +84,14 @@ class Search:
         self.say = say or (lambda _: None)
         self.first = self.best = problem.rated(problem.start)
         self.starts = 0
+        self.idle = Idle((), ())
+        self.searched: set[Picks] = set()
+        self.lost: set[Picks] = set()
         self.cut = False
 
     def run(self) -> None:
         """Search; the best camera is kept even if Ctrl-C ends it."""
+        self.idle = idle_variables(self.problem)
         asked = self.problem.design.search
         if asked.method == "global":
             self._evolve()
@@ -97,7 +107,12 @@ class Search:
         return self.problem.violation(rated), self.problem.merit(rated)
 
     def _rated(self, at: Array, picks: Picks) -> Rated:
-        rated = self.problem.rated(Place(np.clip(at, 0.0, 1.0), picks))
+        start = self.problem.start
+        at = np.clip(at, 0.0, 1.0)
+        at[list(self.idle.knobs)] = start.at[list(self.idle.knobs)]
+        for number in self.idle.choices:
+            picks = (*picks[:number], start.picks[number], *picks[number + 1 :])
+        rated = self.problem.rated(Place(at, picks))
         if self.rank(rated) < self.rank(self.best):
             self.best = rated
         first, best = (self.problem.merit(each) for each in (self.first, self.best))
@@ -118,21 +133,22 @@ class Search:
 
     def _over_choices(self, place: Place) -> None:
         """Search from a camera, with all combinations of its choices or with better ones, one changed at a time."""
-        counts = [len(choice.values) for choice in self.problem.choices]
-        if math.prod(counts) <= MOST_COMBINATIONS:
-            for picks in sorted(itertools.product(*map(range, counts)), key=lambda picks: picks != place.picks):
+        options: list[Sequence[int]] = [range(len(choice.values)) for choice in self.problem.choices]
+        for number in self.idle.choices:
+            options[number] = [self.problem.start.picks[number]]
+        if math.prod(map(len, options)) <= MOST_COMBINATIONS:
+            for picks in sorted(itertools.product(*options), key=lambda picks: picks != place.picks):
                 self._descend(place.at, picks)
             return
         found = self._descend(place.at, place.picks)
         improves = True
         while improves:
             improves = False
-            for number, count in enumerate(counts):
-                for pick in range(count):
-                    picks = (*found.place.picks[:number], pick, *found.place.picks[number + 1 :])
-                    if picks == found.place.picks:
+            for number, numbers in enumerate(options):
+                for pick in numbers:
+                    if pick == found.place.picks[number]:
                         continue
-                    other = self._descend(found.place.at, picks)
+                    other = self._descend(found.place.at, picked(found.place, number, pick).picks)
                     if self.rank(other) < self.rank(found):
                         found, improves = other, True
 
@@ -140,6 +156,7 @@ class Search:
         """Search by least squares from a camera, with rising pressure of the constraints, and return the last one."""
         self.starts += 1
         rated = self._rated(at, picks)
+        (self.searched if rated.finite else self.lost).add(rated.place.picks)
         if not rated.finite or not self.problem.knobs:
             return rated
         constraints = self.problem.design.constraints

@@ -11,12 +11,19 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.study.optimise.figures import FIGURES
+from lfmesh.wrapping import COLUMNS
 from tests.cameras import close_up_camera
 from tests.study.optimise.test_optimise import RADIUS, THICKNESS, focal_length, plano_convex
 
 SCENE = plano_convex()
 VARIABLE: dict[str, Any] = {"path": RADIUS, "range": [20.0, 90.0]}
 TERM: dict[str, Any] = {"metric": "efl_mm", "target": 80.0}
+
+
+def glasses(other: Any) -> dict[str, Any]:
+    """The glass of a lens as a variable, with a value that is none beside its own."""
+    return {"path": "camera.lens.surfaces[0].glass", "values": ["SCHOTT/N-BK7", other]}
+
 
 REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "no variables": ({"variables": []}, ["variables: missing"]),
@@ -56,6 +63,29 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "limits crossed": (
         {"constraints": [{"metric": "efl_mm", "least": 9.0, "most": 8.0}]}, ["constraints[0].most = 8.0"],
     ),
+    "limits of two constraints crossed": (
+        {"constraints": [{"metric": "efl_mm", "least": 100.0}, {"metric": "efl_mm", "most": 90.0}]},
+        ["constraints[1].most = 90.0", "100 or more", "constraints[0]"],
+    ),
+    "limits of two constraints crossed, the other way": (
+        {"constraints": [{"metric": "efl_mm", "most": 90.0}, {"metric": "efl_mm", "least": 100.0}]},
+        ["constraints[1].least = 100.0", "90 or less", "constraints[0]"],
+    ),
+    "mistyped glass": (
+        {"variables": [glasses("SCHOTT/N-BK77")]},
+        ['variables[0].values[1]: camera.lens.surfaces[0].glass = "SCHOTT/N-BK77": not in', "SCHOTT/N-BK7 "],
+    ),
+    "glass of no maker": (
+        {"variables": [VARIABLE, glasses("MOON/CHEESE")]}, ['variables[1].values[1]: ', '"MOON/CHEESE"', "names are"],
+    ),
+    "number in place of a glass": ({"variables": [glasses(3)]}, ["values[1]", "glass = 3: must be a name"]),
+    "radius below the aperture": (
+        {"variables": [{"path": RADIUS, "values": [40.0, 4.0]}]}, ["values[1]", "radius_mm = 4.0", "semi_diameter_mm"],
+    ),
+    "start in a range through flat": (
+        {"variables": [{"path": RADIUS, "range": [-400.0, 400.0]}]},
+        ["is 40 in the scene", "infinite radius", "R <= -400 and R >= 400", "[-400, 40]", "[20, 400]"],
+    ),
     "infinite": ({"merit": [{"metric": "far_mm", "target": 900.0}], "focus": math.inf}, ["far_mm is inf"]),
     "search": ({"search": {"method": "best"}}, ['search.method = "best"', "'local' or 'global'"]),
     "too many rays": ({"rays": {"across": 2147483647}}, ["rays.across = 2147483647", "100 or less"]),
@@ -69,7 +99,9 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
 def test_a_fault_is_refused_in_one_line_that_names_it(case: str) -> None:
     given, words = REFUSED[case]
     given = {"variables": [VARIABLE], "merit": [TERM], **given}
-    scene = SCENE.changed({"camera.focus_mm": given.pop("focus")}) if "focus" in given else SCENE
+    changes = {"camera.lens.surfaces[0].index": None, "camera.lens.surfaces[0].glass": "SCHOTT/N-BK7"}
+    scene = SCENE.changed(changes) if "glass" in case else SCENE
+    scene = scene.changed({"camera.focus_mm": given.pop("focus")}) if "focus" in given else scene
     with pytest.raises(LfmeshError) as refused:
         lf.optimise(scene, **given)
     message = str(refused.value)
@@ -136,8 +168,18 @@ def test_the_command_writes_the_best_scene_and_a_report(tmp_path: Path, capsys: 
     assert facts["cameras_tried"] > 1
     text = (tmp_path / "best" / "optimum.txt").read_text()
     printed = capsys.readouterr().out
-    assert text.splitlines()[1] in printed
+    assert text in printed
+    assert max(map(len, text.splitlines())) <= COLUMNS
     assert "thickness / mm" in text
+
+
+def test_the_exit_code_says_that_a_limit_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    design = write_design(tmp_path, "[[constraints]]", 'metric = "edge_thickness_mm"', "least = 6.0")
+    assert main(["optimise", str(design), "-o", str(tmp_path / "best")]) == 1
+    assert "edge_thickness_mm = " in (said := " ".join(capsys.readouterr().err.split()))
+    assert "violates at least 6" in said
+    assert "violates at least 6" in (tmp_path / "best" / "optimum.txt").read_text()
+    assert lf.load(tmp_path / "best" / "optimised.toml").camera.lens.surfaces[0].thickness_mm
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.study.optimise.optimise import best_of, load_design
+from lfmesh.wrapping import COLUMNS
 from tests.study.optimise.designs import (
     PUBLISHED_SENSOR_MM,
     TRIPLET_MM,
@@ -255,10 +256,82 @@ def test_a_figure_of_pictures_is_met_with_common_random_numbers() -> None:
     assert facts.micro_image_pitch_px is not None
     magnified = facts.micro_image_pitch_px * pixel / 0.5
     assert shift == pytest.approx(0.5 * pixel / magnified, rel=0.02)
-    assert "common random numbers" in str(found)
+    assert "common random numbers" in " ".join(str(found).split())
 
 
 def test_the_scene_of_a_result_is_that_of_a_file(tmp_path: Path) -> None:
     found = lf.optimise(plano_convex(), [{"path": RADIUS, "range": [20.0, 90.0]}], focal_length(80.0))
     lf.save(found.scene, tmp_path / "best.toml")
     assert lf.load(tmp_path / "best.toml") == found.scene
+
+
+REFLECTANCE, GLASS = "camera.sensor.reflectance", "camera.lens.surfaces[0].glass"
+
+
+@pytest.mark.parametrize("search", [{"starts": 3}, {"method": "global", "evaluations": 50}])
+def test_a_variable_that_no_term_depends_on_is_left_as_it_is(search: dict[str, Any]) -> None:
+    scene = plano_convex().changed({REFLECTANCE: 0.3})
+    found = lf.optimise(
+        scene,
+        [
+            {"path": REFLECTANCE, "range": [0.0, 0.9]},
+            {"path": RADIUS, "range": [20.0, 90.0]},
+            {"path": "camera.lens.surfaces[1].semi_diameter_mm", "values": [5.0, 5.5, 6.0]},
+        ],
+        focal_length(80.0),
+        search=search,
+    )
+    idle = [note for note in found.notes if note.startswith("no term depends on ")]
+    assert [note.split()[4].rstrip(":") for note in idle] == [REFLECTANCE, "camera.lens.surfaces[1].semi_diameter_mm"]
+    assert [variable.note for variable in found.variables] == ["left as it was", "", "left as it was"]
+    assert found.scene.camera.sensor.reflectance == 0.3
+    assert found.scene.camera.lens.surfaces[1].semi_diameter_mm == 5.0
+    assert found.merit_after < 1e-9
+
+
+def test_a_variable_that_matters_only_once_another_one_has_moved_is_varied() -> None:
+    """The conic constant of a flat face."""
+    flat = "camera.lens.surfaces[1]"
+    scene = plano_convex().changed({f"{flat}.conic": 0.0, "camera.sensor.distance_mm": 60.0})
+    found = lf.optimise(
+        scene,
+        [{"path": f"{flat}.conic", "range": [-3.0, 1.0]}, {"path": f"{flat}.radius_mm", "range": [-30.0, 30.0]}],
+        [{"metric": "spot_rms_mm", "field": 0.0}],
+        rays={"object_mm": math.inf, "height_mm": 1.0, "across": 4},
+        search={"evaluations": 3},
+    )
+    assert not any("no term depends" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("height_mm", "few"), [(1.0, False), (500.0, True)])
+def test_a_height_at_which_most_rays_are_stopped_is_noted(height_mm: float, few: bool) -> None:
+    scene = camera("achromat_100mm", 97.1, (486.1, 587.6, 656.3))
+    rays = {"object_mm": math.inf, "height_mm": height_mm}
+    found = lf.optimise(
+        scene,
+        [{"path": "camera.sensor.distance_mm", "range": [95.0, 99.0]}],
+        [{"metric": "spot_rms_mm"}],
+        rays={**rays, "across": 8},
+        search={"evaluations": 2},
+    )
+    notes = [note for note in found.notes if note.startswith("height_mm")]
+    assert len(notes) == few
+    if few:
+        assert f"height_mm = {height_mm:g}" in notes[0]
+        assert f"% at {height_mm:g} mm" in notes[0]
+    told = str(found)[str(found).index("note: ") :]
+    assert max(map(len, told.splitlines())) <= COLUMNS
+
+
+def test_a_value_with_which_rays_lose_their_path_is_said_not_to_be_searched() -> None:
+    """Total reflection at the flat face: rays at the edge come to it at 40 degrees, and sin 40° > 1/3."""
+    path = "camera.lens.surfaces[0].index"
+    found = lf.optimise(
+        plano_convex(6.0, 5.0),
+        [{"path": path, "values": [1.6, 1.7, 3.0]}],
+        [{"metric": "spot_rms_mm", "field": 0.0}],
+        rays={"object_mm": math.inf, "height_mm": 0.1, "across": 10},
+    )
+    lost = [note for note in found.notes if "was not searched" in note]
+    assert len(lost) == 1
+    assert lost[0].startswith(f"{path} = 3.0 was not searched")

@@ -132,8 +132,8 @@ def reconstruct(
     matrix : ProjectionMatrix, or (pixels, voxels) scipy.sparse array or matrix
         From `lf.projection_matrix`; no entry may be negative.
     image : Image, or (pixels,), (H, W) or (H, W, 1) float64, W
-        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. Negative ones, which
-        noise makes, count as 0 for "mart".
+        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. H and W are those of the
+        rectangle that the pixels of a ProjectionMatrix fill. Negative ones, which noise makes, count as 0 for "mart".
     method : {"mart", "sart", "nnls", "tikhonov", "tv"}
         "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
         weights over the largest of the matrix. For an image that a volume can have, it goes to the volume of largest
@@ -174,7 +174,7 @@ def reconstruct(
     """
     _check(method, iterations, relaxation, noise, strength)
     rows, shape = _rows_of(matrix)
-    b = _pixels("image", image.mean if isinstance(image, Image) else image, rows.shape[0])
+    b = _pixels("image", image.mean if isinstance(image, Image) else image, rows.shape[0], matrix)
     seen = np.zeros(rows.shape[1], np.bool_)
     seen[rows.indices[rows.data > 0.0]] = True
     if not seen.any():
@@ -190,7 +190,7 @@ def reconstruct(
     if method in REGULARISED:
         if noise is None and isinstance(image, Image):
             noise = image.error
-        sigma = None if noise is None else _noise(noise, b) / level
+        sigma = None if noise is None else _noise(noise, b, matrix) / level
         task = _Task(matrix, rows, b, seen, shape, method, unit, say or (lambda _: None))
         found = task.solved(sigma, "half-sets" if strength is None else strength)
         return replace(found, warnings=warned)
@@ -226,10 +226,10 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-def _noise(noise: ArrayLike, b: Array) -> Array:
+def _noise(noise: ArrayLike, b: Array, matrix: Any) -> Array:
     """Return the standard error of each pixel, above 0."""
     given = np.full(len(b), noise) if np.ndim(noise) == 0 else noise
-    sigma = _pixels("noise", given, len(b), is_error=True)
+    sigma = _pixels("noise", given, len(b), matrix, is_error=True)
     known = sigma > 0.0
     if not known.any() or (sigma < 0.0).any() or np.isinf(sigma).any():
         raise LfmeshError(
@@ -319,8 +319,11 @@ def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
     return rows, shape
 
 
-def _pixels(name: str, image: ArrayLike, rows: int, *, is_error: bool = False) -> Array:
+def _pixels(name: str, image: ArrayLike, rows: int, matrix: Any, *, is_error: bool = False) -> Array:
+    """Return one value for each row of the matrix."""
     try:
+        if np.iscomplexobj(image):
+            raise LfmeshError(f"the {name} is complex: give real numbers, W")
         b = np.asarray(image, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise LfmeshError(f"{name} must be numbers: {error}") from None
@@ -328,6 +331,13 @@ def _pixels(name: str, image: ArrayLike, rows: int, *, is_error: bool = False) -
         raise LfmeshError(
             f"the {name} has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
         )
+    if isinstance(matrix, ProjectionMatrix) and b.ndim > 1 and matrix.sensor_pixels is not None:
+        fits = matrix.image_shape
+        if b.shape[:2] != fits:
+            valid = f"of the shape {fits}: give that, or" if fits else "that fill no rectangle: give"
+            raise LfmeshError(
+                f"the {name} has the shape {b.shape} and the matrix {rows} pixels {valid} {rows} values in a row"
+            )
     if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")
     return np.ascontiguousarray(b.reshape(-1))

@@ -1,5 +1,6 @@
 """Regularised reconstruction: closed forms, the choice of its strength, errors against the truth over many draws."""
 
+import re
 import warnings
 from pathlib import Path
 
@@ -18,14 +19,15 @@ from tools.make_flame import HEIGHT_MM, LINE_NM, soot_and_temperature
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def matrix_of(full, shape):
+def matrix_of(full, shape, sensor_pixels=None, pixels=None):
     """Return a projection matrix of the grid with unit voxels, known exactly."""
     a = sparse.csr_array(full)
     rows = a.shape[0]
     grid = lf.VoxelBox.of_size(shape, shape)
     none = np.zeros(rows)
     return lf.ProjectionMatrix(
-        a, np.zeros(a.nnz, np.float32), none, none, np.arange(rows), grid, 0.0, 500.0
+        a, np.zeros(a.nnz, np.float32), none, none, np.arange(rows) if pixels is None else pixels, grid, 0.0, 500.0,
+        (), sensor_pixels,
     )  # fmt: skip
 
 
@@ -282,6 +284,34 @@ def test_bad_settings_are_told_in_one_line(arguments, message):
     with pytest.raises(LfmeshError, match=message) as refused:
         lf.reconstruct(**given)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("method", ["mart", "sart", "nnls", "tikhonov", "tv"])
+def test_images_have_the_shape_of_the_rectangle_of_pixels_or_stand_in_a_row(method):
+    full, _, b = system(12, 4, 1)
+    whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))
+    plain = lf.reconstruct(whole, b, method).volume
+    for fits in (b.reshape(3, 4), b.reshape(3, 4, 1)):
+        np.testing.assert_array_equal(lf.reconstruct(whole, fits, method).volume, plain)
+    for wrong in (b.reshape(3, 4).T, b.reshape(2, 6), b.reshape(12, 1), b.reshape(4, 3, 1)):
+        with pytest.raises(LfmeshError, match=rf"{re.escape(str(wrong.shape))} .* of the shape \(3, 4\): give that"):
+            lf.reconstruct(whole, wrong, method)
+    # Some pixels of a wider sensor: a rectangle of three rows of four, and none.
+    part = matrix_of(full, (2, 2, 1), (10, 7), (10 * np.arange(2, 5)[:, None] + np.arange(3, 7)).ravel())
+    np.testing.assert_array_equal(lf.reconstruct(part, b.reshape(3, 4), method).volume, plain)
+    scattered = matrix_of(full, (2, 2, 1), (10, 7), 5 * np.arange(12))
+    np.testing.assert_array_equal(lf.reconstruct(scattered, b, method).volume, plain)
+    with pytest.raises(LfmeshError, match="12 pixels that fill no rectangle: give 12 values in a row"):
+        lf.reconstruct(scattered, b.reshape(3, 4), method)
+
+
+def test_noise_has_the_shape_of_the_image():
+    full, _, b = system(12, 4, 1)
+    whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))
+    with pytest.raises(LfmeshError, match=r"the noise has the shape \(4, 3\) .* of the shape \(3, 4\)"):
+        lf.reconstruct(whole, b, "tikhonov", noise=np.ones((4, 3)))
+    with pytest.raises(LfmeshError, match="the noise is complex"):
+        lf.reconstruct(whole, b, "tikhonov", noise=np.ones(12) * 1j)
 
 
 def flame(grid):

@@ -41,7 +41,7 @@ def error_by_halves(halved: list[Halved]) -> Array:
 
 
 class Prediction(NamedTuple):
-    """What volumes of halves of the pixels tell of the other halves.
+    """Prediction of halves of the pixels from the volumes of the other halves.
 
     Attributes
     ----------

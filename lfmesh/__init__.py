@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         PictureWarning,
         SceneError,
         TooFewSamplesWarning,
+        UnknownErrorWarning,
     )
     from lfmesh.files.camera_model import write_camera_model
     from lfmesh.files.exports.export import export_field, export_raw
@@ -196,6 +197,7 @@ __all__ = [
     "Tessellation",
     "TooFewSamplesWarning",
     "Transport",
+    "UnknownErrorWarning",
     "VoxelBox",
     "Wall",
     "Wavefront",
@@ -266,6 +268,7 @@ _HOMES = {
         "OrderCheckWarning",
         "PictureWarning",
         "TooFewSamplesWarning",
+        "UnknownErrorWarning",
     ],
     "lfmesh.files.camera_model": ["write_camera_model"],
     "lfmesh.files.exports.export": ["export_field", "export_raw"],

@@ -143,6 +143,10 @@ class FineVoxelsWarning(PictureWarning):
     """Voxels are finer than the camera resolves: a volume reconstructed with them owes its details to the method."""
 
 
+class UnknownErrorWarning(PictureWarning):
+    """Nobody can tell how far a reconstructed volume is from the truth: its image does not say enough."""
+
+
 class OrderCheckWarning(PictureWarning):
     """Surfaces found by their order are not those found by their meshes, which were used instead."""
 

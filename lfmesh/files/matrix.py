@@ -144,6 +144,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
                 held = {name: file[name][()] for name in file}
         rows, voxels = (int(n) for n in held["shape"])
         counts = tuple(int(n) for n in held["grid_shape"])
+        across, down = (int(n) for n in held["sensor_pixels"])
         grid = VoxelBox(
             (counts[0], counts[1], counts[2]),
             *(held[name] for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")),
@@ -153,6 +154,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
             held["row_stderr"], held["dropped"], held["pixels"], grid, float(held["threshold"]),
             float(held["wavelength_nm"]),
             tuple(map(PictureWarning.from_dict, json.loads(bytes(held.get("warnings", b"[]"))))),
+            (across, down),
         )  # fmt: skip
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None

@@ -102,6 +102,8 @@ class ProjectionMatrix:
         Of a band its centroid.
     warnings : tuple of PictureWarning
         By which it is or may be wrong.
+    sensor_pixels : (int, int), optional
+        Columns and rows of the sensor that the pixels are numbered on.
     """
 
     matrix: "csr_array"
@@ -113,6 +115,16 @@ class ProjectionMatrix:
     threshold: float
     wavelength_nm: float
     warnings: tuple[PictureWarning, ...] = ()
+    sensor_pixels: tuple[int, int] | None = None
+
+    @property
+    def image_shape(self) -> tuple[int, int] | None:
+        """Rows and columns of the rectangle that the pixels fill, row by row; None if they fill none, or unknown."""
+        if self.sensor_pixels is None:
+            return None
+        y, x = np.divmod(self.pixels, self.sensor_pixels[0])
+        rows, columns = int(np.ptp(y)) + 1, int(np.ptp(x)) + 1
+        return (rows, columns) if rows * columns == len(self.pixels) else None
 
     @property
     def dropped_share(self) -> float:
@@ -417,6 +429,7 @@ def projection_matrix(
         projector.threshold,
         projector.wavelength_nm,
         projector.warnings(np.sum([block.book for block in done], axis=0)),
+        projector.world.scene.camera.sensor.pixels,
     )
 
 

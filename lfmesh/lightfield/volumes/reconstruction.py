@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError, PictureWarning, warn_caller
+from lfmesh.errors import LfmeshError, PictureWarning, UnknownErrorWarning, warn_caller
 from lfmesh.kernels.decorators import kernel
-from lfmesh.lightfield.volumes import regularised
+from lfmesh.lightfield.volumes import regularised, volume_error
 from lfmesh.lightfield.volumes.projection import ProjectionMatrix
 from lfmesh.lightfield.volumes.resolution import fine_voxels
 from lfmesh.scene.literals import literal
@@ -76,7 +76,7 @@ class Reconstruction:
         Norm of the difference from the truth that is to be expected, all voxels together, in the unit of `volume`:
         noise, and what is not resolved. No image tells the latter. It is that of a truth which is, in voxels, as deep
         along the worst-resolved axis as it is wide along another, the narrower of the two. NaN of a matrix without a
-        grid, for which only `error` is known.
+        grid, for which only `error` is known, and where it cannot be told: an UnknownErrorWarning says why.
     """
 
     volume: Array
@@ -132,8 +132,8 @@ def reconstruct(
     matrix : ProjectionMatrix, or (pixels, voxels) scipy.sparse array or matrix
         From `lf.projection_matrix`; no entry may be negative.
     image : Image, or (pixels,), (H, W) or (H, W, 1) float64, W
-        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. Negative ones, which
-        noise makes, count as 0 for "mart".
+        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. H and W are those of the
+        rectangle that the pixels of a ProjectionMatrix fill. Negative ones, which noise makes, count as 0 for "mart".
     method : {"mart", "sart", "nnls", "tikhonov", "tv"}
         "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
         weights over the largest of the matrix. For an image that a volume can have, it goes to the volume of largest
@@ -158,7 +158,9 @@ def reconstruct(
     strength : float, "half-sets" or "discrepancy", optional
         Of "tikhonov" and "tv": λ over that at which data and penalty weigh the same, by the sums of their diagonals.
         "half-sets", taken if left out: the one with which two halves of the pixels predict each other best.
-        "discrepancy": the largest one that leaves a squared residual of the noise's; the noise must be known.
+        "discrepancy": the largest one that leaves a squared residual of the noise's, which must be known; where none
+        does, 3 standard deviations more are allowed. The matrix's own errors count as noise, so that for an image that
+        this very matrix has made "discrepancy" is far too strong: take "half-sets" there.
     say : callable, optional
         Called with lines for the user: each strength that is tried, and what came of it.
 
@@ -166,6 +168,8 @@ def reconstruct(
     -----
     FineVoxelsWarning
         The voxels are finer than the camera resolves.
+    UnknownErrorWarning
+        Of "tikhonov" and "tv": the image does not determine the volume, or noise does not explain what is left of it.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def reconstruct(
     """
     _check(method, iterations, relaxation, noise, strength)
     rows, shape = _rows_of(matrix)
-    b = _pixels("image", image.mean if isinstance(image, Image) else image, rows.shape[0])
+    b = _pixels("image", image.mean if isinstance(image, Image) else image, rows.shape[0], matrix)
     seen = np.zeros(rows.shape[1], np.bool_)
     seen[rows.indices[rows.data > 0.0]] = True
     if not seen.any():
@@ -184,16 +188,19 @@ def reconstruct(
     # By rounding alone a unit could decide: the steps are computed with entries and pixels near 1.
     scale, level = float(rows.data.max()), float(np.abs(b).max())
     if level == 0.0:
-        return Reconstruction(np.zeros(shape), seen.reshape(shape), np.zeros(1), method, warned)
+        unknown = _unknown_error("the image is dark" if method in REGULARISED else "")
+        warn_caller(unknown)
+        return Reconstruction(np.zeros(shape), seen.reshape(shape), np.zeros(1), method, (*warned, *unknown))
     unit = level / scale
     rows, b = rows / scale, b / level
     if method in REGULARISED:
         if noise is None and isinstance(image, Image):
             noise = image.error
-        sigma = None if noise is None else _noise(noise, b) / level
+        sigma = None if noise is None else _noise(noise, b, matrix) / level
         task = _Task(matrix, rows, b, seen, shape, method, unit, say or (lambda _: None))
         found = task.solved(sigma, "half-sets" if strength is None else strength)
-        return replace(found, warnings=warned)
+        warn_caller(found.warnings)
+        return replace(found, warnings=(*warned, *found.warnings))
     solve = {"mart": _mart, "sart": _sart, "nnls": _nnls}[method]
     rounds = ITERATIONS[method] if iterations is None else int(iterations)
     x, residual = solve(rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation))
@@ -218,18 +225,21 @@ def _check(method: Any, iterations: Any, relaxation: Any, noise: Any, strength: 
             raise LfmeshError(f'{name}: method = "{method}" has none; leave it out, or take "tikhonov" or "tv"')
     if strength in (None, "half-sets", "discrepancy"):
         return
-    if not _is_number(strength) or not 0.0 <= strength < np.inf:
-        raise LfmeshError(f'strength = {literal(strength)}: must be a number from 0, "half-sets" or "discrepancy"')
+    if not _is_number(strength) or not 0.0 <= strength <= regularised.LARGEST:
+        raise LfmeshError(
+            f"strength = {literal(strength)}: must be a number from 0 to {regularised.LARGEST:.0e}, "
+            '"half-sets" or "discrepancy"'
+        )
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-def _noise(noise: ArrayLike, b: Array) -> Array:
+def _noise(noise: ArrayLike, b: Array, matrix: Any) -> Array:
     """Return the standard error of each pixel, above 0."""
     given = np.full(len(b), noise) if np.ndim(noise) == 0 else noise
-    sigma = _pixels("noise", given, len(b), is_error=True)
+    sigma = _pixels("noise", given, len(b), matrix, is_error=True)
     known = sigma > 0.0
     if not known.any() or (sigma < 0.0).any() or np.isinf(sigma).any():
         raise LfmeshError(
@@ -269,21 +279,23 @@ class _Task:
             }[strength]
             strength, tried = choose(problem, self.say)
         x = problem.path(strength)
-        error = regularised.error_by_halves(problem, strength)
+        halved = volume_error.Halved.of(problem, strength)
+        error = volume_error.error_by_halves(halved)
         total = np.nan
-        if isinstance(self.matrix, ProjectionMatrix):
+        why = volume_error.why_unknown(problem, strength, x, halved[-1], is_noise_known=noise is not None)
+        if isinstance(self.matrix, ProjectionMatrix) and not why:
             coarse = np.nan_to_num(self.matrix.resolved_mm / self.matrix.grid.spacing_mm)
-            alike = regularised.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
-            total = regularised.whole_error(problem, strength, x, (each.reshape(-1)[self.seen] for each in alike))
+            alike = volume_error.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
+            total = volume_error.whole_error(problem, strength, x, (each.reshape(-1)[self.seen] for each in alike))
         misfit = problem.misfit(x) / len(problem.b)
         size = max(float(np.linalg.norm(x)), np.finfo(np.float64).tiny)
-        unknown = "; without a grid it is not known what is not resolved"
+        unknown = f"; {why or 'without a grid it is not known what is not resolved'}"
         rest = unknown if np.isnan(total) else f", {total / size:.2g} with what is not resolved"
         self.say(f"strength {strength:.3g}: error of {np.linalg.norm(error) / size:.2g} of the volume by noise{rest}")
         whole = self._whole(x)
         return Reconstruction(
             whole.reshape(self.shape) * self.unit, self.seen.reshape(self.shape),
-            np.array([_residual(self.rows, self.b, whole)]), self.method, (), float(strength), tried,
+            np.array([_residual(self.rows, self.b, whole)]), self.method, _unknown_error(why), float(strength), tried,
             misfit if noise is not None else np.nan, self._whole(error).reshape(self.shape) * self.unit,
             total * self.unit,
         )  # fmt: skip
@@ -298,6 +310,11 @@ class _Task:
         whole = np.zeros(len(self.seen))
         whole[self.seen] = x
         return whole
+
+
+def _unknown_error(why: str) -> tuple[UnknownErrorWarning, ...]:
+    """Return the warning that nobody can tell how far a volume is from the truth, if there is a reason."""
+    return (UnknownErrorWarning(f"the error of the volume cannot be told: {why}"),) if why else ()
 
 
 def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
@@ -319,8 +336,11 @@ def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
     return rows, shape
 
 
-def _pixels(name: str, image: ArrayLike, rows: int, *, is_error: bool = False) -> Array:
+def _pixels(name: str, image: ArrayLike, rows: int, matrix: Any, *, is_error: bool = False) -> Array:
+    """Return one value for each row of the matrix."""
     try:
+        if np.iscomplexobj(image):
+            raise LfmeshError(f"the {name} is complex: give real numbers, W")
         b = np.asarray(image, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise LfmeshError(f"{name} must be numbers: {error}") from None
@@ -328,6 +348,13 @@ def _pixels(name: str, image: ArrayLike, rows: int, *, is_error: bool = False) -
         raise LfmeshError(
             f"the {name} has the shape {b.shape} and the matrix {rows} rows, one a pixel: give {rows} values"
         )
+    if isinstance(matrix, ProjectionMatrix) and b.ndim > 1 and matrix.sensor_pixels is not None:
+        fits = matrix.image_shape
+        if b.shape[:2] != fits:
+            valid = f"of the shape {fits}: give that, or" if fits else "that fill no rectangle: give"
+            raise LfmeshError(
+                f"the {name} has the shape {b.shape} and the matrix {rows} pixels {valid} {rows} values in a row"
+            )
     if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")
     return np.ascontiguousarray(b.reshape(-1))

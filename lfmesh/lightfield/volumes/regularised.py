@@ -1,4 +1,4 @@
-"""Regularised least squares for a volume: how much regularisation the image asks for, and the error that is left.
+"""Regularised least squares for a volume, and how much regularisation the image asks for.
 
 The volume is the smallest of ½‖(A x − b)/σ‖² + λ R(x) with x ≥ 0. R is half the sum of squared differences of
 neighbouring voxels (Tikhonov's), or the sum of the lengths of gradients (total variation). One solver does both: total
@@ -6,7 +6,7 @@ variation is a sum of squares whose weights follow the volume. Everything here i
 volume are near 1.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -27,14 +27,18 @@ Choice = Literal["half-sets", "discrepancy"]
 STRONGEST, WEAKEST, STEP = 1024.0, 1e-7, 4.0
 """Strengths from which and to which the path leads, and the factor between them."""
 
+LARGEST = 1e6
+"""Strength that may be given: beside a larger penalty rounding hides what the image says."""
+
+SIGMAS = 3.0
+"""Standard errors by which chance may explain something."""
+
+
 WORSE = 2
 """Strengths in a row that predict worse than the best one, after which the path ends."""
 
 BISECTIONS = 5
 """Of the last step of the path, by the discrepancy principle."""
-
-HALVINGS = 2
-"""Ways to halve the pixels."""
 
 SETTLED = 1e-5
 """Length of the projected gradient over that of the dark volume, at which a minimum is found."""
@@ -117,7 +121,7 @@ class Problem:
     scale : float
         Penalty, by λ, that weighs as much as the data: strengths are relative to it.
     mean : float
-        Mean emission of a volume that is as bright as the image.
+        Mean emission of a volume that is as bright as the image, or as noise that is as strong.
     """
 
     rows: "csr_array"
@@ -139,10 +143,13 @@ class Problem:
         penalty : Penalty
         """
         sums = np.asarray(rows.sum(axis=1)).ravel()
-        mean = max(float(b.sum() / sums.sum()), np.finfo(np.float64).tiny)
+        # Without light the sum may be anything near 0, or below; noise of this strength adds up to about its norm.
+        mean = max(float(b.sum()), float(np.linalg.norm(b))) / float(sums.sum())
         weighted = rows.multiply(1.0 / noise[:, None]).tocsr()
         own = float((penalty.differences.power(2)).sum())
-        return cls(weighted, b / noise, penalty, float(weighted.power(2).sum()) / own, mean)
+        # Of voxels without neighbours nothing can be smoothed.
+        scale = float(weighted.power(2).sum()) / own if own > 0.0 else 0.0
+        return cls(weighted, b / noise, penalty, scale, mean)
 
     def of_pixels(self, some: NDArray[np.int64], weight: float = 1.0) -> "Problem":
         """Return the problem of some pixels, their squares weighted."""
@@ -164,7 +171,8 @@ class Problem:
     def _least(self, penalty: "csr_array", x: Array) -> Array:
         # Diagonal scaling, so that weakly seen voxels are found as soon as others.
         size = np.asarray(self.rows.power(2).sum(axis=0)).ravel() + penalty.diagonal()
-        unit = 1.0 / np.sqrt(size)
+        # Voxels that neither these pixels nor neighbours tell anything about stay as they are.
+        unit = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
 
         def times(y: Array) -> Array:
             at = unit * y
@@ -202,7 +210,10 @@ def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) ->
         x is where the search begins.
     """
     x = np.maximum(x, 0.0)
-    fixed = 1.0 / _largest_eigenvalue(times, len(x))
+    largest = _largest_eigenvalue(times, len(x))
+    if largest == 0.0:
+        return x
+    fixed = 1.0 / largest
     g = times(x) - g0
     free, chopped, reduced = _gradients(x, g, fixed)
     p, enough, used = free, (SETTLED * np.linalg.norm(g0)) ** 2, 0
@@ -243,6 +254,8 @@ def _largest_eigenvalue(times: Callable[[Array], Array], n: int) -> float:
     for _ in range(15):
         v = times(v / np.linalg.norm(v))
         size = float(np.linalg.norm(v))
+        if size == 0.0:
+            break
     return 1.1 * size
 
 
@@ -294,7 +307,8 @@ def strength_by_halves(problem: Problem, say: Say) -> tuple[float, Array]:
 def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
     """Return the largest strength whose volume explains the image within its noise, and what was tried.
 
-    V. A. Morozov's principle (1966): ‖(A x − b)/σ‖² is the number of pixels.
+    V. A. Morozov's principle (1966): ‖(A x − b)/σ‖² is the number n of pixels. It scatters from image to image: where
+    no strength brings it there, it may be larger by 3 √(2n).
 
     Returns
     -------
@@ -310,103 +324,38 @@ def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
     x = np.full(problem.rows.shape[1], problem.mean)
     tried: list[tuple[float, float]] = []
 
-    def try_out(strength: float, x: Array) -> tuple[Array, bool]:
+    def try_out(strength: float, x: Array) -> Array:
         x = problem.solved(strength, x)
         tried.append((strength, problem.misfit(x) / len(problem.b)))
         say(f"strength {strength:.3g}: squared residual of {tried[-1][1]:.5g} noise variances")
-        return x, tried[-1][1] <= 1.0
+        return x
 
-    within = False
+    most = 1.0 + chance(len(problem.b))
+    nearly: tuple[float, Array] | None = None
     for strength in steps_to(WEAKEST):
-        before = x
-        x, within = try_out(strength, x)
-        if within:
+        before, x = x, try_out(strength, x)
+        if nearly is None and tried[-1][1] <= most:
+            nearly = strength, before
+        if tried[-1][1] <= 1.0:
+            most, nearly = 1.0, (strength, before)
             break
-    if not within:
+    if nearly is None:
         raise LfmeshError(
             f'strength = "discrepancy": no volume explains the image within its noise: {tried[-1][1]:.3g} of its '
             'variance is left; give a larger noise, or strength = "half-sets"'
         )
-    low, high = strength, min(strength * STEP, STRONGEST)
+    low, before = nearly
+    high = min(low * STEP, STRONGEST)
     for _ in range(BISECTIONS if low < high else 0):
         middle = float(np.sqrt(low * high))
-        x, within = try_out(middle, before)
-        low, high, before = (middle, high, before) if within else (low, middle, x)
+        x = try_out(middle, before)
+        low, high, before = (middle, high, before) if tried[-1][1] <= most else (low, middle, x)
     return low, np.array(tried)
 
 
-def error_by_halves(problem: Problem, strength: float) -> Array:
-    """Return the standard error of each voxel by noise, from volumes of halves of the pixels.
-
-    Half of the pixels, weighted twice, have twice the variance of all, so that half the difference of two halves has
-    that of all. Each way to halve them is a draw of its own.
-    """
-    squares = np.zeros(problem.rows.shape[1])
-    for number in range(HALVINGS):
-        one, other = (problem.of_pixels(some, 2.0).path(strength) for some in halves(len(problem.b), number))
-        squares += 0.25 * (one - other) ** 2
-    return np.sqrt(squares / HALVINGS)
-
-
-def whole_error(problem: Problem, strength: float, x: Array, alike: Iterable[Array]) -> float:
-    """Return the norm of the difference from the truth that is to be expected, with what is not resolved.
-
-    Volumes that are known, with about the image that there is, are reconstructed from their images with noise. The
-    largest of their errors, over what was found of them, is taken times what was found here.
-
-    Parameters
-    ----------
-    problem : Problem
-    strength : float
-    x : (voxels,) float64
-        The volume found.
-    alike : iterable of (voxels,) float64
-        See `as_deep_as_wide`.
-    """
-    noise = np.sqrt(problem.misfit(x) / len(problem.b))
-    draw = np.random.default_rng(11)
-    shares = []
-    for known in alike:
-        image = problem.rows @ known + noise * draw.standard_normal(len(problem.b))
-        found = replace(problem, b=image).path(strength)
-        size = float(found @ found)
-        shares.append(float(np.sum((found - known) ** 2)) / size if size > 0.0 else np.inf)
-    return float(np.sqrt(max(shares) * (x @ x)))
-
-
-def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:
-    """Return volumes with the same sums along the worst-resolved axis, as deep as they are wide along the others.
-
-    Each row of the sums along another axis becomes round in the plane of that axis and the depth, in voxels: an
-    emission by the distance from the middle of its light, whose sums are nearest to the row.
-
-    Parameters
-    ----------
-    volume : (nx, ny, nz) float64
-    depth : int
-        Number of the worst-resolved axis.
-    """
-    sums = volume.sum(axis=depth)
-    found = []
-    for axis in (k for k in range(3) if k != depth and volume.shape[k] > 1):
-        # Rows of the sums along this axis, and of the volume with the depth last.
-        rows = np.moveaxis(sums, axis if axis < depth else axis - 1, -1)
-        round_ones = np.stack([_round(row, volume.shape[depth]) for row in rows])
-        found.append(np.moveaxis(round_ones, (1, 2), (axis, depth)))
-    return found or [volume]
-
-
-def _round(row: Array, depth: int) -> Array:
-    """Return a round emission, (along the row, along the depth), whose sums over the depth are nearest to a row."""
-    from scipy import optimize
-
-    if not row.any():
-        return np.zeros((len(row), depth))
-    along = np.arange(len(row)) - np.average(np.arange(len(row)), weights=row)
-    radius = np.hypot(along[:, None], np.arange(depth) - 0.5 * (depth - 1))
-    # Linear between whole radii.
-    share = np.maximum(1.0 - np.abs(radius[..., None] - np.arange(np.ceil(radius.max()) + 1.0)), 0.0)
-    return np.asarray(share @ optimize.nnls(share.sum(axis=1), row)[0])
+def chance(count: int) -> float:
+    """Return how far noise may bring a mean of squares, over its variance, from 1."""
+    return SIGMAS * float(np.sqrt(2.0 / count))
 
 
 def noise_of_matrix(matrix: "ProjectionMatrix", x: Array) -> Array:

@@ -270,6 +270,7 @@ def test_a_matrix_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, monkeyp
         np.testing.assert_array_equal(read.matrix.toarray(), made.matrix.toarray())
         for name in ("stderr", "row_stderr", "dropped", "pixels"):
             np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+        assert read.image_shape == made.image_shape == (16, 16)
         np.testing.assert_array_equal(read.grid.centres_mm(), made.grid.centres_mm())
         np.testing.assert_array_equal(sparse.load_npz(path).toarray(), made.matrix.toarray())
 

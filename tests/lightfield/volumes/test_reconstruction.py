@@ -144,6 +144,8 @@ def test_quality_is_the_cosine_of_two_volumes():
         ({"image": np.ones((1, 1, 3))}, "the matrix 3 rows, one a pixel"),
         ({"image": [1.0, np.nan, 0.0]}, "not finite"),
         ({"image": ["a", "b", "c"]}, "image must be numbers"),
+        ({"image": np.array([1.0, 2.0, 3.0j])}, "the image is complex"),
+        ({"image": [1.0, 2.0, 3.0j]}, "the image is complex"),
         ({"matrix": np.eye(3)}, "matrix is ndarray: give what lf.projection_matrix returns"),
         ({"matrix": sparse.csr_array(-np.eye(3))}, "negative or not finite"),
         ({"matrix": sparse.csr_array((3, 4))}, "no entry above 0"),

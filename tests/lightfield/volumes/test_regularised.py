@@ -1,5 +1,6 @@
 """Regularised reconstruction: closed forms, the choice of its strength, errors against the truth over many draws."""
 
+import re
 import warnings
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from scipy import optimize, sparse
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.volumes import regularised
+from lfmesh.lightfield.volumes import regularised, volume_error
 from lfmesh.optics.cie import planck_radiance
 from tests.lightfield.volumes.test_projection import box, camera
 from tests.lightfield.volumes.test_reconstruction import system
@@ -18,14 +19,15 @@ from tools.make_flame import HEIGHT_MM, LINE_NM, soot_and_temperature
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def matrix_of(full, shape):
+def matrix_of(full, shape, sensor_pixels=None, pixels=None):
     """Return a projection matrix of the grid with unit voxels, known exactly."""
     a = sparse.csr_array(full)
     rows = a.shape[0]
     grid = lf.VoxelBox.of_size(shape, shape)
     none = np.zeros(rows)
     return lf.ProjectionMatrix(
-        a, np.zeros(a.nnz, np.float32), none, none, np.arange(rows), grid, 0.0, 500.0
+        a, np.zeros(a.nnz, np.float32), none, none, np.arange(rows) if pixels is None else pixels, grid, 0.0, 500.0,
+        (), sensor_pixels,
     )  # fmt: skip
 
 
@@ -212,14 +214,14 @@ def test_volumes_as_deep_as_wide_are_round_and_have_the_same_sums():
     disk = np.interp(radius, np.arange(7.0), [5.0, 4.0, 3.5, 1.0, 0.5, 0.0, 0.0])
     true = disk[:, None, :] * np.array([1.0, 0.0, 2.0])[None, :, None]
     smeared = np.broadcast_to(true.mean(axis=2, keepdims=True), true.shape)
-    first, other = regularised.as_deep_as_wide(smeared, 2)
+    first, other = volume_error.as_deep_as_wide(smeared, 2)
     np.testing.assert_allclose(first, true, atol=1e-9)
     assert other.shape == true.shape
     # The depth may be any axis.
-    turned = regularised.as_deep_as_wide(np.transpose(smeared, (2, 0, 1)), 0)
+    turned = volume_error.as_deep_as_wide(np.transpose(smeared, (2, 0, 1)), 0)
     np.testing.assert_allclose(np.transpose(turned[0], (1, 2, 0)), first, atol=1e-9)
     line_of = np.arange(5.0).reshape(1, 1, 5)
-    np.testing.assert_array_equal(regularised.as_deep_as_wide(line_of, 2)[0], line_of)
+    np.testing.assert_array_equal(volume_error.as_deep_as_wide(line_of, 2)[0], line_of)
 
 
 @pytest.mark.parametrize("method", ["tikhonov", "tv"])
@@ -269,7 +271,8 @@ def test_the_noise_of_a_matrix_is_about_what_other_rays_show():
         ({"noise": 1.0, "method": "nnls"}, 'noise: method = "nnls" has none'),
         ({"strength": 1.0, "method": "mart"}, 'strength: method = "mart" has none'),
         ({"strength": -1.0}, "strength = -1.0: must be a number from 0"),
-        ({"strength": "best"}, 'strength = "best": must be a number from 0, "half-sets" or "discrepancy"'),
+        ({"strength": 1e300}, r"strength = 1e\+300: must be a number from 0 to 1e\+06"),
+        ({"strength": "best"}, 'strength = "best": must be a number from 0 to .*, "half-sets" or "discrepancy"'),
         ({"strength": "discrepancy"}, "needs noise"),
         ({"noise": [1.0, 2.0]}, r"the noise has the shape \(2,\) and the matrix 3 rows"),
         ({"noise": [1.0, -2.0, 1.0]}, "noise: must be standard errors"),
@@ -282,6 +285,139 @@ def test_bad_settings_are_told_in_one_line(arguments, message):
     with pytest.raises(LfmeshError, match=message) as refused:
         lf.reconstruct(**given)
     assert "\n" not in str(refused.value)
+
+
+def told(*arguments, **settings):
+    """Return a reconstruction and why its error cannot be told, as was warned of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = lf.reconstruct(*arguments, **settings)
+    why = [str(each.message) for each in caught if each.category is lf.UnknownErrorWarning]
+    assert why == [str(each) for each in found.warnings if isinstance(each, lf.UnknownErrorWarning)]
+    assert np.isnan(found.total_error) if why else found.total_error > 0.0
+    return found, "".join(why)
+
+
+def image_of_a_ball(seed, level, side=7):
+    """Return matrix, true volume, image, and its noise, which is a share of the brightest pixel."""
+    draw = np.random.default_rng(seed)
+    full, true = blind_to_depth(side), ball(side, draw)
+    clean = full @ true.ravel()
+    noise = level * clean.max()
+    return matrix_of(full, (side,) * 3), true, clean + noise * draw.standard_normal(len(clean)), noise
+
+
+@pytest.mark.parametrize("is_noise_known", [True, False])
+def test_an_image_swallowed_by_noise_determines_no_volume(is_noise_known):
+    for seed in range(3):
+        given, _, image, noise = image_of_a_ball(seed, 3.0)
+        _, why = told(given, image, "tikhonov", noise=noise if is_noise_known else None)
+        assert "the image does not determine the volume" in why
+        given, true, image, noise = image_of_a_ball(seed, 0.1)
+        found, why = told(given, image, "tikhonov", noise=noise if is_noise_known else None)
+        assert not why
+        assert 0.8 < found.total_error / np.linalg.norm(found.volume - true) < 1.6
+
+
+def test_a_strength_that_is_too_large_for_the_image_is_told():
+    """What is left of the image shows it where the noise is known, what a weaker one predicts where it is not."""
+    given, _, image, noise = image_of_a_ball(0, 0.01)
+    for strength in (100.0, 1e4, 1e6):
+        assert "strength of" in told(given, image, "tikhonov", noise=noise, strength=strength)[1]
+        assert "a weaker one tells more" in told(given, image, "tikhonov", strength=strength)[1]
+    assert not told(given, image, "tikhonov", noise=noise, strength=1.0)[1]
+    assert "the noise too small" in told(given, image, "tikhonov", noise=0.2 * noise)[1]
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv"])
+def test_images_without_light_give_a_volume_whose_error_is_unknown(method):
+    """Pure noise, where some draws sum up to less than nothing, an image of the wrong sign, and a dark one."""
+    full = line(12, 1.0)
+    given = matrix_of(full, (12, 1, 1))
+    for seed in range(12):
+        noise = np.random.default_rng(seed).standard_normal(len(full))
+        found, why = told(given, noise, method, noise=1.0)
+        assert np.isfinite(found.volume).all()
+        assert "the image does not determine the volume" in why, seed
+    negative, why = told(given, -(full @ np.linspace(1.0, 2.0, 12)), method)
+    assert not negative.volume.any()
+    assert "the image does not determine the volume" in why
+    dark, why = told(given, np.zeros(len(full)), method)
+    assert not dark.volume.any()
+    assert why.endswith("the image is dark")
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv"])
+def test_a_voxel_without_neighbours_is_weighted_least_squares(method):
+    draw = np.random.default_rng(3)
+    column, noise = draw.uniform(0.5, 1.0, 40), draw.uniform(0.05, 0.1, 40)
+    image = 3.0 * column + noise * draw.standard_normal(40)
+    best = np.sum(column * image / noise**2) / np.sum((column / noise) ** 2)
+    for strength in (None, 0.0, 5.0, "discrepancy"):
+        given = matrix_of(column[:, None], (1, 1, 1))
+        found, why = told(given, image, method, noise=1.2 * noise, strength=strength)
+        assert found.volume.shape == (1, 1, 1)
+        assert found.volume.item() == pytest.approx(best, rel=1e-4)
+        assert not why
+        assert found.total_error < 0.3
+    # Two that stand apart, and one pixel alone.
+    apart = np.zeros((40, 3))
+    apart[:20, 0], apart[20:, 2] = column[:20], column[20:]
+    volume = lf.reconstruct(matrix_of(apart, (3, 1, 1)), image, method, strength=1.0).volume.ravel()
+    np.testing.assert_allclose(volume, [3.0, 0.0, 3.0], atol=0.2)
+    alone, why = told(matrix_of(np.ones((1, 1)), (1, 1, 1)), [2.0], method)
+    assert alone.volume.item() == pytest.approx(2.0, rel=1e-4)
+    assert "does not determine" in why
+
+
+def test_without_strength_the_error_is_finite_also_where_half_of_the_pixels_miss_a_voxel():
+    full = np.eye(6)[[0, 1, 2, 2, 3, 3, 4, 4, 5, 5]]
+    found = lf.reconstruct(sparse.csr_array(full), np.arange(1.0, 11.0), "tikhonov", strength=0.0)
+    np.testing.assert_allclose(found.volume, [1.0, 2.0, 3.5, 5.5, 7.5, 9.5], rtol=1e-3)
+    assert np.isfinite(found.error).all()
+
+
+def test_the_discrepancy_principle_takes_honest_images_whose_noise_is_a_little_more_than_its_mean():
+    full = line(30, 1.5)
+    true = 1.0 + np.sin(np.arange(30) / 4.0) ** 2
+    given, noise, most = matrix_of(full, (30, 1, 1)), 0.03 * (full @ true).max(), 1.0 + 3.0 * np.sqrt(2.0 / len(full))
+    draw, left = np.random.default_rng(8), []
+    for _ in range(12):
+        unit = draw.standard_normal(len(full))
+        # As much noise as one image of six has, or more.
+        image = full @ true + noise * unit * np.sqrt(1.3 * len(full) / (unit @ unit))
+        left.append(told(given, image, "tikhonov", noise=noise, strength="discrepancy")[0].misfit)
+    assert 1.0 < max(left) <= most
+    with pytest.raises(LfmeshError, match="no volume explains the image within its noise"):
+        lf.reconstruct(given, full @ true + 2.0 * noise * unit, "tikhonov", noise=noise, strength="discrepancy")
+
+
+@pytest.mark.parametrize("method", ["mart", "sart", "nnls", "tikhonov", "tv"])
+def test_images_have_the_shape_of_the_rectangle_of_pixels_or_stand_in_a_row(method):
+    full, _, b = system(12, 4, 1)
+    whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))
+    plain = lf.reconstruct(whole, b, method).volume
+    for fits in (b.reshape(3, 4), b.reshape(3, 4, 1)):
+        np.testing.assert_array_equal(lf.reconstruct(whole, fits, method).volume, plain)
+    for wrong in (b.reshape(3, 4).T, b.reshape(2, 6), b.reshape(12, 1), b.reshape(4, 3, 1)):
+        with pytest.raises(LfmeshError, match=rf"{re.escape(str(wrong.shape))} .* of the shape \(3, 4\): give that"):
+            lf.reconstruct(whole, wrong, method)
+    # Some pixels of a wider sensor: a rectangle of three rows of four, and none.
+    part = matrix_of(full, (2, 2, 1), (10, 7), (10 * np.arange(2, 5)[:, None] + np.arange(3, 7)).ravel())
+    np.testing.assert_array_equal(lf.reconstruct(part, b.reshape(3, 4), method).volume, plain)
+    scattered = matrix_of(full, (2, 2, 1), (10, 7), 5 * np.arange(12))
+    np.testing.assert_array_equal(lf.reconstruct(scattered, b, method).volume, plain)
+    with pytest.raises(LfmeshError, match="12 pixels that fill no rectangle: give 12 values in a row"):
+        lf.reconstruct(scattered, b.reshape(3, 4), method)
+
+
+def test_noise_has_the_shape_of_the_image():
+    full, _, b = system(12, 4, 1)
+    whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))
+    with pytest.raises(LfmeshError, match=r"the noise has the shape \(4, 3\) .* of the shape \(3, 4\)"):
+        lf.reconstruct(whole, b, "tikhonov", noise=np.ones((4, 3)))
+    with pytest.raises(LfmeshError, match="the noise is complex"):
+        lf.reconstruct(whole, b, "tikhonov", noise=np.ones(12) * 1j)
 
 
 def flame(grid):

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from tests.transport.render.test_blind_and_aimed import check
 
 import lfmesh as lf
 from tests.cameras import biconvex, close_up_camera
 from tests.renders import by_seed
+from tests.transport.checks.test_blind_and_aimed import check
 
 LEVEL = 1e-3
 """Chance that a comparison of images fails though the law holds."""

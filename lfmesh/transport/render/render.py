@@ -137,12 +137,13 @@ class Renderer(Tracer):
         with self.pool() as pool:
 
             def tallies(first: int, levels: Counts | None) -> Iterator[Tally]:
+                one = self.plan.packets(levels)
                 for tally, number in self._begun(state, first, levels):
                     for _ in self._chunks_folded(pool, state, tally, levels):
                         state.seconds = clock.seconds
                         if keep is not None:
                             keep(state, last=False)
-                        self._report(number, tally.work.packets, self.plan.packets(levels), clock, levels)
+                        self._report(number, tally.work.packets, one, clock, levels)
                     if levels is None and self.layout.blind:
                         tally.blind = self.blind_samples(pool, tally.replicate)
                     state.partial = None
@@ -159,11 +160,14 @@ class Renderer(Tracer):
         tally = state.partial or self.layout.tally(second=levels is not None)
         for number in range(first, replicates):
             replicate = number_of(number, replicates, levels)
-            if state.partial is None or tally.replicate != replicate:
+            if state.partial is not None and tally.replicate == replicate:
+                for chunk in islice(self.plan.chunks(replicate, levels), tally.chunks, None):
+                    if chunk.part.options.adjoint:
+                        tally.films[chunk.place].clear_pixels(chunk.pixel_numbers(), chunk.channel)
+            else:
+                # What was kept of another replicate, which others have finished since, is none to go on from.
+                state.partial = None
                 tally.restart(replicate)
-            for chunk in islice(self.plan.chunks(replicate, levels), tally.chunks, None) if tally.chunks else ():
-                if chunk.part.options.adjoint:
-                    tally.films[chunk.place].clear_pixels(chunk.pixel_numbers(), chunk.channel)
             yield tally, number
 
     def _chunks_folded(

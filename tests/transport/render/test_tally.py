@@ -216,6 +216,28 @@ def test_ctrl_c_in_the_first_replicate_loses_only_what_was_on_its_way(
     assert more[0].done > calls[-1].done
 
 
+def test_what_was_kept_of_a_replicate_that_others_have_finished_leaves_no_light(
+    scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after a cluster has gone on: Ctrl-C before anything of the next replicate is folded, then once more on."""
+    way, kept, again = "image path", Kept(), Kept()
+    world = lf.build(scene_of(way))
+    Renderer(world, chunk=CHUNK).image(keep=kept)
+    early = next(read(file) for file in kept.files if is_within(file))
+    later = [read(file) for file in kept.files if not is_within(file)][1]
+    stale = later | {name: array for name, array in early.items() if name.startswith("partial.")}
+
+    def interrupted(self: Tracer, pool: Any, replicate: int, chunks: Any, films: Any) -> Any:
+        for film in films:
+            film.power += 1.0
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Tracer, "traced", interrupted)
+        assert not Renderer(world, chunk=CHUNK).image(stale, again).complete
+    assert_same_bits(Renderer(world, chunk=CHUNK).image(read(again.files[-1])), whole[way])
+
+
 def test_the_state_of_another_render_is_refused(scene_of: Callable[[str], lf.Scene]) -> None:
     other = Layout((16, 21, 1), (2, 30), 8).state()
     with pytest.raises(LfmeshError, match="another size"):

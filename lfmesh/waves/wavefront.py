@@ -177,6 +177,13 @@ def wavefront(
     radius = float(np.linalg.norm(image - [0.0, 0.0, pupil_z]))
     paths = _optical_paths(rays, slope, bundle.entry[passes], waves, (image, radius, pupil_z < image[2]))
     opd = (paths[0] - paths) * NM_PER_MM / waves
+    if len(opd) < 2:
+        raise LfmeshError(f"height_mm = {height_mm:g}: the lens stops all rays of this field but the chief ray")
+    if not np.isfinite(opd).all():
+        raise LfmeshError(
+            f"image_z_mm = {image_z:g}: rays miss the reference sphere, whose radius is {radius:.4g} mm; give a plane "
+            f"farther from the exit pupil at {pupil_z:.6g} mm"
+        )
     return Wavefront(
         waves, slope, image, radius, pupil[passes][1:], opd[1:], bundle.weight[passes][1:],
         float(bundle.passes[1:].mean()),

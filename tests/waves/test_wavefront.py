@@ -172,6 +172,7 @@ def test_polynomials_are_those_of_the_literature() -> None:
         ({"height_mm": math.nan}, "height_mm = nan"),
         ({"object_mm": -5.0}, "object distance = -5"),
         ({"height_mm": 4000.0}, "the lens stops the chief ray"),
+        ({"image_z_mm": 14.3}, "rays miss the reference sphere"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], message: str) -> None:

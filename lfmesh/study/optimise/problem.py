@@ -437,4 +437,4 @@ def _is_of_array(metric: str) -> bool:
     """Tell whether only a camera with a microlens array has a figure."""
     if FIGURES[metric].source == "render":
         return METRICS[metric_of(metric)].needs_mla
-    return metric.startswith(("micro", "view"))
+    return metric.startswith(("lenslet", "micro", "view"))

@@ -64,25 +64,7 @@ def paraxial_scale(rays: LensRays, wavelength_nm: float) -> float:
     """Return the paraxial height on the image plane of the chief ray of an object point with a slope of one, mm."""
     camera = solved_camera(rays.world.scene)
     lens = Paraxial.of(camera.scene.camera.lens, wavelength_nm)
-    return chief_scale_mm(lens, rays.object_mm, rays.image_z_mm)
-
-
-def chief_scale_mm(lens: Paraxial, object_mm: float, image_z_mm: float) -> float:
-    """Return the height at which the paraxial chief ray of an object point with a slope of one meets a plane, mm.
-
-    Parameters
-    ----------
-    lens : Paraxial
-    object_mm : float
-        Distance of the object point before the first vertex; may be inf.
-    image_z_mm : float
-        Of the plane behind the first vertex.
-    """
-    vergence, before = 1.0 / object_mm, lens.to_stop
-    height = before.b / (before.a + before.b * vergence)
-    angle, behind = vergence * height - 1.0, image_z_mm - lens.length_mm
-    whole = lens.whole
-    return whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle)
+    return lens.chief_scale_mm(rays.object_mm, rays.image_z_mm - lens.length_mm)
 
 
 def field_curves(rays: LensRays, wavelengths_nm: tuple[float, ...], height_mm: float) -> FieldCurves:

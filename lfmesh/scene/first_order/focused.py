@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
+from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
-from lfmesh.scene.first_order.solve import cover_shift_mm
 
 FOCUSED_BLUR_PX = 1.0
 """Lenslets that blur the image of a distant pupil by more image the main image, not the pupil."""
@@ -91,19 +91,14 @@ def focused_lenslets(
     types = [lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)]
     middle = sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]
     blur = abs(_per_depth(camera, wavelength_nm, middle)) * mla.pitch_mm / camera.sensor.pixel_mm
-    if not blur > FOCUSED_BLUR_PX or not _to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
+    if not blur > FOCUSED_BLUR_PX or not lenslet_to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
         return ()
     return tuple(_of_type(camera, wavelength_nm, at, lens, (cone, pupil_mm)) for at in types)
 
 
-def _to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
-    sensor = camera.sensor
-    return (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
-
-
 def _per_depth(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
     """Return 1/v = d/f − 1, which is never quite zero."""
-    return _to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0 or PUPIL_IMAGED
+    return lenslet_to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0 or PUPIL_IMAGED
 
 
 def _of_type(
@@ -111,7 +106,7 @@ def _of_type(
 ) -> FocusedLenslets:
     mla, sensor = camera.mla, camera.sensor
     assert mla is not None
-    to_sensor, per_depth = _to_sensor_mm(camera, wavelength_nm, at), _per_depth(camera, wavelength_nm, at)
+    to_sensor, per_depth = lenslet_to_sensor_mm(camera, wavelength_nm, at), _per_depth(camera, wavelength_nm, at)
     plane = (mla.distance_mm or math.nan) + at.front_principal_mm
 
     def object_mm(per_depth: float) -> float:

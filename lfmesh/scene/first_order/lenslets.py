@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.lenslet_optics import lenslet_optics, sections
+from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics, sections
 from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm, rear_principal_mm
 
@@ -27,15 +27,22 @@ class LensletSection:
     micro_image_diameter_px: float | None
 
 
-def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float) -> float:
+def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics | None = None) -> float:
     """Return the distance from a lenslet's rear principal plane to the sensor of a solved camera, as in air, in mm.
 
     The rear principal plane of a plano-convex lenslet lies t/n inside its flat face when light leaves there,
     and at the apex when it leaves through the curved face; for two curved faces see `lenslet_optics`.
+
+    Parameters
+    ----------
+    camera : Camera
+    wavelength_nm : float
+    at : LensletOptics, optional
+        A type of lenslet, or a section through it; the first type if omitted.
     """
     if camera.mla is None or camera.sensor.distance_mm is None:
         return math.nan
-    inside = rear_principal_mm(camera.mla, wavelength_nm)
+    inside = rear_principal_mm(camera.mla, wavelength_nm) if at is None else at.rear_principal_mm
     return camera.sensor.distance_mm - cover_shift_mm(camera.sensor, wavelength_nm) + inside
 
 
@@ -87,7 +94,7 @@ def lenslet_sections(
         at = lenslet_optics(mla, wavelength_nm, section=section)
         number = pitch = diameter = None
         if at.power_per_mm != 0.0:
-            inside = (sensor.distance_mm or math.nan) - cover_shift_mm(sensor, wavelength_nm) + at.rear_principal_mm
+            inside = lenslet_to_sensor_mm(camera, wavelength_nm, at)
             pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
             pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))

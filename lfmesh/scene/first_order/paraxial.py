@@ -199,6 +199,21 @@ class Paraxial:
         """Return the transverse magnification of an object this far off; negative for an inverted image."""
         return 0.0 if math.isinf(object_mm) else _ratio(1.0, self.whole.c * object_mm + self.whole.d)
 
+    def chief_scale_mm(self, object_mm: float, image_mm: float) -> float:
+        """Return the height at which the chief ray of an object point with a slope of one meets a plane, in mm.
+
+        Parameters
+        ----------
+        object_mm : float
+            Distance of the object point before the first vertex; may be inf. Its slope is its height over that.
+        image_mm : float
+            Of the plane behind the last vertex.
+        """
+        vergence, before = quotient(1.0, object_mm), self.to_stop
+        height = quotient(before.b, before.a + before.b * vergence)
+        ray = self.whole(Ray(height, vergence * height - 1.0))
+        return ray.height_mm + image_mm * ray.angle
+
     def axial_ray(self, object_mm: float) -> Ray:
         """Return some ray from the axial point of an object, at the first vertex."""
         return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm, 1.0)

@@ -10,7 +10,7 @@ from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
 from lfmesh.scene.first_order.lenslets import LensletSection, lenslet_sections, lenslet_to_sensor_mm, micro_image
-from lfmesh.scene.first_order.paraxial import Paraxial, Ray, quotient
+from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
 from lfmesh.scene.scene import Scene
 
@@ -332,7 +332,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     )
     if camera.lens.number_off_revolution is not None:
         across = Paraxial.of(camera.lens, wavelength, section_x=True)
-        width = _field_of_view_mm(camera, quotient(_chief_scale(across, distance, image), seen))[0]
+        width = _field_of_view_mm(camera, quotient(across.chief_scale_mm(distance, image), distance * seen))[0]
         facts = replace(
             facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
             field_of_view_mm=(width, facts.field_of_view_mm[1]),
@@ -429,23 +429,6 @@ def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Itera
 
 def _on_object(size_mm: float, magnification: float) -> float:
     return quotient(size_mm, abs(magnification))
-
-
-def _chief_scale(lens: Paraxial, distance_mm: float, image_mm: float) -> float:
-    """Return how high the chief ray lands over the height of its object point, whether the image is sharp or not.
-
-    Parameters
-    ----------
-    lens : Paraxial
-    distance_mm, image_mm : float
-        Of the object plane before the first vertex, and of the image plane behind the last.
-    """
-    if math.isinf(distance_mm):
-        return 0.0
-    m = lens.to_stop
-    angle = -quotient(m.a, m.a * distance_mm + m.b)
-    ray = lens.whole(Ray(1.0 + angle * distance_mm, angle))
-    return ray.height_mm + ray.angle * image_mm
 
 
 def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.analysis.analysis import FIELDS, used_height_mm
-from lfmesh.analysis.field_curves import chief_scale_mm
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame
 from lfmesh.geometry.lens.element_poses import pose_of
@@ -119,7 +118,8 @@ class RayLayout:
             raise LfmeshError("the surfaces have other terms, or another stop, than at the start")
         heights = (self.height_mm or used_height_mm(scene)) * np.array(self.fields)
         image_z = paraxial.length_mm + image
-        slopes = heights / chief_scale_mm(Paraxial.of(lens, self.waves_nm[len(self.waves_nm) // 2]), object_mm, image_z)
+        middle = Paraxial.of(lens, self.waves_nm[len(self.waves_nm) // 2])
+        slopes = heights / middle.chief_scale_mm(object_mm, image)
         per_surface = [
             number
             for k, surface in enumerate(lens.surfaces)

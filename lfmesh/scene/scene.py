@@ -285,6 +285,7 @@ class Scene(Model, Shown):
         yield from self._spectrum_faults()
         yield from self._absorption_faults() if not glasses else ()
         yield from self._polarisation_faults()
+        yield from self._diffraction_faults()
         yield from self._memory_faults()
 
     @property
@@ -490,6 +491,20 @@ class Scene(Model, Shown):
                 "transport.polarisation needs the phases of what is reflected, which a share does not tell; leave "
                 "reflectance out",
             )
+
+    def _diffraction_faults(self) -> Iterator[Fault]:
+        """Yield what keeps the lenslets' diffraction from being followed."""
+        where, chosen, mla = ("transport", "diffraction"), self.transport.diffraction, self.camera.mla
+        if chosen == "none":
+            return
+        if mla is None:
+            yield Fault(where, chosen, 'needs camera.mla; a lens\'s own diffraction is not there yet: take "none"')
+        elif mla.has_back:
+            yield Fault(where, chosen, 'follows arrays with lenslets on one face; take "none" with camera.mla.back')
+        elif mla.curved_finish.is_rough or mla.flat_finish.is_rough:
+            yield Fault(where, chosen, 'needs an array that is polished; take "none" with a rough finish')
+        if self.transport.polarisation:
+            yield Fault(where, chosen, 'is not followed for polarised light; take "none" with transport.polarisation')
 
     def _glass_faults(self) -> Iterator[Fault]:
         media: list[tuple[Location, GlassOrAir]] = [

@@ -49,6 +49,8 @@ def obstacle_of(scene: Scene, surface: str, max_events: int, *, tracing: bool = 
     """
     if scene.transport.polarisation:
         return "transport.polarisation is the mesh engine's"
+    if scene.transport.diffraction != "none" and tracing:
+        return "transport.diffraction turns light packet by packet"
     if scene.media and tracing:
         return "media are followed packet by packet"
     if surface != "exact":

@@ -260,7 +260,7 @@ class Workspace:
                 follow_ghosts(some, tables.camera, tables.ghosts, options, flow, room)
         elif options.sequential and station in (LENS, PLATE):
             for some in self._by_colour(wave):
-                camera, route = tables.camera, image_route_of(tables)
+                camera, route = tables.camera_of_packets, image_route_of(tables)
                 follow_image_path(some, station, camera, route, self.bundle, self.numbers, options, flow)
         elif station == LENS and options.in_order:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)

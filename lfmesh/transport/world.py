@@ -48,7 +48,7 @@ from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
-from lfmesh.transport.tables.lens import lens_tables, mla_tables
+from lfmesh.transport.tables.lens import apertures_of, lens_tables, mla_tables
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
@@ -149,6 +149,9 @@ class World(Shown):
     @cached_property
     def ghosts(self) -> GhostTables | None:
         """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
+        if self.tables.mla.apertures is not None:
+            # Sequences know no random numbers.
+            return None
         return ghost_tables(self.aimed_tables, self.scene.transport.max_events)
 
     @property
@@ -377,7 +380,10 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
         return proven_aim(scene, report, camera, shapes, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
-    tables = Tables(lens=lens, mla=mla, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised)
+    diffracting = mla._replace(apertures=apertures_of(scene, wavelengths_nm))
+    tables = Tables(
+        lens=lens, mla=diffracting, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised
+    )
     cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:
         tables = tables._replace(cover=cover, apparent=seen_moves)

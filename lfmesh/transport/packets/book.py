@@ -74,6 +74,7 @@ MLA_MOUNT = _slot("mla mount")
 MLA_EDGE = _slot("mla edge")
 MLA_WALL = _slot("mla wall")
 LENS_FRONT = _slot("lens front")
+EVANESCENT = _slot("diffracted beyond a right angle")
 
 FIXED = tuple(_fixed)
 """The slots that every scene has."""

@@ -44,9 +44,10 @@ from lfmesh.transport.events.crossing import (
     write_query,
 )
 from lfmesh.transport.events.interface import divided, is_rough, scattered, scatterer, splitter
+from lfmesh.transport.events.kick import kicked
 from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
 from lfmesh.transport.events.travel import arrive, transmitted, travel
-from lfmesh.transport.packets.book import LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
     FLAT_FACE,
@@ -537,6 +538,8 @@ def _meets_face(
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
             block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
             _set_sides(block, i, packet, mla, not inward, mla.row)
+        if inward and _ends_by_diffraction(mla.apertures, block, i, packet, mla.frame, frames, options, flow):
+            return NO_SURFACE
         return mla.row
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
         further = next_query_from(mla.facets[prim], packet, at_facet)
@@ -556,6 +559,35 @@ def _meets_face(
     else:
         requery(options, flow, frames, mla.cells_mesh, packet, packet.query_from, True, LOST_IN_MLA)
     return NO_SURFACE
+
+
+@inlined
+def _ends_by_diffraction(
+    apertures: Any, block: Array, i: int, packet: Any, frame: int, frames: Array, options: Options, flow: Flow
+) -> bool:
+    """Change the direction in which a packet of a block comes to a lenslet from the air; return True if that ends it.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+        None: there is no diffraction.
+    frame : int
+        Of the lenslets.
+    """
+    if apertures is None:
+        return False
+    goes_on, dx, dy, dz = kicked(
+        apertures, packet.colour, packet.key, packet.events,
+        (block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i]),
+        (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]),
+    )  # fmt: skip
+    block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
+    if not goes_on:
+        end(
+            options, flow, frames, packet, frame, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
+            dx, dy, dz, packet.weight, EVANESCENT, S_ABSORBED,
+        )  # fmt: skip
+    return not goes_on
 
 
 @kernel
@@ -599,10 +631,19 @@ def _send_from_curved_face(
     A child cannot meet its own lenslet again, which is a single sphere, or less steep than the child. So it is through
     if it leaves the layer before it leaves the cell; else it may meet a neighbouring lenslet.
     """
-    mla, lens_surfaces, inward, prim = place
+    mla, lens_surfaces, inward, prim, normal = place
     lenslets = mla.lenslets
     cx, cy = centre(lenslets.lattice, packet.column, packet.row)
     packet.space = GLASS if refracts == inward else BEFORE
+    if packet.space == BEFORE:
+        sense = 1.0 if refracts else -1.0
+        goes_on, dx, dy, dz = kicked(
+            mla.apertures, packet.colour, key, packet.events, (dx, dy, dz),
+            (sense * normal[0], sense * normal[1], sense * normal[2]),
+        )  # fmt: skip
+        if not goes_on:
+            end(options, flow, frames, packet, mla.frame, x, y, z, dx, dy, dz, weight, EVANESCENT, S_ABSORBED)
+            return
     sideways, _ = leaves_at(lenslets.lattice, x - cx, y - cy, dx, dy)
     if not leaves_face(lenslets.profile, lenslets, packet.column, packet.row, dx, dy, dz):
         sideways = -np.inf
@@ -634,10 +675,11 @@ def _through_face(
         packet.path = NEXT_LENSLET[packet.path]
     packet.last = LEFT_FACE
     cell = packet.row * mla.lenslets.lattice.columns + packet.column
+    normal = block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]
     if mla.interfaces.rough and is_rough(mla.interfaces, mla.row):
         passes, dx, dy, dz = _scattered_at_face(block, i, packet, mla, mla.row, options)
         _scatter_at_curved_face(
-            (mla, lens_surfaces, inward, prim), options, flow, frames, mla.frame, packet, mla.face, cell,
+            (mla, lens_surfaces, inward, prim, normal), options, flow, frames, mla.frame, packet, mla.face, cell,
             mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
             passes, dx, dy, dz,
         )  # fmt: skip
@@ -645,7 +687,7 @@ def _through_face(
     reflectance, transmittance = _shares_at_face(block, i, packet, mla, frames, mla.row, not inward, flow)
     r, t = rows.REFLECTED + i, rows.REFRACTED + i
     _split_at_curved_face(
-        (mla, lens_surfaces, inward, prim), options, flow, frames, mla.frame, packet, mla.face, cell,
+        (mla, lens_surfaces, inward, prim, normal), options, flow, frames, mla.frame, packet, mla.face, cell,
         mla.medium if inward else AIR, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
         reflectance, transmittance,
         (block[r + rows.ALONG_X], block[r + rows.ALONG_Y], block[r + rows.ALONG_Z]),

@@ -102,8 +102,9 @@ class Ahead:
         cached = any(map(is_cached, kernels))
         self._report = None if cached else report
         self._say()
-        # The kernels of polarised light are others, and few scenes have it.
-        if processors() > 1 and not scene.transport.polarisation and not cached:
+        # The kernels of polarised and of diffracted light are others, and few scenes have it.
+        usual = not scene.transport.polarisation and scene.transport.diffraction == "none"
+        if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             starts = scene.transport.method == "adjoint" and not alone
             glass = len(scene.bodies()) > 0

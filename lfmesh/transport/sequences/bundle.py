@@ -36,7 +36,9 @@ T, AGAIN = 29 * BLOCK, 30 * BLOCK
 ETENDUE = 31 * BLOCK
 SCRATCH = 32 * BLOCK
 """First of the rows that the modules for shapes use as working memory."""
-ROWS = 40
+# For diffraction: the key of the ray's packet, an integer in the memory of a float, and the events before the bundle.
+KEY, EVENTS_BEFORE = 40 * BLOCK, 41 * BLOCK
+ROWS = 42
 
 DROPPED = -1.0
 """In place of slot + 1: the ray has left the path that is followed, and all its power was left behind."""

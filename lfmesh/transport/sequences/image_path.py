@@ -35,6 +35,8 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
+    EVENTS_BEFORE,
+    KEY,
     LEFT_BEHIND,
     MET,
     WEIGHT,
@@ -120,6 +122,7 @@ def follow_block(
         Index in the wave of each ray's packet.
     """
     colour, through_lens = wave[numbers[0]].colour, station != PLATE or not to_sensor
+    _give_keys(camera.mla.apertures, wave, count, bundle, numbers)
     if not to_sensor and station == PLATE:
         follow_legs(bundle, camera, route, ARRAY_AGAIN, LENS_AGAIN, colour, flow.book)
     if through_lens:
@@ -131,6 +134,16 @@ def follow_block(
         follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, flow.book)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, camera.frames, bundle, numbers, options, flow)
+
+
+@inlined
+def _give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]) -> None:
+    """Enter each ray's key and events so far, where there is diffraction, which needs random numbers."""
+    if apertures is None:
+        return
+    keys = bundle.view(np.uint64)
+    for i in range(count):
+        keys[KEY + i], bundle[EVENTS_BEFORE + i] = wave[numbers[i]].key, wave[numbers[i]].events
 
 
 @kernel

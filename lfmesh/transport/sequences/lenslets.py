@@ -25,7 +25,8 @@ from lfmesh.geometry.array.lenslets import are_alike, face_normal, face_sag, is_
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.packets.book import MLA_EDGE, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.events.kick import kicked
+from lfmesh.transport.packets.book import EVANESCENT, MLA_EDGE, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequences.bundle import (
     AT_X,
@@ -37,7 +38,13 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
+    EVENTS_BEFORE,
     FATE,
+    KEY,
+    MET,
+    NX,
+    NY,
+    NZ,
     SCRATCH,
     X,
     Y,
@@ -94,8 +101,12 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
         if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
             _meet_singly(bundle, i, mla, inward)
     absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
-    divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
     in_air = inward == mirrors
+    if inward:
+        _diffract(mla.apertures, bundle, colour, 1.0)
+    divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
+    if in_air:
+        _diffract(mla.apertures, bundle, colour, -1.0 if mirrors else 1.0)
     _find_ways_out(bundle, mla.lenslets, inward != mirrors)
     walked = 0
     for i in range(BLOCK):
@@ -105,6 +116,34 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
     if walked > 0:
         absorb(bundle, media.absorption, AIR if in_air else mla.medium, colour, book)
         end_by_fate(bundle)
+
+
+@inlined
+def _diffract(apertures: Any, bundle: Array, colour: int, sense: float) -> None:
+    """Change the directions of rays in air at the lenslets that they have met, where there is diffraction.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    sense : float
+        1: the rays run along the normals in the bundle; −1: against them.
+    """
+    if apertures is None:
+        return
+    keys = bundle.view(np.uint64)
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] != 0.0 or bundle[FATE + i] != 0.0:
+            continue
+        goes_on, dx, dy, dz = kicked(
+            apertures, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]),
+            (bundle[DX + i], bundle[DY + i], bundle[DZ + i]),
+            (sense * bundle[NX + i], sense * bundle[NY + i], sense * bundle[NZ + i]),
+        )  # fmt: skip
+        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
+        if not goes_on:
+            # The ray ends on the face, where it is going to or has come to.
+            bundle[X + i], bundle[Y + i], bundle[Z + i] = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
+            bundle[ENDED_ON + i] = EVANESCENT + 1.0
 
 
 @inlined

@@ -8,12 +8,15 @@ left out; the radiance of a target that emits inside glass is divided by n² ins
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.kick_aim import first_kick, point_without_kick
 from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
     CELL_V,
@@ -22,6 +25,7 @@ from lfmesh.transport.aims.lenslet_aim import (
     PIXEL_V,
     WHICH_CELL,
     ArraySeen,
+    Shown,
     aimed_rays,
     aimed_through_array,
     cells_that_show,
@@ -133,13 +137,15 @@ class PixelSource(Source):
         unaimed_too = options.paths == GHOSTS and bool(tables.mla.present)
         if starts is launch_along_image_path:
             launch_along_image_path(
-                entries, self.samples, self.stratified, self.key, colour, tables.camera, image_route_of(tables),
+                entries, self.samples, self.stratified, self.key, colour, tables.camera_of_packets,
+                image_route_of(tables),
                 tables.aim, work.bundle, work.numbers, options, work.flow(), room,
             )  # fmt: skip
         else:
             launch_adjoint(
                 entries, self.samples, self.stratified, self.key, colour, tables.sensor, clear(tables.mla),
-                tables.aim, seen, len(tables.lens.surfaces), unaimed_too, work.bundle, work.flow(), room,
+                tables.aim, seen, len(tables.lens.surfaces), tables.cover is not None, unaimed_too, work.bundle,
+                work.flow(), room,
             )  # fmt: skip
 
 
@@ -153,8 +159,8 @@ def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
 @kernel
 def launch_adjoint(
     entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
-    mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int, unaimed_too: bool, bundle: Array, flow: Flow,
-    room: StartRoom,
+    mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int, has_cover: bool, unaimed_too: bool,
+    bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets of pixels at one wavelength.
 
@@ -170,6 +176,8 @@ def launch_adjoint(
         Number of the wavelength.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
+    has_cover : bool
+        The sensor has a cover.
     unaimed_too : bool
         Also start samples, with weight 0, for which there is no direction towards the lens.
     bundle : (ROWS · BLOCK,) float64
@@ -184,7 +192,7 @@ def launch_adjoint(
         draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
             room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            flow.book,
+            has_cover, flow.book,
         )  # fmt: skip
         for i in range(count):
             if unaimed_too or bundle[ENDED_ON + i] == 0.0:
@@ -225,18 +233,57 @@ def launch_along_image_path(
         draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
             room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            flow.book,
+            False, flow.book,
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
         follow_block(room.packets, station, False, count, camera, route, bundle, numbers, options, flow)
 
 
+@inlined
+def _near_cells(apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
+    """List the lenslets that points of a pixel may see; with diffraction each sample has its own: return −1.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    array, p, extent, near
+        As for `list_cells`.
+    """
+    if apertures is None:
+        return list_cells(array, p, extent, near)
+    return -1
+
+
+@inlined
+def _cells_shown(
+    apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, key: np.uint64, colour: int,
+    has_cover: bool,
+) -> Shown:  # fmt: skip
+    """Return the lenslets that show the opening to a point of a pixel, with diffraction after the sample's own change.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    near : int
+        From `_near_cells`.
+    p : (3,) float, mm
+        Array frame.
+    key : uint64
+        Of the sample.
+    """
+    if apertures is None:
+        return cells_that_show(array, room.near, near, room.cells, p)
+    sees, seen_from = point_without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
+    listed = list_cells(array, seen_from, (0.0, 0.0), room.near) if sees else 0
+    return cells_that_show(array, room.near, listed, room.cells, seen_from)
+
+
 @kernel
 def _aim_rays(
     room: StartRoom, bundle: Array, entries: Entries, which: int, place: int, samples: int, count: int,
     replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    book: Array,
+    has_cover: bool, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
@@ -262,8 +309,8 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near = list_cells(array, (px, py, pz), extent, room.near)
-                wide = aim.exit.wide_share if near > 0 else aim.exit.share_without_aim
+                near = _near_cells(mla.apertures, array, (px, py, pz), extent, room.near)
+                wide = aim.exit.wide_share if near != 0 else aim.exit.share_without_aim
                 unaimed = unaimed_share(wide)
                 by_light, own_weight = aimed_rays(unaimed, samples, derived(replicate_key, pixel))
                 usual = area * lenslet_ahead(mla, array.glass, pz) / (1.0 - aim.exit.wide_share)
@@ -274,7 +321,9 @@ def _aim_rays(
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if mla.present:
             p = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-            shown = cells_that_show(array, room.near, near, room.cells, p)
+            shown = _cells_shown(
+                mla.apertures, array, room, near, p, room.keys[i], colour, has_cover
+            )  # fmt: skip
             choice = numbers[DISCRETE]
             if by_light >= 0:
                 choice = 1.0 if sample < by_light else choice * unaimed

@@ -34,6 +34,7 @@ from lfmesh.transport.tables.tables import (
     AIR,
     CURVED_ROW,
     FLAT_ROW,
+    Apertures,
     Interfaces,
     LensTables,
     Media,
@@ -290,6 +291,23 @@ def mla_tables(
         tables, back, mesh, other_mesh = back, tables, other_mesh, mesh
     back = back._replace(frame=BACK_FRAME, cells=BACK_CELLS, cells_mesh=BACK_CELLS_MESH)
     return {CELLS: mesh, BACK_CELLS: other_mesh}, tables._replace(back=back)
+
+
+def apertures_of(scene: Scene, wavelengths_nm: tuple[float, ...]) -> Apertures | None:
+    """Return the lenslets' apertures where the scene asks for their diffraction, else None.
+
+    Parameters
+    ----------
+    scene : Scene
+    wavelengths_nm : (wavelengths,) tuple of float
+    """
+    mla = scene.camera.mla
+    if mla is None or scene.transport.diffraction != "lenslets":
+        return None
+    over = 1e-6 / (mla.pitch_mm * (1.0 + mla.form.pitch_error))
+    # A cylinder ends with the array along its axis.
+    has_width = [float(mla.cylinder_axis != axis) for axis in "xy"]
+    return Apertures(mla.layout == "hexagonal", np.outer(wavelengths_nm, has_width) * over)
 
 
 def _back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:

@@ -84,6 +84,14 @@ class LensTables(NamedTuple):
 
 
 @by_address
+class Apertures(NamedTuple):
+    """Apertures of the lenslets, as diffraction needs them (see `events.kick`)."""
+
+    hexagonal: bool
+    spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
+
+
+@by_address
 class MlaTables(NamedTuple):
     """The microlens array in its own frame, z from the curved face into the glass; one cell mesh for each type.
 
@@ -109,6 +117,8 @@ class MlaTables(NamedTuple):
     face: int  # number of that face in recorded vertices
     # MlaTables of the lenslets on the other face, else None: code for them is not even compiled.
     back: Any = None
+    # Apertures where they diffract, else None, likewise.
+    apertures: Any = None
 
 
 @by_address
@@ -309,7 +319,13 @@ class Tables(NamedTuple):
 
     @property
     def camera(self) -> Camera:
-        """The parts of the camera."""
+        """The parts of the camera, without diffraction: for rays, which have no random numbers."""
+        mla = self.mla if self.mla.apertures is None else self.mla._replace(apertures=None)
+        return Camera(self.lens, mla, self.sensor, self.frames, self.cover)
+
+    @property
+    def camera_of_packets(self) -> Camera:
+        """The same with diffraction, where the scene asks for it."""
         return Camera(self.lens, self.mla, self.sensor, self.frames, self.cover)
 
 

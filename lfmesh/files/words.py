@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.scene import FirstOrder, Scene
+from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.packets.ledger import Ledger
@@ -85,7 +85,7 @@ def account(image: Image) -> list[str]:
     lines = [
         _work(image),
         *_noise_lines(image, measured),
-        *_diffraction(solved_camera(image.scene).report),
+        *_diffraction(image.scene),
         *_aim(image),
         *_order(image),
         *_coatings(image),
@@ -102,10 +102,14 @@ def diffraction(scene: Scene) -> dict[str, float | None]:
     return {name: getattr(facts, name) for name in names}
 
 
-def _diffraction(facts: FirstOrder) -> list[str]:
+def _diffraction(scene: Scene) -> list[str]:
     """Return a sentence on the Airy disks that geometric optics leaves out, where they do not decide."""
+    facts = solved_camera(scene).report
     mla = facts.microlens_airy_disk_px is not None
-    widths = [f"the lens's Airy disk is {facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"]
+    width = f"{facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"
+    if scene.transport.diffraction == "lenslets":
+        return [f"Diffraction is traced at the lenslets, and not at the lens, whose Airy disk is {width}."]
+    widths = [f"the lens's Airy disk is {width}"]
     largest = facts.airy_disk_samples
     if facts.microlens_airy_disk_px is not None:
         widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")

@@ -67,7 +67,7 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
     """Return the warnings by which a picture of a solved scene is or may be wrong, most important first."""
-    return in_order([*_forward_in_fog(scene), *_particles_in_fog(scene), *_diffraction(facts)])
+    return in_order([*_forward_in_fog(scene), *_particles_in_fog(scene), *_diffraction(scene, facts)])
 
 
 def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
@@ -252,17 +252,24 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         yield f"micro-images are {pitch:.3g} pixels apart: too few to tell directions"
 
 
-def _diffraction(facts: "FirstOrder") -> Iterator[PictureWarning]:
-    """Say where diffraction, which is not traced, blurs more than what samples the image."""
+def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
+    """Say where diffraction that is not traced blurs more than what samples the image, or is traced for points."""
+    traced = scene.transport.diffraction == "lenslets"
+    if traced and scene.particles:
+        yield DiffractionWarning(
+            'particles are points, whose waves interfere behind the lenslets: diffraction = "lenslets" adds no waves, '
+            "and their images on the sensor may be wrong by more than without it"
+        )
     sample = "lenslets" if facts.microlens_f_number is not None and not facts.focused else "pixels"
-    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, sample)]
-    if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None:
-        disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels"))
-    for whose, f_number, width, samples in disks:
+    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, sample, "")]
+    if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None and not traced:
+        advice = '; take transport.diffraction = "lenslets", which is right to 2 % for extended light'
+        disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))
+    for whose, f_number, width, samples, advice in disks:
         if 1.0 < width < math.inf:
             yield DiffractionWarning(
                 f"the {whose} Airy disk is {width:.3g} {samples} wide (f/{f_number:.3g}, "
-                f"{facts.airy_wavelength_nm:g} nm): diffraction blurs, and is not traced"
+                f"{facts.airy_wavelength_nm:g} nm): diffraction blurs, and is not traced{advice}"
             )
 
 

@@ -295,3 +295,13 @@ def polarisation(draft: Draft, dice: Dice) -> bool | None:
     if dice.chance(0.5):
         draft.camera["polariser_deg"] = dice.between(0.0, 180.0)
     return None
+
+
+@feature(cameras=0.06, scenes=0.0, own_kernels=True)
+def lenslet_diffraction(draft: Draft, dice: Dice) -> bool | None:
+    mla = array_of(draft)
+    rough = {"curved_finish", "flat_finish"} & (mla or {}).keys()
+    if mla is None or mla.get("back") or rough or draft.transport.get("polarisation"):
+        return False
+    draft.transport["diffraction"] = "lenslets"
+    return None

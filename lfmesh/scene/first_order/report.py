@@ -91,6 +91,9 @@ class FirstOrder(Shown):
     image them."""
     microlens_airy_disk_px: float | None
     """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
+    microlens_fresnel_number: float | None
+    """Square of half a lenslet's pitch over wavelength and distance from the sensor (no unit): below some ten,
+    diffraction blurs much of the micro-image."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
     of what lenslets of any type image sharply to a pixel."""
@@ -169,7 +172,7 @@ class FirstOrder(Shown):
                 f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if standard else 'pixels'}, "
                 f"at {self.airy_wavelength_nm:g} nm",
             ),
-            *([("Airy disk, lenslet", f"{self.microlens_airy_disk_px:.3g} pixels")] if mla else []),
+            *([("Airy disk, lenslet", self._lenslet_disk)] if mla else []),
             ("refocus range" if standard else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         if self.view_spacing_mm is not None:
@@ -200,6 +203,11 @@ class FirstOrder(Shown):
     def _lenslets_in_words(self) -> str:
         """Return where the lenslets of a focused camera stand."""
         return f", lenslets at z = {_mm(self.lenslets_z_mm or math.nan)}" if self.focused else ""
+
+    @property
+    def _lenslet_disk(self) -> str:
+        """Diffraction at the lenslets, in words."""
+        return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
 
     def lines(self) -> list[str]:
         """Return the report, a line a property, warnings last."""
@@ -319,6 +327,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_mm=airy,
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
+        microlens_fresnel_number=camera.mla.pitch_mm / (4e-6 * longest * micro[0]) if micro and camera.mla else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,

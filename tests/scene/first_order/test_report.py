@@ -306,10 +306,11 @@ def test_an_emitting_target_needs_no_lamp(scene: Scene) -> None:
 def test_the_report_has_a_line_for_every_figure(scene: Scene) -> None:
     lines = first_order(matched(scene)).lines()
     # Principal planes, pupils (two figures each), refocus range and the lens's Airy disk (three figures) share lines;
-    # so do the two of the views. Three refocused planes have a line each; no element has a pose; one wavelength has no
-    # line of its own, without a cover there is no line of it, and none of two figures of another section in x, nor of
-    # lenslets' sections. The image plane is that of the lenslets, and there are none of a focused camera.
-    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 14
+    # so do the two of the views, and of diffraction at a lenslet. Three refocused planes have a line each; no element
+    # has a pose; one wavelength has no line of its own, without a cover there is no line of it, and none of two figures
+    # of another section in x, nor of lenslets' sections. The image plane is that of the lenslets, and there are none of
+    # a focused camera.
+    assert len(lines) == len(FirstOrder.__dataclass_fields__) - 15
     assert any(line.startswith("effective focal length 60.67") for line in lines)
 
 

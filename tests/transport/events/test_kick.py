@@ -1,0 +1,93 @@
+"""Directions behind diffracting apertures against closed forms of shares and transfer functions."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.events.kick import drawn_kick
+from lfmesh.transport.packets.random import derived, descendant
+from lfmesh.transport.tables.tables import Apertures
+
+DRAWS = 400_000
+LEVEL_SIGMA = 4.5
+"""Of each test, in standard errors: wrong by chance once in 150,000."""
+
+
+@kernel
+def _fill(apertures: Apertures, key: np.uint64, kicks: np.ndarray) -> None:
+    for i in range(len(kicks)):
+        kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, 0, derived(key, i), 3)
+
+
+def kicks_of(hexagonal: bool, spread: float) -> np.ndarray:
+    """Draw changes of direction over the spread, (n, 2): frequencies in cycles over the pitch."""
+    kicks = np.empty((DRAWS, 2))
+    _fill(Apertures(hexagonal, np.array([[spread, spread]])), descendant(0x6B69636B, hexagonal), kicks)
+    return kicks / spread
+
+
+def near(found: np.ndarray, expected: float) -> bool:
+    """Compare a mean with its expected value by a z-test."""
+    error = found.std() / np.sqrt(len(found))
+    return bool(abs(found.mean() - expected) < LEVEL_SIGMA * error)
+
+
+SQUARE, HEXAGONAL = kicks_of(False, 1e-4), kicks_of(True, 1e-4)
+CASES = {"A": (14.0, 25.0, 1.4), "D": (14.0, 56.0, 1.0), "B": (125.0, 500.0, 12.5), "C": (38.5, 154.0, 5.5)}
+"""Pitch, distance from the sensor (of a focused camera 1.25 focal lengths) and pixel, µm, at 0.55 µm."""
+
+
+def test_share_of_a_square_lenslets_light_on_a_pixel() -> None:
+    """A pixel of 1.4 µm, 25 µm behind a lenslet of 14 µm: ∫ sinc² over it, by quadrature."""
+    half = 0.7 / (0.55 * 25.0 / 14.0)
+    one_axis = quad(lambda x: np.sinc(x) ** 2, -half, half)[0]
+    assert one_axis == pytest.approx(0.8809, abs=1e-4)
+    inside = np.abs(SQUARE) < half
+    assert near(inside[:, 0].astype(float), one_axis)
+    assert near(inside[:, 1].astype(float), one_axis)
+    assert near(inside.all(axis=1).astype(float), one_axis**2)
+
+
+@pytest.mark.parametrize(("case", "printed"), [("A", 0.8246), ("D", 0.45), ("B", 0.956), ("C", 0.9)])
+def test_squares_transfer_contrast_as_their_overlap_with_themselves(case: str, printed: float) -> None:
+    """At half of Nyquist's frequency, a line in four pixels: 1 − λ f ν / p."""
+    pitch, focal, pixel = CASES[case]
+    shift = 0.55 * focal / (4.0 * pixel * pitch)
+    assert 1.0 - shift == pytest.approx(printed, abs=1e-4)
+    for axis in (0, 1):
+        assert near(np.cos(2.0 * np.pi * shift * SQUARE[:, axis]), 1.0 - shift)
+
+
+@pytest.mark.parametrize("shift", [0.05, 0.175, 0.55, 0.9])
+def test_hexagons_transfer_contrast_as_their_overlap_with_themselves(shift: float) -> None:
+    """Along the rows of lenslets and across, by the hexagon's height over x, for shifts in pitches."""
+
+    def height(x: float) -> float:
+        return (2.0 - 2.0 * abs(x)) / np.sqrt(3.0) if abs(x) <= 0.5 else 0.0
+
+    area = 0.5 * np.sqrt(3.0)
+    along = quad(lambda x: min(height(x), height(x - shift)), -0.5 + shift, 0.5, points=[0.5 * shift])[0] / area
+    across = quad(lambda x: max(height(x) - shift, 0.0), -0.5, 0.5, points=[0.0], limit=200)[0] / area
+    assert near(np.cos(2.0 * np.pi * shift * HEXAGONAL[:, 0]), along)
+    assert near(np.cos(2.0 * np.pi * shift * HEXAGONAL[:, 1]), across)
+
+
+def test_tails_fall_as_their_integral() -> None:
+    """Beyond X on one axis lie 1/(π² X) of a square's light, to the second order."""
+    for beyond in (10.0, 100.0, 1000.0):
+        expected = 2.0 * quad(lambda x: np.sinc(x) ** 2, 0.0, beyond, limit=5000)[0]
+        assert 1.0 - expected == pytest.approx(1.0 / (np.pi**2 * beyond), rel=1e-2)
+        assert near((np.abs(SQUARE[:, 0]) > beyond).astype(float), 1.0 - expected)
+
+
+def test_no_change_is_beyond_a_right_angle() -> None:
+    wide = kicks_of(False, 0.3) * 0.3
+    assert np.hypot(wide[:, 0], wide[:, 1]).max() < 1.0
+
+
+def test_an_aperture_without_ends_does_not_diffract() -> None:
+    kicks = np.empty((1000, 2))
+    _fill(Apertures(False, np.array([[0.04, 0.0]])), descendant(1, 2), kicks)
+    assert (kicks[:, 1] == 0.0).all()
+    assert kicks[:, 0].std() > 0.0

@@ -1,0 +1,217 @@
+"""Diffraction at lenslets: white pictures against closed forms, and all ways to render against each other."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.special import j1
+
+import lfmesh as lf
+from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Transport
+
+LEVEL = 1e-5
+"""Of each test, at which it fails by chance."""
+
+NM = 550.0
+Array = np.ndarray[Any, Any]
+
+
+def camera(
+    focal_mm: float = 2.5, pitch_mm: float = 0.14, pixel_mm: float = 0.014, *, across: int = 61, away_mm: float = 4e4,
+    f_number: float | None = None, pixels: int | None = None, at_mm: float = 1e7, cover: bool = False,
+    mla: dict[str, Any] | None = None, **transport: Any,
+) -> Scene:  # fmt: skip
+    """An ideal thin lens far before an array, through which the lenslets see a bright disk that fills their field."""
+    semi = 0.5 * away_mm / (f_number or focal_mm / pitch_mm)
+    wide = pixels or round(pitch_mm / pixel_mm)
+    radius = 0.75 * across * pitch_mm / away_mm * at_mm + 1.5 * semi
+    return Scene(
+        camera=Camera(
+            lens=Lens(
+                surfaces=(Surface(paraxial=True, focal_length_mm=away_mm, semi_diameter_mm=semi, stop=True),)
+            ),
+            mla=MicrolensArray(
+                **{
+                    "count": (across, across), "pitch_mm": pitch_mm, "focal_length_mm": focal_mm, "index": 1.5,
+                    "thickness_mm": 0.02, "distance_mm": away_mm, **(mla or {}),
+                }
+            ),
+            sensor=Sensor(
+                pixels=(wide, wide), pixel_mm=pixel_mm,
+                **({"cover": {"thickness_mm": 0.3, "index": 1.5}} if cover else {}),
+            ),
+        ),
+        targets=[
+            {
+                "shape": {"kind": "disk", "radius_mm": radius},
+                "position_mm": (0.0, 0.0, -at_mm),
+                "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
+            }
+        ],
+        transport=Transport(
+            **{"diffraction": "lenslets", "split": "transmit", "wavelengths_nm": (NM,), "threads": 1, **transport}
+        ),
+    )  # fmt: skip
+
+
+def white_picture(focal_mm: float, pitch_mm: float, pixels: int, pupil: float) -> Array:
+    """Share of a lenslet's light by pixel, (n, n), behind many squares that all show a round pupil.
+
+    The pupil's image, a disk of `pupil` pitches, convolved with sinc² in both axes, summed over all lenslets. That is a
+    Fourier series over the pitch, which ends where the aperture's transfer function, a triangle, does.
+    """
+    m = np.arange(-60, 61)
+    transfer = np.clip(1.0 - np.abs(m) * NM * 1e-6 * focal_mm / pitch_mm**2, 0.0, None) * np.sinc(m / pixels)
+    x = np.pi * pupil * np.hypot(m[:, None], m)
+    disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)
+    wave = np.exp(2j * np.pi * np.outer((np.arange(pixels) - 0.5 * (pixels - 1)) / pixels, m))
+    return (wave @ (disk * transfer[:, None] * transfer) @ wave.T).real / pixels**2
+
+
+CASES = {
+    "A": ({"focal_mm": 2.5, "pixel_mm": 0.014, "f_number": 20.0}, (7.062, 15.18, 15.62, 15.75, 15.79), 0.21),
+    "D": (
+        {"focal_mm": 5.6, "pixel_mm": 0.010, "f_number": 40.0},
+        (5.773, 6.141, 6.31, 6.361, 6.408, 6.426, 6.438),
+        0.5525,
+    ),
+}
+"""Cameras of the Fresnel numbers of lenslets of 14 µm with f = 25 and 56 µm and pixels of 1.4 and 1 µm behind lenses of
+f/2 and f/4, ten times slower, and what a prototype found: a thousandth of the light on the pixels of the middle row,
+and in the corner, without light of distant lenslets, which is 0.04 to 0.06 in each pixel."""
+
+FAR = 0.065
+"""Thousandths of the light that the prototype left out on a pixel, at most."""
+
+
+def agrees(first: lf.Image, second: lf.Image) -> bool:
+    """Compare all pixels of two images by Welch's t-tests with a bound for the worst (Bonferroni)."""
+    error = np.hypot(first.error, second.error)
+    both = error > 0.0
+    t = np.abs(first.mean - second.mean)[both] / error[both]
+    freedom = min(first.replicates, second.replicates) - 1
+    return bool(2.0 * stats.t.sf(t.max(), freedom) * t.size > LEVEL)
+
+
+@pytest.mark.parametrize("engine", ["sequential", "mesh"])
+@pytest.mark.parametrize("case", CASES)
+def test_a_white_picture_is_the_pupil_blurred_by_the_apertures_pattern(case: str, engine: str) -> None:
+    given, printed, corner = CASES[case]
+    scene = camera(**given, engine=engine, samples=12_800, replicates=64)
+    image = lf.render(scene)
+    pixels = scene.camera.sensor.pixels[0]
+    pupil = given["focal_mm"] / given["f_number"] / 0.14
+    truth = white_picture(given["focal_mm"], 0.14, pixels, pupil)
+    assert truth.sum() == pytest.approx(1.0, rel=1e-9)
+    row = 1e3 * truth[pixels // 2, : pixels // 2]
+    assert np.all((row - printed > 0.0) & (row - printed < FAR))
+    assert 0.0 < 1e3 * truth[0, 0] - corner < FAR
+    mean, error = image.mean.reshape(pixels, pixels), image.error.reshape(pixels, pixels)
+    scale = (mean * truth / error**2).sum() / (truth**2 / error**2).sum()
+    t = np.abs(mean - scale * truth) / error
+    assert 2.0 * stats.t.sf(t.max(), image.replicates - 1) * t.size > LEVEL
+    # The light itself: that of a geometric camera, but for what runs beyond a right angle.
+    plain = lf.render(scene.changed({"transport.diffraction": "none"}))
+    assert mean.sum() == pytest.approx(plain.mean.sum(), rel=3e-3)
+    assert abs(image.ledger.imbalance) < 1e-12
+
+
+def test_geometric_optics_is_far_from_that() -> None:
+    """The white picture's test would fail without the change of direction."""
+    given, _, _ = CASES["D"]
+    image = lf.render(camera(**given, samples=256, diffraction="none"))
+    share = image.mean.reshape(14, 14) / image.mean.sum()
+    assert np.abs(share - white_picture(5.6, 0.14, 14, 1.0)).sum() > 0.05
+
+
+POINT = {
+    "count": 1,
+    "bounds": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)},
+    "position_mm": (0.0, 0.0, -1e4),
+    "intensity_w_sr": 1.0,
+}
+
+SMALL = {
+    "square": {},
+    "hexagonal": {"layout": "hexagonal"},
+    "towards the sensor": {"curved_side": "sensor"},
+    "cylinders": {"cylinder_axis": "y"},
+}
+
+
+def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
+    """Seven lenslets of 14 µm across before 30 pixels of 2.8 µm, with a disk that lights half of them."""
+    return camera(
+        0.025, 0.014, 0.0028, across=7, away_mm=4.0, f_number=2.0, pixels=35, at_mm=400.0,
+        mla={"thickness_mm": 0.006, **mla}, replicates=32, **transport,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
+    adjoint = lf.render(real_size(SMALL[kind], samples=512))
+    forward = lf.render(real_size(SMALL[kind], samples=3000, method="forward"))
+    assert adjoint.mean.sum() > 0.0
+    assert agrees(adjoint, forward)
+    for image in (adjoint, forward):
+        assert abs(image.ledger.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_the_mesh_engine_equals_the_sequential_one(kind: str) -> None:
+    """Both draw the same changes from a packet's key."""
+    images = [lf.render(real_size(SMALL[kind], samples=64, engine=engine)) for engine in ("mesh", "sequential")]
+    assert images[0].mean == pytest.approx(images[1].mean, rel=1e-9, abs=1e-9 * images[1].mean.max())
+    none = lf.render(real_size(SMALL[kind], samples=64, diffraction="none"))
+    assert not np.allclose(none.mean, images[1].mean, rtol=1e-3, atol=0.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("split", ["both", "roulette"])
+def test_reflections_diffract_alike_both_ways(split: str) -> None:
+    adjoint = lf.render(real_size({}, samples=512, split=split))
+    forward = lf.render(real_size({}, samples=3000, split=split, method="forward"))
+    assert agrees(adjoint, forward)
+    for image in (adjoint, forward):
+        assert abs(image.ledger.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"camera.mla": None}, "needs camera.mla"),
+        ({"camera.mla.curved_finish": "diffuse"}, "needs an array that is polished"),
+        ({"transport.polarisation": True}, "is not followed for polarised light"),
+    ],
+)
+def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) -> None:
+    scene = camera(across=3).changed({"transport.diffraction": "none"})
+    with pytest.raises(lf.LfmeshError, match=words):
+        scene.changed({**changed, "transport.diffraction": "lenslets"})
+
+
+def test_two_faced_arrays_are_refused() -> None:
+    with pytest.raises(lf.LfmeshError, match="lenslets on one face"):
+        camera(mla={"focal_length_mm": None, "radius_mm": 1.0, "back": {"radius_mm": 1.0}})
+
+
+def test_the_sequential_engine_refuses_given_rays_that_diffract() -> None:
+    world = lf.build(camera(across=3))
+    with pytest.raises(lf.LfmeshError, match="turns light packet by packet"):
+        lf.trace(world, [[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]], engine="sequential", split="transmit")
+
+
+def test_check_names_the_key_and_is_silent_with_it() -> None:
+    facts = lf.first_order(camera(5.6, 0.14, 0.010, f_number=40.0, diffraction="none"))
+    assert facts.microlens_fresnel_number == pytest.approx(1.591, abs=1e-3)
+    assert any('take transport.diffraction = "lenslets"' in line for line in facts.warnings)
+    facts = lf.first_order(camera(5.6, 0.14, 0.010, f_number=40.0))
+    assert not any("microlenses' Airy disk" in line for line in facts.warnings)
+
+
+def test_particles_with_diffraction_are_warned_of() -> None:
+    scene = camera(across=3)
+    lit = Scene(camera=scene.camera, transport=scene.transport, particles=[POINT])
+    said = lf.first_order(lit).warnings
+    assert any("particles are points" in line for line in said)

@@ -133,6 +133,8 @@ def _aim(image: Image) -> list[str]:
     else:
         said = f"of the light through the stop it misses {percent(proof.missed)}"
         said += f" ± {percent(max(proof.sensor.error, proof.objects.error))}"
+        if proof.diffracted is not None:
+            said += f", and after diffraction {percent(proof.diffracted.share)} ± {percent(proof.diffracted.error)}"
     blind_ones = "samples that are not aimed"
     if image.scene.transport.method == "forward":
         blind_ones = "paths traced back from some pixels"

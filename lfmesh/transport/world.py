@@ -364,6 +364,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
+    diffracting = mla._replace(apertures=apertures_of(scene, wavelengths_nm))
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 
@@ -376,13 +377,18 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
             boxes.append(all_before(lens))
         shapes = shapes_in_camera(targets, np.concatenate(boxes), moves)
         exact = bool(shape.analytic.all())
-        camera = Camera(clear(lens), clear(mla), sensor, seen_moves)
+        camera = Camera(clear(lens), clear(diffracting), sensor, seen_moves)
         return proven_aim(scene, report, camera, shapes, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
-    diffracting = mla._replace(apertures=apertures_of(scene, wavelengths_nm))
     tables = Tables(
-        lens=lens, mla=diffracting, sensor=sensor, objects=objects, frames=moves, aim=anywhere, polarised=polarised
+        lens=lens,
+        mla=diffracting,
+        sensor=sensor,
+        objects=objects,
+        frames=moves,
+        aim=anywhere,
+        polarised=polarised,
     )
     cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:

@@ -9,6 +9,9 @@ from scipy.special import j1
 
 import lfmesh as lf
 from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Transport
+from lfmesh.transport.aims.support import beyond_sensor_aim
+from lfmesh.transport.checks.aim_proof import ALLOWED_DIFFRACTED
+from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop
 
 LEVEL = 1e-5
 """Of each test, at which it fails by chance."""
@@ -215,3 +218,21 @@ def test_particles_with_diffraction_are_warned_of() -> None:
     lit = Scene(camera=scene.camera, transport=scene.transport, particles=[POINT])
     said = lf.first_order(lit).warnings
     assert any("particles are points" in line for line in said)
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_the_aim_holds_all_but_a_thousandth_of_the_diffracted_light(kind: str) -> None:
+    world = lf.build(real_size(SMALL[kind]))
+    proof = world.aim_proof
+    assert proof is not None
+    assert proof.diffracted is not None
+    assert proof.holds
+    assert not proof.fallback
+    assert proof.diffracted.share + 3.0 * proof.diffracted.error < ALLOWED_DIFFRACTED
+    tables, random = world.tables, np.random.default_rng(7)
+    through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
+    rays = rays_from_stop(through, 0.05, random)
+    held = beyond_sensor_aim(world.aim, through, rays) <= 1.0
+    unmoved = beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0
+    # Aimed as if rays had not changed their directions, far more of them would lie outside.
+    assert np.count_nonzero(~held) < 0.2 * np.count_nonzero(~unmoved)

@@ -54,6 +54,9 @@ evenly: where the image is in focus, sharp detail in the scene is sharp over the
 LISTED = 11
 """Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
+VIEW_RADIUS2 = 4
+"""One of these values: squared radius of the view, in slopes."""
+
 SOLID_ANGLE, CHANCE = 8, 9
 """Two of these values: the relative probabilities with which margin rays, by solid angle, and all others choose the
 lenslet, by the light that it shows too."""

@@ -1,12 +1,16 @@
 """Support of the aims: whether aimed rays can go along a given one, and how much wider the aim would have to be."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.array.lattice import cell_of, centre
 from lfmesh.geometry.array.lenslets import shape_of, type_of
 from lfmesh.geometry.frame import move_direction, move_point
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.aims.disk import Vector
+from lfmesh.transport.aims.kick_aim import list_cells_after_kick
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
@@ -52,7 +56,16 @@ def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arra
         np.zeros(most_listed(aim.lenslets) + 1, np.int64),
     )
     _outside_cells(
-        rays.sensor, rays.colour, aim.lenslets, through.mla, through.sensor, through.frames, near, cells, beyond
+        rays.sensor,
+        rays.kick,
+        rays.colour,
+        aim.lenslets,
+        through.mla,
+        through.sensor,
+        through.frames,
+        near,
+        cells,
+        beyond,
     )
     return beyond
 
@@ -144,8 +157,8 @@ def _off_disk(opening: Opening, x: float, y: float, z: float, dx: float, dy: flo
 
 @kernel
 def _outside_cells(
-    rays: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, sensor: SensorTables, frames: Array,
-    near: Array, cells: NDArray[np.int64], outside: Array,
+    rays: Array, kick: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, sensor: SensorTables,
+    frames: Array, near: Array, cells: NDArray[np.int64], outside: Array,
 ) -> None:  # fmt: skip
     """Write inf for each ray (n, 5) along which no aimed path can start, from the pixel that it falls on."""
     extent = pixel_extent(sensor, frames)
@@ -155,12 +168,31 @@ def _outside_cells(
         x, y = (column + 0.5 - 0.5 * sensor.columns) * sensor.pixel, (row + 0.5 - 0.5 * sensor.rows) * sensor.pixel
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
         array = ArraySeen(mla, aim, glass_before_faces(mla, colour[i]))
-        listed = list_cells(array, (px, py, pz), extent, near)
         p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
+        listed, seen_from = _listed(mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near)
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        on_cells, on_wider = lenslets_density(array, cells_that_show(array, near, listed, cells, p), p, d)
+        on_cells, on_wider = lenslets_density(array, cells_that_show(array, near, listed, cells, seen_from), p, d)
         if not on_cells + on_wider > 0.0:
             outside[i] = np.inf
+
+
+@inlined
+def _listed(
+    apertures: Any, array: ArraySeen, pixel: Vector, extent: tuple[float, float], p: Vector,
+    kick: tuple[float, float], near: Array,
+) -> tuple[int, Vector]:  # fmt: skip
+    """List the lenslets that a pixel's rays go to, after diffraction as `kick_aim` has it, and whence they are seen.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    pixel, p : (3,) float, mm
+        Its centre, and the point of the ray.
+    kick : (2,) float
+    """
+    if apertures is None:
+        return list_cells(array, pixel, extent, near), p
+    return list_cells_after_kick(array, p, kick, near)
 
 
 @kernel

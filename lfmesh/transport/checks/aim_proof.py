@@ -19,6 +19,7 @@ from scipy.special import gammaincinv
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
 from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
+from lfmesh.transport.aims.kick_aim import SEARCH_AFTER_KICK
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aims.near_points import NearViewpoints
 from lfmesh.transport.aims.pupil import Viewpoints, unknown_like
@@ -48,6 +49,10 @@ of the light (with 95 % confidence), and main rays do not go there."""
 FEW_CELLS = 6.5
 """Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
 
+
+ALLOWED_DIFFRACTED = 1e-3
+"""Share that the aim from the sensor may miss after diffraction, of whose long tails views hold all but the furthest.
+Rays that go anywhere find it."""
 
 KEPT = 8
 """Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
@@ -91,6 +96,8 @@ class AimProof(NamedTuple):
         Share missed by the aim from the sensor, and by the aim from the targets.
     fitted : int
         Number of times that the aim was fitted to rays.
+    diffracted : Missed, optional
+        Of a camera whose lenslets diffract: share missed by the aim from the sensor after diffraction.
     fallback : bool
         Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
 
@@ -102,11 +109,12 @@ class AimProof(NamedTuple):
     objects: Missed
     fitted: int
     fallback: bool = False
+    diffracted: Missed | None = None
 
     @property
     def holds(self) -> bool:
         """True if the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
-        return self.most <= ALLOWED
+        return self.most <= ALLOWED and (self.diffracted is None or self.diffracted.share <= ALLOWED_DIFFRACTED)
 
     @property
     def is_open(self) -> bool:
@@ -127,7 +135,11 @@ class AimProof(NamedTuple):
     def from_dict(cls, values: dict[str, Any]) -> "AimProof":
         """Return the proof whose `_asdict` was written as JSON."""
         sensor, objects = (Missed(*values[side]) for side in ("sensor", "objects"))
-        return cls(values["rays"], sensor, objects, values["fitted"], values.get("fallback", False))
+        diffracted = values.get("diffracted")
+        return cls(
+            values["rays"], sensor, objects, values["fitted"], values.get("fallback", False),
+            None if diffracted is None else Missed(*diffracted),
+        )  # fmt: skip
 
 
 _kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
@@ -151,13 +163,44 @@ def proven_aim(
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-    found = aim_table(scene, report, camera, shapes, analytic=analytic)
+    plain = camera._replace(mla=camera.mla._replace(apertures=None))
+    found = aim_table(scene, report, plain, shapes, analytic=analytic)
     aim, proof = proven(found.aim, found.through, found.seen, found.near) if found.fits else (found.aim, None)
+    if camera.mla.apertures is not None:
+        aim, proof = _diffracted(aim, proof, found.through._replace(mla=camera.mla))
     with _access:
         _kept[key] = aim, proof if analytic else None
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
         return _kept[key]
+
+
+def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -> tuple[AimTables, AimProof | None]:
+    """Return the aim of a camera whose lenslets diffract, and its proof, by those without diffraction.
+
+    Where the aim misses more than is allowed, half of the rays go anywhere.
+
+    Parameters
+    ----------
+    aim : AimTables
+    proof : AimProof or None
+    through : CameraTables
+        With diffraction.
+    """
+    aim = aim._replace(lenslets=aim.lenslets._replace(search=SEARCH_AFTER_KICK * aim.lenslets.search))
+    if proof is None:
+        return aim, None
+    random = np.random.default_rng(0x6B1C)
+    reach = reach_of(through._replace(mla=through.mla._replace(apertures=None)), random)
+    rays = rays_from_stop(through, reach, random)
+    if not len(rays.throughput):
+        return aim, proof
+    missed = _missed(beyond_sensor_aim(aim, through, rays), rays.throughput)
+    proof = proof._replace(diffracted=missed)
+    if missed.share > ALLOWED_DIFFRACTED:
+        aim = aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))
+        proof = proof._replace(fallback=True)
+    return aim, proof
 
 
 def _digest(*values: Any) -> bytes:

@@ -1,14 +1,16 @@
 """Rays from the stop, uniform over its area and over all directions, traced to the sensor and to object space."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surfaces.tessellation import QUARTER, mesh_heights
 from lfmesh.kernels.by_address import by_address
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.kick import drawn_kick
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.sequences.bundle import (
     BLOCK,
     DROPPED,
@@ -16,6 +18,9 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
+    EVENTS_BEFORE,
+    KEY,
+    MET,
     WEIGHT,
     X,
     Y,
@@ -60,6 +65,10 @@ ROOM = 1.15
 """Factor on the largest such distance of a ray that reached the sensor; rays of the measurement are drawn within it."""
 
 
+FACES_OF_ARRAY = 2
+"""Interfaces that a ray towards the sensor has met in the array when lenslets that look to the sensor diffract it."""
+
+
 class Rays(NamedTuple):
     """Rays that came through from the stop to the sensor and to object space.
 
@@ -73,12 +82,15 @@ class Rays(NamedTuple):
         Relative throughput.
     colour : (n,) int64
         Number of the wavelength.
+    kick : (n, 2) float64
+        Change of direction at the lenslet, see `events.kick`; 0 without diffraction.
     """
 
     sensor: Array
     objects: Array
     throughput: Array
     colour: NDArray[np.int64]
+    kick: Array
 
 
 class CoverPlate(NamedTuple):
@@ -154,6 +166,8 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     tx = slope * (centre_x + place * np.cos(around) - height * x)
     ty = slope * (centre_y + place * np.sin(around) - height * y)
     to_sensor, to_objects, of_colour = np.zeros((len(x), 6)), np.zeros((len(x), 7)), np.zeros(len(x), np.int64)
+    key = 0 if through.mla.apertures is None else int(random.integers(1 << 63))
+    kick = np.zeros((len(x), 2))
     count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
@@ -163,9 +177,13 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         mine = slice(number, None, len(colours))
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
+        own, changes = descendant(key, number), np.zeros((len(x_), 2))
         _follow_both_ways(
-            x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, one_way, other_way,
+            x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, own,
+            one_way, other_way,
         )  # fmt: skip
+        _find_kicks(through.mla.apertures, through.mla.curved_to_lens, colour, own, changes)
+        kick[mine] = changes
         if through.cover is not None:
             _land_behind(one_way, through.cover, colour)
         to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
@@ -173,7 +191,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
     found = np.flatnonzero(lands & (throughput > 0.0))
-    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found]), found
+    return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found], kick[found]), found
 
 
 def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
@@ -218,7 +236,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 @kernel
 def _follow_both_ways(
     x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
-    camera: Camera, route: Route, bundle: Array, book: Array, to_sensor: Array, to_objects: Array,
+    camera: Camera, route: Route, bundle: Array, book: Array, key: np.uint64, to_sensor: Array, to_objects: Array,
 ) -> None:  # fmt: skip
     """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
 
@@ -228,6 +246,8 @@ def _follow_both_ways(
         Place, mm, and slopes.
     start : float, mm
         Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
+    key : uint64
+        Of the random numbers of diffraction, whose children are the keys of the rays.
     pose : (3, 4) float64
         Rigid motion of that plane and of the rays from their place in the prescription.
     to_sensor : (n, 6) float64
@@ -261,10 +281,31 @@ def _follow_both_ways(
                 normalise(bundle)
                 _keep_object_side(bundle, count, first, to_objects)
                 continue
+            _give_keys(camera.mla.apertures, bundle, key, first)
             follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, book)
             normalise(bundle)
             move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
             _keep_sensor_side(bundle, count, first, to_sensor)
+
+
+@inlined
+def _give_keys(apertures: Any, bundle: Array, key: np.uint64, first: int) -> None:
+    """Enter the rays' keys, where there is diffraction, and count their events from the array on."""
+    if apertures is None:
+        return
+    keys = bundle.view(np.uint64)
+    for i in range(BLOCK):
+        keys[KEY + i], bundle[EVENTS_BEFORE + i] = derived(key, first + i), -bundle[MET + i]
+
+
+@kernel
+def _find_kicks(apertures: Any, curved_to_lens: bool, colour: int, key: np.uint64, kicks: Array) -> None:
+    """Fill in the rays' changes of direction, (n, 2), before or behind the array's two faces."""
+    if apertures is None:
+        return
+    for i in range(len(kicks)):
+        events = 0 if curved_to_lens else FACES_OF_ARRAY
+        kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, colour, derived(key, i), events)
 
 
 @kernel

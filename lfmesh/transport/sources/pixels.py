@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import first_kick, point_without_kick
+from lfmesh.transport.aims.kick_aim import first_kick, list_cells_after_kick
 from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
     CELL_V,
@@ -274,8 +274,8 @@ def _cells_shown(
     """
     if apertures is None:
         return cells_that_show(array, room.near, near, room.cells, p)
-    sees, seen_from = point_without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
-    listed = list_cells(array, seen_from, (0.0, 0.0), room.near) if sees else 0
+    kick = first_kick(apertures, array, colour, key, has_cover)
+    listed, seen_from = list_cells_after_kick(array, p, kick, room.near)
     return cells_that_show(array, room.near, listed, room.cells, seen_from)
 
 

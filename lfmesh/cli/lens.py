@@ -32,6 +32,7 @@ Examples:
 
     lfmesh lens convert singlet.zmx singlet.toml
     lfmesh lens convert old.seq new.toml --glass BK7=SCHOTT/N-BK7
+    lfmesh lens convert zoom.zmx tele.toml --configuration 2
     lfmesh lens convert lib:cooke_triplet_50mm triplet.zmx
 """
 )
@@ -44,12 +45,16 @@ def convert(
         list[str] | None,
         Parameter(help="NAME=GLASS or NAME=INDEX, in place of a name that the catalogue does not have; repeatable."),
     ] = None,
+    configuration: Annotated[int | None, Parameter(help="Which configuration of a .zmx file, from 1.")] = None,
     every_line: Annotated[bool, Parameter(name="--lines", negative=(), help="Say what became of every line.")] = False,
 ) -> int:
     """Read a lens file of another program, say what became of its lines, and write it in another format."""
     from lfmesh.imports import read_lens_file, write_lens_file
+    from lfmesh.scene.camera.lens import FileChoices
 
-    lens, report = read_lens_file(source, _glasses(glass or []))
+    if configuration is not None and configuration < 1:
+        raise LfmeshError(f"--configuration {configuration}: they count from 1")
+    lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration))
     notes = write_lens_file(lens, target)
     for line in (*report.text(every_line), *notes):
         print(wrapped(line))

@@ -9,7 +9,7 @@ surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
@@ -18,7 +18,7 @@ from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
-from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
 MOST_SURFACES = 1000
 
@@ -55,9 +55,7 @@ _SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
 _FIELDS = {"AN": "angle", "OB": "object", "IM": "image", "RI": "image"}
 
 
-def read(
-    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
-) -> tuple[Lens, Report]:
+def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
     """Return the lens of a CODE V file, and what became of its commands.
 
     Parameters
@@ -65,20 +63,22 @@ def read(
     path : Path
     lines : list of str, optional
         Its text, in place of reading it.
-    glasses : mapping, optional
-        Catalogue glass or index by the name that the file uses.
+    choices : FileChoices
+        Substitutes of glasses, and the configuration.
 
     Raises
     ------
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
+    if choices.configuration is not None:
+        raise SceneError(f"{path}: configuration = {choices.configuration}: zoom positions of .seq files are not read")
     reader = _Reader(Report(path))
     for at, words in commands(read_lines(path) if lines is None else lines):
         reader.take(at, words)
     made = reader.finished()
     try:
-        return lens_of(made, reader.report, glasses), reader.report
+        return lens_of(made, reader.report, choices.substitutes), reader.report
     except SceneError as error:
         if reader.radii is not None:
             raise

@@ -102,7 +102,7 @@ def _refuse_ambiguous(name: str) -> None:
         listed = ", ".join(f"{glass} (nd = {index:.5f})" for glass, index in found.items())
         raise GlassError(
             f"glass {name!r} means different glasses: {listed}; name the maker in the file (GCAT), or give --glass "
-            f"{name}={next(iter(found))}"
+            f"{name}={next(iter(found))} or camera.lens.substitutes"
         )
 
 

@@ -1,19 +1,18 @@
 """Lens files by their ending: reading with and without the report, and writing."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from lfmesh.errors import SceneError
 from lfmesh.imports import codev, codev_writer, lens_table, zemax, zemax_writer
 from lfmesh.imports.report import Report
 from lfmesh.scene import load_lens, toml
-from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
 _READERS = {".zmx": zemax.read, ".seq": codev.read, ".csv": lens_table.read}
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
 
 
-def read_lens(path: Path) -> Lens:
+def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
     """Return the lens of a `.zmx`, `.seq` or `.csv` file, with a LensFileWarning of what is not exactly the file's.
 
     Raises
@@ -21,20 +20,20 @@ def read_lens(path: Path) -> Lens:
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    lens, report = read_lens_file(path)
+    lens, report = read_lens_file(path, choices)
     report.warn()
     return lens
 
 
-def read_lens_file(path: str | Path, glasses: Mapping[str, str | float] | None = None) -> tuple[Lens, Report]:
+def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
     """Return the lens of a file, and what became of its lines.
 
     Parameters
     ----------
     path : str or Path
         A `.zmx`, `.seq`, `.csv` or `.toml` file; or "lib:" and the name of a lens that comes with lfmesh.
-    glasses : mapping, optional
-        Catalogue glass or index by the name that a file of another program uses, in place of looking the name up.
+    choices : FileChoices
+        Of a file of another program.
 
     Raises
     ------
@@ -45,12 +44,10 @@ def read_lens_file(path: str | Path, glasses: Mapping[str, str | float] | None =
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is not None and not name.startswith("lib:"):
-        return reader(path, glasses=glasses)
-    if glasses:
-        raise SceneError(f"{name}: glasses can be replaced in {', '.join(_READERS)} files only")
+        return reader(path, choices=choices)
     if path.suffix.lower() != ".toml" and not name.startswith("lib:"):
         raise SceneError(f"{name}: unknown ending; a lens is read from .toml, {', '.join(_READERS)} or lib:NAME")
-    return load_lens(name), Report(path)
+    return load_lens(name, choices), Report(path)
 
 
 def write_lens_file(lens: Lens, path: str | Path) -> list[str]:

@@ -17,7 +17,7 @@ from lfmesh.imports.numbers import number
 from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
-from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 _NAMES = {
@@ -56,9 +56,7 @@ UNREAD = "unread "
 """Before the name of a column that bends light and is not read."""
 
 
-def read(
-    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
-) -> tuple[Lens, Report]:
+def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
     """Return the lens of a table, and what became of its columns and rows.
 
     Parameters
@@ -66,14 +64,16 @@ def read(
     path : Path
     lines : list of str, optional
         Its text, in place of reading it.
-    glasses : mapping, optional
-        Catalogue glass or index by the name that the table uses.
+    choices : FileChoices
+        Substitutes of glasses; a table has one configuration.
 
     Raises
     ------
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
+    if choices.configuration not in (None, 1):
+        raise SceneError(f"{path}: configuration = {choices.configuration}: a table has one")
     report = Report(path)
     lines = read_lines(path) if lines is None else lines
     filled = [(at, line) for at, line in enumerate(lines, 1) if line.strip(" \t;,\r")]
@@ -113,7 +113,7 @@ def read(
     if made.surfaces and not object_given and abs(made.surfaces[0].thickness) < FAR_MM:
         made.surfaces.insert(0, FileSurface(filled[0][0], "object", thickness=math.inf))
     made.surfaces.append(FileSurface(filled[-1][0], "image"))
-    return lens_of(made, report, glasses), report
+    return lens_of(made, report, choices.substitutes), report
 
 
 def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[str]:

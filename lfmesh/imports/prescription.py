@@ -504,4 +504,5 @@ def _note(prescription: Prescription, made: _Made, paraxial: Paraxial, report: R
     if points:
         unit = "degrees" if prescription.field_kind == "angle" else f"file units on the {prescription.field_kind}"
         report.notes.append(f"fields: {points} {unit}")
+    report.focal_length_mm = paraxial.efl_mm
     report.notes.append(f"focal length {paraxial.efl_mm:.10g} mm, back focal length {paraxial.bfl_mm:.10g} mm")

@@ -1,5 +1,6 @@
 """Verdict on each line of an imported file: taken, approximated, without effect, unknown or refused."""
 
+import math
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
@@ -58,11 +59,14 @@ class Report:
         In the order of reading; a line may stand here again when it turns out later what becomes of it.
     notes : list of str
         What the file says beside the lens: wavelengths, fields, where the object and the image are.
+    focal_length_mm : float
+        Of the lens, at the file's primary wavelength; NaN until it is made.
     """
 
     path: Path
     lines: list[Line] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    focal_length_mm: float = math.nan
 
     def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
         """Enter what became of a line.

@@ -11,7 +11,8 @@ by the stop's own size (FLOA). DIAM is the semi-diameter that rays fill, and sto
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import SceneError
@@ -19,7 +20,8 @@ from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
-from lfmesh.scene.camera.lens import Lens
+from lfmesh.imports.zemax_configurations import Configurations
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 MOST_SURFACES = 1000
@@ -81,9 +83,7 @@ _APERTURES_REFUSED = {
 _THERMAL = 20.0, 1.0
 
 
-def read(
-    path: Path, lines: list[str] | None = None, glasses: Mapping[str, str | float] | None = None
-) -> tuple[Lens, Report]:
+def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
     """Return the lens of a Zemax file, and what became of its lines.
 
     Parameters
@@ -91,18 +91,39 @@ def read(
     path : Path
     lines : list of str, optional
         Its text, in place of reading it.
-    glasses : mapping, optional
-        Catalogue glass or index by the name that the file uses.
+    choices : FileChoices
+        Substitutes of glasses, and the configuration.
 
     Raises
     ------
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
+    lines = read_lines(path) if lines is None else lines
+    lens, report, count = _read(path, lines, choices)
+    if count > 1:
+        lengths = [_focal_length(path, lines, replace(choices, configuration=k)) for k in range(1, count + 1)]
+        listed = ", ".join(f"{k}: {length}" for k, length in enumerate(lengths, 1))
+        report.notes.append(f"focal lengths of the configurations: {listed}")
+    return lens, report
+
+
+def _focal_length(path: Path, lines: list[str], choices: FileChoices) -> str:
+    try:
+        _, report, _ = _read(path, lines, choices)
+    except SceneError:
+        return "not supported"
+    return f"{report.focal_length_mm:.6g} mm"
+
+
+def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
+    """Return the lens in one configuration, what became of the lines, and the number of configurations."""
     reader = _Reader(Report(path))
-    for at, line in enumerate(read_lines(path) if lines is None else lines, 1):
+    for at, line in enumerate(lines, 1):
         reader.take(at, line)
-    return lens_of(reader.finished(), reader.report, glasses), reader.report
+    made, found = reader.finished(), reader.configurations
+    found.apply(made, reader.report, choices.configuration)
+    return lens_of(made, reader.report, choices.substitutes), reader.report, found.count
 
 
 class _Reader:
@@ -116,6 +137,7 @@ class _Reader:
         self.notes: list[str] = []
         self.waves: dict[int, float] = {}
         self.count = 0
+        self.configurations = Configurations()
         self.fields: dict[str, list[float]] = {}
         self.at, self.text = 0, ""
 
@@ -133,6 +155,8 @@ class _Reader:
                 method(rest)
             elif command in _APERTURES_REFUSED and inside:
                 self._refuse(f"{_APERTURES_REFUSED[command]} is not supported; only circular apertures are")
+            elif not inside and self.configurations.take(self.at, self.text):
+                pass  # What becomes of it is known with the configuration that is asked for.
             elif command in _WITHOUT_EFFECT or (self.made.surfaces and not inside):
                 # What follows the surfaces are merit functions, configurations and tolerances.
                 self._without_effect()
@@ -307,10 +331,7 @@ class _Reader:
         self._taken()
 
     def _on_mnum(self, words: list[str]) -> None:
-        if int(number(words[0])) > 1:
-            self._approximated(f"{words[0]} configurations: the surfaces are taken as they stand in the file")
-        else:
-            self._without_effect()
+        self.configurations = Configurations(self.at, self.text, *map(int, numbers(words[:2])))
 
     # Surfaces.
 

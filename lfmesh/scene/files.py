@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LfmeshError, SceneError
 from lfmesh.regular_file import open_regular
-from lfmesh.scene.camera.lens import STOP_SIZES, Lens
-from lfmesh.scene.camera.lens_readers import reader_of
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FILE_CHOICES, STOP_SIZES, FileChoices, Lens
+from lfmesh.scene.camera.lens_readers import endings, reader_of
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
 from lfmesh.scene.materials.own_glass import with_tables_beside
@@ -59,13 +59,15 @@ def loads(text: str, folder: str | Path = ".") -> Scene:
     return _scene(_parse(text, "scene"), Path(folder).resolve(), "scene")
 
 
-def load_lens(path: str | Path) -> Lens:
+def load_lens(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
     """Read a lens: a TOML file with the keys of `[camera.lens]` at its top level, a lens file of another program.
 
     Parameters
     ----------
     path : str or Path
         A `.toml`, `.zmx`, `.seq` or `.csv` file, or "lib:" and the name of a lens that comes with lfmesh.
+    choices : FileChoices
+        Of a file of another program.
 
     Raises
     ------
@@ -74,8 +76,8 @@ def load_lens(path: str | Path) -> Lens:
     """
     path = _lens_path(str(path), Path())
     if reader := reader_of(path):
-        return reader(path)
-    data = with_tables_beside(_read(path), path.parent)
+        return reader(path, choices)
+    data = _own_table(path, choices)
     _refuse_other_kind("lens", data, path)
     try:
         return Lens.model_validate(data)
@@ -90,7 +92,7 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
     """
     if lens.file is None:
         return lens
-    held = load_lens(_lens_path(lens.file, folder))
+    held = load_lens(_lens_path(lens.file, folder), lens.file_choices)
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
     if lens.stop_size:
         beside |= {key: getattr(lens, key) for key in STOP_SIZES}
@@ -209,8 +211,13 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
     if not isinstance(lens, dict) or not isinstance(lens.get("file"), str) or "surfaces" in lens:
         return [], {}
     file = lens.pop("file")
+    chosen = {key: lens.pop(key) for key in FILE_CHOICES if key in lens}
     try:
-        held = _lens_table(_lens_path(file, folder))
+        choices = Lens(file=file, **chosen).file_choices
+    except SceneError as error:
+        return [f"{_LENS}: {error}"], {}
+    try:
+        held = _lens_table(_lens_path(file, folder), choices)
     except SceneError as error:
         return [f"{_LENS}.file = {literal(file)}: {error}"], {}
     if "file" in held:
@@ -247,14 +254,18 @@ def _library() -> dict[str, Path]:
         raise SceneError(str(error)) from None
 
 
-def _lens_table(path: Path) -> dict[str, Any]:
+def _lens_table(path: Path, choices: FileChoices) -> dict[str, Any]:
     """Return the keys of a lens file, whatever program it is of."""
-    reader = reader_of(path)
-    return (
-        with_tables_beside(_read(path), path.parent)
-        if reader is None
-        else reader(path).model_dump(exclude_defaults=True)
-    )
+    if reader := reader_of(path):
+        return reader(path, choices).model_dump(exclude_defaults=True)
+    return _own_table(path, choices)
+
+
+def _own_table(path: Path, choices: FileChoices) -> dict[str, Any]:
+    """Return the keys of a TOML file of a lens, which leaves no choices open."""
+    for key in choices.given():
+        raise SceneError(f"{path}: {key} can be chosen for {', '.join(endings())} files only")
+    return with_tables_beside(_read(path), path.parent)
 
 
 def _refused(name: str, faults: list[str]) -> SceneError:

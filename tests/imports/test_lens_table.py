@@ -68,8 +68,8 @@ def test_the_columns_of_opticstudio_are_understood() -> None:
 
 REFUSED = {
     "radius;thickness;index\n50;2;1.5\n-50;;\n60;2;1.5\n-60;40;": "line 3: -50;;: it has no thickness",
-    "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres have A4 to A22",
-    "radius;thickness;index;A800\n50;2;1.5;1e-4\n-50;40;;": "A800 is not read: even aspheres have A4 to A22",
+    "radius;thickness;index;A2\n50;2;1.5;1e-4\n-50;40;;": "A2 is not read: even aspheres have A4 to A30",
+    "radius;thickness;index;A800\n50;2;1.5;1e-4\n-50;40;;": "A800 is not read: even aspheres have A4 to A30",
     "radius;thickness;index;sa\n50;2;1.5;-5\n-50;40;;5": "a semi-diameter or diameter below 0",
     "radius;thickness;index;stop\n50;2;1.5;x\n-50;40;;x": "line 3: -50;40;;x: line 2 is the stop already",
     "radius;thickness;index\n50;2;1.5;9\n-50;40;;": "line 2: 50;2;1.5;9: more cells than the 3 columns",

@@ -1,7 +1,8 @@
 """The main lens: a list of surfaces, from the object to the sensor."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import zip_longest
 
@@ -29,8 +30,10 @@ from lfmesh.scene.pose import Pose
 from lfmesh.scene.quantities import (
     LARGEST,
     Coefficient,
+    Count,
     Flag,
     FocalLength,
+    GlassName,
     Index,
     NonNegative,
     Number,
@@ -433,6 +436,34 @@ class Element(Model):
             )
 
 
+FILE_CHOICES = ("substitutes", "configuration")
+"""Keys of a lens that choose from its file."""
+
+
+@dataclass(frozen=True)
+class FileChoices:
+    """Choices that a lens file of another program leaves open.
+
+    Attributes
+    ----------
+    substitutes : mapping
+        Catalogue glass or index by the name that the file uses, in place of looking the name up.
+    configuration : int, optional
+        From 1; if left out, the one whose values stand in the file's surfaces.
+    """
+
+    substitutes: Mapping[str, str | float] = field(default_factory=dict)
+    configuration: int | None = None
+
+    def given(self) -> list[str]:
+        """Return the keys of the choices that are made."""
+        return [key for key in FILE_CHOICES if getattr(self, key)]
+
+
+AS_IT_STANDS = FileChoices()
+"""No choices."""
+
+
 class Lens(Model):
     """The main lens as its prescription, or the file that holds it."""
 
@@ -440,6 +471,10 @@ class Lens(Model):
     """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx or CODE V .seq file, or a
     table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with lfmesh; it is read in place
     of `surfaces`."""
+    substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
+    """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
+    configuration: Count | None = None
+    """Which configuration of the file, from 1; if left out, the one whose values stand in its surfaces."""
     name: Text | None = None
     """What the lens is called."""
     source: Text | None = None
@@ -460,6 +495,11 @@ class Lens(Model):
     def __hash__(self) -> int:
         values = (frozenset(value.items()) if isinstance(value, dict) else value for _, value in self)
         return hash(tuple(values))
+
+    @property
+    def file_choices(self) -> FileChoices:
+        """Choices that its file leaves open."""
+        return FileChoices(**{key: getattr(self, key) for key in FILE_CHOICES})
 
     @property
     def stop_index(self) -> int | None:
@@ -505,6 +545,9 @@ class Lens(Model):
             if self.surfaces:
                 yield Fault(("file",), self.file, "surfaces are given too; give one of them")
             return
+        for key in FILE_CHOICES:
+            if value := getattr(self, key):
+                yield Fault((key,), value, "it chooses from a lens file, and no file is given")
         for name, coating in self.coatings.items():
             if coating.table is not None:
                 yield Fault(("coatings", name, "table"), coating.table, "a coating with a file belongs to the scene")

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.lens import FileChoices, Lens
 
-Reader = Callable[[Path], Lens]
+Reader = Callable[[Path, FileChoices], Lens]
 
 _PARTS = dict.fromkeys((".zmx", ".seq", ".csv"), "lfmesh.imports")
 """Part that registers the reader of an ending when it is imported; by name, for the scene knows nothing of it."""

@@ -14,8 +14,8 @@ from pydantic import Field
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Coefficient, Positive
 
-MOST_ASPHERE_TERMS = 10
-"""Terms of an asphere, up to r²²."""
+MOST_ASPHERE_TERMS = 14
+"""Terms of an asphere, up to r³⁰."""
 
 
 class Qcon(Model):

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-import lfmesh
 from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order, summed_up, warn_caller
 from lfmesh.files.folder import recover
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.paths import relative
+from lfmesh.files.sealed import refuse_maker
 from lfmesh.files.whole import write_whole
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene, load
 from lfmesh.scene.inputs import files_of
@@ -35,7 +36,7 @@ from lfmesh.transport.world import build
 
 INDEX, FACTS = "index.jsonl", "dataset.json"
 
-FORMAT = 2
+FORMAT = 3
 """Of the folder; a reader refuses any other."""
 
 
@@ -281,7 +282,7 @@ class Dataset:
         """Return the dataset as plain values, as its folder keeps it."""
         described = table(self.file)
         described.pop("count", None)
-        return {"format": FORMAT, "lfmesh_version": lfmesh.__version__, "digest": self.digest, "dataset": described}
+        return {"format": FORMAT, "program": program(), "digest": self.digest, "dataset": described}
 
 
 def _sha256(facts: Mapping[str, Any]) -> str:
@@ -307,15 +308,16 @@ class _Making:
     def _refuse_other(self) -> None:
         try:
             known = json.loads(read_text(self.folder / FACTS))
-            same = [known[key] for key in ("format", "lfmesh_version", "digest")]
+            form, maker, digest = (known.get(key) for key in ("format", "program", "digest"))
         except FileNotFoundError:
             return
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, AttributeError):
             raise FileError(f"{self.folder / FACTS} is damaged; delete it to go on with the items there") from None
-        if same != [FORMAT, lfmesh.__version__, self.dataset.digest]:
+        refuse_maker(str(self.folder), FORMAT, form, maker)
+        if digest != self.dataset.digest:
             raise LfmeshError(
-                f"{self.folder} holds another dataset, or template, seed, a file that is drawn from or lfmesh "
-                f"({known['lfmesh_version']} then) has changed since: give another folder, or put back what it was"
+                f"{self.folder} holds another dataset, or template, seed or a file that is drawn from has changed "
+                "since: give another folder, or put back what it was"
             )
 
     def complete(self, workers: int | None, shard: Shard | None) -> Made:

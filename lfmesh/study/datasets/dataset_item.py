@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import lfmesh
 from lfmesh.errors import FileError, PictureWarning, collected, in_order
 from lfmesh.files import run
 from lfmesh.files.calibration import write_calibration
@@ -26,6 +25,7 @@ from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.lightfield.photographs.depth_truth import depth_truth
 from lfmesh.lightfield.rays.camera_model import camera_model
 from lfmesh.lightfield.views.decode import decode
+from lfmesh.provenance import difference, program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
@@ -160,11 +160,13 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
     try:
         facts: dict[str, Any] = json.loads(read_text(path))
         known, sizes = facts.pop("digest"), dict(facts.pop("files"))
-        version = facts.pop("lfmesh_version")
+        maker = facts.pop("program")
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise FileError(f"{path} is missing or damaged") from None
-    if (known, version) != (digest, lfmesh.__version__):
-        raise FileError(f"{folder} follows from another template or version of lfmesh")
+    if known != digest:
+        raise FileError(f"{folder} follows from another template")
+    if said := difference(maker):
+        raise FileError(f"{folder} was made by another program ({said})")
     for name, size in sizes.items():
         file = folder / name
         if not file.is_file() or file.stat().st_size != size:
@@ -202,7 +204,7 @@ def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -
                 facts["notes"] = notes
             files = sorted(path for path in staging.rglob("*") if path.is_file())
             sizes = {path.relative_to(staging).as_posix(): path.stat().st_size for path in files}
-            kept = {**facts, "digest": digest, "lfmesh_version": lfmesh.__version__, "files": sizes}
+            kept = {**facts, "digest": digest, "program": program(), "files": sizes}
             with staged_file(staging, FACTS) as file:
                 file.write(json.dumps(plain_json(kept), indent=1, ensure_ascii=False).encode() + b"\n")
             if folder.exists():

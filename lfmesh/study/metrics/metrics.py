@@ -285,9 +285,8 @@ def _ssim(pair: Comparison) -> Array:
         peak = channels * pair.peak(use)
         return np.array([structural_similarity(own[use].mean(axis=0), other[use].mean(axis=0), peak)])
 
-    # Of these pictures with their noise: fewer replicates have more, which is not to be taken off.
-    pseudo = _from_replicates(estimate, pair)
-    return pseudo + (estimate(pair.every) - pseudo.mean(axis=0))
+    # Of these pictures with their noise: fewer replicates have more, which is not taken off.
+    return _from_replicates(estimate, pair)
 
 
 def _light(pair: Comparison) -> Array:
@@ -332,31 +331,38 @@ def _centres(pair: Comparison) -> Array:
     def estimate(use: Numbers) -> Array:
         own = estimate_centres(image_of(scene, pair.films["white"][use]), nominal)
         other = estimate_centres(image_of(nominal, pair.reference_films["white"][use]), nominal)
-        if len(use) == pair.replicates:
-            pair.maps["centres"] = _displacement(own, other)
         return _moved(own, other)
 
-    return _from_replicates(estimate, pair)
+    values = _from_replicates(estimate, pair)
+    pair.maps["centres"] = _displacements(values, pair.reference_chief_rays)
+    return _movements(values)
 
 
 def _chief_rays(pair: Comparison) -> Array:
     """Compare where the chief rays of both cameras land; nothing here is random."""
-    own, other = pair.chief_rays, pair.reference_chief_rays
-    pair.maps["chief_rays"] = _displacement(own, other)
-    return _moved(own, other)[None, :]
-
-
-def _displacement(own: Calibration, other: Calibration) -> Array:
-    """Return how far each centre has moved, (rows, columns, 2) pixels; NaN where one of them is not known."""
-    both = own.known & other.known
-    return np.where(both[..., None], own.centres_px - other.centres_px, np.nan)
+    values = _moved(pair.chief_rays, pair.reference_chief_rays)[None, :]
+    pair.maps["chief_rays"] = _displacements(values, pair.reference_chief_rays)
+    return _movements(values)
 
 
 def _moved(own: Calibration, other: Calibration) -> Array:
-    moved = _displacement(own, other)
-    known = moved[np.isfinite(moved[..., 0])]
+    """Return how far each centre has moved, x and y in pixels, NaN where one is not known; then pitch and rotation."""
+    both = (own.known & other.known)[..., None]
+    moved = np.where(both, own.centres_px - other.centres_px, np.nan)
     turn = math.degrees(own.rotation_rad - other.rotation_rad)
-    return np.array([*known.mean(axis=0), (known**2).sum(axis=1).mean(), own.pitch_px / other.pitch_px, turn])
+    return np.array([*moved.ravel(), own.pitch_px / other.pitch_px, turn])
+
+
+def _displacements(values: Array, centres: Calibration) -> Array:
+    """Return the mean displacement of each centre, (rows, columns, 2) pixels, from pseudo-values of `_moved`."""
+    return np.asarray(values[:, :-2].mean(axis=0).reshape(centres.centres_px.shape))
+
+
+def _movements(values: Array) -> Array:
+    """Return the columns of `_movement` from pseudo-values of `_moved`; noise of single centres adds to no square."""
+    moved = values[:, :-2].reshape(len(values), -1, 2)
+    moved = moved[:, np.isfinite(moved).all(axis=(0, 2))]
+    return np.column_stack([moved.mean(axis=1), 2.0 * mean_square(moved), values[:, -2:]])
 
 
 def _mtf50(pair: Comparison) -> Array:

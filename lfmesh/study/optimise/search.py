@@ -188,7 +188,8 @@ class Search:
         def pressed(at: Array, *, slopes: bool) -> Jet:
             found = problem.rated(Place(at, picks), slopes=True) if slopes else self._rated(at, picks)
             residuals = problem.residuals(found)
-            if not problem.design.constraints:
+            # A camera that is not valid has one unknown value for each figure, of however many parts.
+            if not problem.design.constraints or not found.finite:
                 return residuals
             return joined([residuals, pressure.residuals(problem.excess(found))])
 

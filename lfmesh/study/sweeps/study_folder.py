@@ -14,17 +14,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
 from lfmesh.files.json_values import plain_json
+from lfmesh.files.sealed import refuse_maker
+from lfmesh.provenance import program
 from lfmesh.regular_file import read_bytes, read_text
 from lfmesh.study.sweeps.plan import Plan, summary_of
 from lfmesh.study.sweeps.unit import Outcome, is_reference, unpacked
 
 FACTS, UNITS, REFERENCE, LOG = "study.json", "units", "reference", "log.jsonl"
 
-FORMAT = 1
+FORMAT = 2
 """Of the folder; a reader refuses any other."""
 
 
@@ -42,7 +43,7 @@ class StudyFolder:
     FileError
         The folder cannot be written.
     LfmeshError
-        It holds another study, or one of another version of lfmesh.
+        It holds another study, or one that another program began.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
@@ -60,7 +61,7 @@ class StudyFolder:
             refuse_other(known, plan.digest, path)
 
     def _facts(self) -> str:
-        facts = {"format": FORMAT, "lfmesh_version": lfmesh.__version__, **summary_of(self.plan)}
+        facts = {"format": FORMAT, "program": program(), **summary_of(self.plan)}
         return json.dumps(plain_json(facts), indent=1, ensure_ascii=False) + "\n"
 
     def reference_path(self, batch: int) -> Path:
@@ -164,16 +165,16 @@ def read_facts(path: Path) -> dict[str, Any] | None:
         Its description is damaged.
     """
     try:
-        known: dict[str, Any] = json.loads(read_text(path / FACTS))
+        known = dict(json.loads(read_text(path / FACTS)))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError):
+    except (OSError, ValueError, TypeError):
         raise FileError(f"{path / FACTS} is damaged; delete it to go on with the units that are there") from None
     return known
 
 
 def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
-    """Refuse a folder that holds another study.
+    """Refuse a folder that holds another study, or one that another program began.
 
     Parameters
     ----------
@@ -189,12 +190,7 @@ def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
     LfmeshError
         Naming the folder.
     """
-    version = known.get("format"), known.get("lfmesh_version")
-    if version != (FORMAT, lfmesh.__version__):
-        raise LfmeshError(
-            f"{path} was begun by lfmesh {version[1]} (format {version[0]}); this lfmesh {lfmesh.__version__} may not "
-            "go on to the same bits: give another folder"
-        )
+    refuse_maker(str(path), FORMAT, known.get("format"), known.get("program"))
     if known.get("digest") != digest:
         raise LfmeshError(
             f"{path} holds another study, or the scene, a file that it reads or the study file has changed since: give "

@@ -155,6 +155,30 @@ def test_another_seed_is_refused_in_a_folder(folder: Path, whole: Path, capsys: 
     assert (whole / "dataset.json").read_bytes() == before
 
 
+def test_another_program_is_refused_in_a_folder(
+    folder: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = json.loads((whole / "dataset.json").read_text())
+    facts["program"]["sources"] = "others"
+    (tmp_path / "dataset.json").write_text(json.dumps(facts))
+    assert main(["dataset", str(folder / "dataset.toml"), "-o", str(tmp_path), "--count", "3"]) == 2
+    said = capsys.readouterr().err.strip()
+    assert "written by another program (sources others, here " in said
+    assert len(said.splitlines()) == 1
+
+
+def test_an_item_of_another_program_is_named_and_made_again(folder: Path, whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "data")
+    item = tmp_path / "data/items/000001/item.json"
+    facts = json.loads(item.read_text())
+    item.write_text(json.dumps(facts | {"program": facts["program"] | {"sources": "others"}}))
+    command = ["dataset", str(folder / "dataset.toml"), "-o", str(tmp_path / "data"), "--workers", "0", "--count", "3"]
+    assert main(command) == 0
+    assert json.loads(item.read_text())["program"] == facts["program"]
+    assert "another program (sources others" in (tmp_path / "data/log.jsonl").read_text()
+    assert (tmp_path / "data/index.jsonl").read_bytes() == (whole / "index.jsonl").read_bytes()
+
+
 def test_a_dry_run_warns_of_what_the_check_of_an_item_warns_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

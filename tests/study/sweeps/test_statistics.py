@@ -10,6 +10,7 @@ from lfmesh.study.sweeps.statistics import (
     combined,
     independent_product,
     inner_products,
+    mean_square,
     of_products,
     pseudo_values,
     slope,
@@ -21,6 +22,31 @@ def test_the_jackknife_of_a_mean_is_the_mean_with_its_standard_error() -> None:
     estimate = combined(pseudo_values(lambda use: np.array([draws[use].mean()]), 12)[:, 0])
     assert estimate.value == pytest.approx(draws.mean(), rel=1e-12)
     assert estimate.stderr == pytest.approx(draws.std(ddof=1) / np.sqrt(12), rel=1e-12)
+
+
+def test_the_error_of_an_estimate_that_is_not_smooth_is_that_of_its_mean() -> None:
+    """A mean of values rounded to steps, of 2000 draws: stated over true error 0.8 to 1.25, and no other mean."""
+    draw = np.random.default_rng(7)
+    found, plain = [], []
+    for _ in range(2000):
+        values = draw.normal(size=4)
+
+        def rounded(use: Numbers, values: Array = values) -> Array:
+            return np.array([np.round(values[use].mean() / 0.4) * 0.4])
+
+        found.append(combined(pseudo_values(rounded, 4)[:, 0]))
+        plain.append(float(rounded(np.arange(4))[0]))
+    value, stated = np.transpose(found)
+    assert value == pytest.approx(plain, abs=1e-12)
+    assert 0.8 < np.sqrt((stated**2).mean()) / value.std(ddof=1) < 1.25
+
+
+def test_noise_does_not_add_to_a_mean_square_over_places() -> None:
+    """Displacements of 50 places with noise of twice their size: without bias, by a z-test at 3.3 sigma."""
+    draw = np.random.default_rng(8)
+    found = [mean_square(0.1 + 0.2 * draw.normal(size=(4, 50, 2))).mean() for _ in range(400)]
+    assert abs(np.mean(found) - 0.01) < 3.3 * np.std(found, ddof=1) / np.sqrt(len(found))
+    assert mean_square(np.full((1, 50, 2), 0.1)) == pytest.approx([0.01])
 
 
 def test_noise_does_not_add_to_products_of_independent_images() -> None:
@@ -58,7 +84,7 @@ def test_a_slope_needs_three_points_that_differ() -> None:
 
 
 @pytest.mark.parametrize("replicates", [4, 8])
-@pytest.mark.parametrize("mean", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("mean", [0.0, 0.1, 0.5, 5.0])
 def test_the_error_of_a_mean_square_holds_whatever_noise_is_in_it(replicates: int, mean: float) -> None:
     """Stated over true error of 2000 draws of 100 noisy values: 0.8 to 1.3, where the jackknife's is up to 1.7."""
     draw = np.random.default_rng(4)

@@ -274,6 +274,17 @@ def test_another_study_does_not_go_into_the_same_folder(tmp_path: Path) -> None:
         shifted(4, ("chief_rays",)).run(tmp_path, workers=0)
 
 
+@pytest.mark.parametrize("name", ["lfmesh", "sources", "numba"])
+def test_another_program_does_not_go_on_in_the_same_folder(tmp_path: Path, name: str) -> None:
+    study = shifted(3, ("chief_rays",))
+    study.run(tmp_path, workers=0)
+    facts = json.loads((tmp_path / "study.json").read_text())
+    facts["program"][name] = "others"
+    (tmp_path / "study.json").write_text(json.dumps(facts))
+    with pytest.raises(lf.LfmeshError, match=f"written by another program .{name} others, here "):
+        study.run(tmp_path, workers=0)
+
+
 def test_a_full_disk_ends_nothing(tmp_path: Path, table: str, monkeypatch: pytest.MonkeyPatch) -> None:
     usual = studying.StudyFolder.keep
 

@@ -104,6 +104,25 @@ class PointSpread(Shown):
         """(rows, columns) W/mm²: mean over each pixel, or part of one."""
         return self.mean / (self.x_mm[1] - self.x_mm[0]) ** 2 if len(self.x_mm) > 1 else self.mean
 
+    def lines(self) -> list[str]:
+        """Return the key figures in words."""
+        pixel_mm = (self.x_mm[1] - self.x_mm[0]) * self.oversample if len(self.x_mm) > 1 else math.nan
+        peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else f"{self.lenslets} lenslets lit, "
+        part = "pixel" if self.oversample == 1 else f"1/{self.oversample} × 1/{self.oversample} of a pixel"
+        return [
+            f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr",
+            f"Airy radius {1e3 * self.airy_radius_mm:.4g} µm, {self.airy_radius_mm / pixel_mm:.3g} pixels",
+            f"{100.0 * self.brightest_share:.3g} % of the light on the brightest {part}; last change "
+            f"{100.0 * self.change:.2g} %",
+        ]
+
+    def facts(self) -> dict[str, object]:
+        """Return all but the picture, by name."""
+        named = {
+            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("mean", "x_mm", "y_mm")
+        }
+        return named | {"first_x_mm": float(self.x_mm[0]), "first_y_mm": float(self.y_mm[0])}
+
     @property
     def brightest_share(self) -> float:
         """Share of the power on the sensor's plane that falls on the brightest pixel, or part of one."""

@@ -118,6 +118,7 @@ if TYPE_CHECKING:
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.show import show
+    from lfmesh.waves.point_spread import PointSpread, point_spread
     from lfmesh.waves.wavefront import Wavefront, wavefront
 
 __all__ = [
@@ -178,6 +179,7 @@ __all__ = [
     "PictureWarning",
     "Plane",
     "PointLight",
+    "PointSpread",
     "Pose",
     "Progress",
     "ProjectionMatrix",
@@ -230,6 +232,7 @@ __all__ = [
     "optimise",
     "particle_vectors",
     "patches_in_focus",
+    "point_spread",
     "projection_matrix",
     "reconstruct",
     "refocus",
@@ -329,6 +332,7 @@ _HOMES = {
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.show": ["show"],
+    "lfmesh.waves.point_spread": ["PointSpread", "point_spread"],
     "lfmesh.waves.wavefront": ["Wavefront", "wavefront"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

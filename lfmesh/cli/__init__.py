@@ -27,6 +27,7 @@ try:
             lightfield,
             matrix,
             optimise,
+            psf,
             render,
             schema,
             study,

@@ -39,6 +39,7 @@ Examples:
     lfmesh frames scene.toml -o pair/    image pairs of moving particles
     lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
     lfmesh study study.toml -o out/      many cameras: errors and tolerances
+    lfmesh psf scene.toml --point-mm 0 0 -480 -o psf/   a point, by waves
     lfmesh optimise design.toml -o best/   numbers of a camera at their best
     lfmesh fit white.png scene.toml -o fitted/   errors of a real camera
     lfmesh dataset template.toml -o data/   many scenes drawn from one

@@ -17,6 +17,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence
@@ -67,6 +68,32 @@ class Bundle(NamedTuple):
     def at(self, shift_mm: float) -> Array:
         """Return where the rays meet a plane that lies this far behind the image plane, (n, 2) mm."""
         return np.asarray(self.place + shift_mm * self.direction[:, :2] / self.direction[:, 2:])
+
+
+class Traced(NamedTuple):
+    """Rays of one object point behind the lens, all of which pass.
+
+    Attributes
+    ----------
+    before, direction : (n, 3) float64
+        Unit, before the first face and behind the last one.
+    position : (n, 3) float64, mm
+        On the last face.
+    path_mm : (n,) float64
+        Optical path from the object point up to there; of a parallel bundle from the plane through the origin square to
+        it.
+    heights : (n, faces) float64
+        Distance from the axis of each refracting face, over its semi-diameter.
+    index_behind : float
+        Of the medium behind the lens.
+    """
+
+    before: Array
+    direction: Array
+    position: Array
+    path_mm: Array
+    heights: Array
+    index_behind: float
 
 
 @dataclass(frozen=True)
@@ -191,6 +218,36 @@ class LensRays:
             place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
             direction[mine] = d
         return Bundle(pupil, place, entry, direction, weight)
+
+    def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
+        """Follow rays that pass the lens face by face, with their optical paths.
+
+        Parameters
+        ----------
+        slope : (2,) float64
+            Of the object point, as for `bundle`.
+        entry : (n, 2) float64, mm
+            Where the rays cross the plane of the first vertex.
+        wavelength_nm : float
+        """
+        field = np.asarray(slope, dtype=np.float64)
+        position, direction = self.starts(np.broadcast_to(field, entry.shape), entry)
+        before = start = direction
+        if math.isinf(self.object_mm):
+            path = (position * direction).sum(axis=1)
+        else:
+            path = np.linalg.norm(position - [*(field * self.object_mm), -self.object_mm], axis=1)
+        tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
+        whole, first = image_path(len(tables.lens.surfaces)), (position, start)
+        media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
+        heights = np.empty((len(position), len(media) - 1))
+        for face, index in enumerate(media[:-1]):
+            arrived = follow_sequence(tables, whole.until(face + 1), *first)
+            path = path + index * np.linalg.norm(arrived.position - position, axis=1)
+            position, direction = arrived.position, arrived.direction
+            own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)
+            heights[:, face] = np.hypot(own[:, 0], own[:, 1]) / shape.surfaces["semi_diameter"][face]
+        return Traced(before, direction, position, path, heights, media[-1])
 
     def _guess(self, field: Array, aim: Array, wavelength_nm: float) -> Array:
         """Return about where rays cross the plane of the first vertex, from a fan across the lens along the field."""

@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
-from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
-from lfmesh.transport.sequences.ray_tables import follow_sequence
-from lfmesh.transport.sequences.sequences import image_path
-from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import build
 from lfmesh.waves.bundle import LensRays, pupil_grid
 from lfmesh.waves.zernike import FRINGE_TERMS, fitted
@@ -205,24 +201,9 @@ def _optical_paths(
     sphere : (3,) float64, float, bool
         Centre and radius of the reference sphere, mm, and whether light meets it before its centre.
     """
-    fields = np.broadcast_to([0.0, slope], entry.shape)
-    position, direction = rays.starts(fields, entry)
-    if math.isinf(rays.object_mm):
-        # From a plane through the origin, square to the bundle.
-        path = (position * direction).sum(axis=1)
-    else:
-        point = np.array([0.0, slope * rays.object_mm, -rays.object_mm])
-        path = np.linalg.norm(position - point, axis=1)
-    tables = at_wavelength(rays.world, wavelength_nm)
-    whole = image_path(len(tables.lens.surfaces))
-    media = [refractive_index(medium, wavelength_nm) for medium in rays.world.lens_shape.media]
-    start = (position, direction)
-    for face, index in enumerate(media[:-1]):
-        arrived = follow_sequence(tables, whole.until(face + 1), *start)
-        path = path + index * np.linalg.norm(arrived.position - position, axis=1)
-        position, direction = arrived.position, arrived.direction
+    behind = rays.traced([0.0, slope], entry, wavelength_nm)
     centre, radius, before = sphere
-    off = position - centre
-    along = (off * direction).sum(axis=1)
+    off = behind.position - centre
+    along = (off * behind.direction).sum(axis=1)
     root = np.sqrt(along**2 - (off * off).sum(axis=1) + radius**2)
-    return np.asarray(path + media[-1] * (-along - root if before else -along + root))
+    return np.asarray(behind.path_mm + behind.index_behind * (-along - root if before else -along + root))

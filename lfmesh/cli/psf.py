@@ -1,0 +1,58 @@
+"""The point spread of a camera: `lfmesh psf`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from lfmesh.cli.application import app
+from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.options import SceneFile, Whole
+from lfmesh.cli.printing import list_files
+from lfmesh.cli.progress import status
+from lfmesh.wrapping import wrapped
+
+
+@app.command(
+    help_epilogue="""\
+Examples:
+
+    lfmesh psf scene.toml --point-mm 0 0 -480 --window 64 -o spread/
+    lfmesh psf scene.toml --point-mm 5 0 -500 --wavelengths-nm 500 550 600 --oversample 4 --window 32 -o white/
+"""
+)
+def psf(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for spread.exr, spread.png and spread.json.")],
+    point_mm: Annotated[
+        tuple[float, float, float], Parameter(help="x, y and z of the point in the camera frame; z below 0.")
+    ],
+    wavelengths_nm: Annotated[
+        list[float] | None, Parameter(help="One or more, summed evenly.", consume_multiple=True, negative=())
+    ] = None,
+    window: Annotated[Whole | None, Parameter(help="Pixels on a side about the light; else the whole sensor.")] = None,
+    oversample: Annotated[Whole, Parameter(help="Parts along each side of a pixel.")] = 1,
+    tolerance: Annotated[float | None, Parameter(help="Change of the picture at which grids are fine enough.")] = None,
+) -> int:
+    """Compute the sensor's picture of a point of 1 W/sr, with diffraction and interference of lenslets.
+
+    The picture is logarithmic over four decades.
+    """
+    with defer_interrupt():
+        from lfmesh.files.point_spread import write_point_spread
+        from lfmesh.scene import load
+        from lfmesh.waves.point_spread import TOLERANCE, point_spread
+    loaded = load(scene)
+    with status() as report:
+        report("following the waves")
+        found = point_spread(
+            loaded, point_mm, wavelengths_nm, window=window, oversample=oversample,
+            tolerance=TOLERANCE if tolerance is None else tolerance,
+        )  # fmt: skip
+    files = write_point_spread(found, out)
+    for line in found.lines():
+        print(wrapped(line))
+    list_files(files)
+    return 0

@@ -1,0 +1,58 @@
+"""The relief of lenslets over a plane: height and slope at points; at the borders of cells means of a small box."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.array.lattice import cell_of, centre, is_inside
+from lfmesh.geometry.array.lenslets import Lenslets, face_normal, face_sag, shape_of
+from lfmesh.kernels.decorators import inlined, kernel
+
+Array = NDArray[np.float64]
+
+PARTS = 8
+"""Points along each side of a box that a border crosses."""
+
+
+@kernel
+def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) -> None:
+    """Fill in the relief of lenslets at points of the array's frame.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    x, y : (n,) float64, mm
+    box : float, mm
+        Side of the square about each point that is averaged over, where it is not all of one cell.
+    relief : (4, n) float64
+        Sag in mm, dz/dx, dz/dy, and share of the box that lies on the array; sag and slopes are 0 beside it.
+    """
+    half = 0.5 * box
+    for i in range(len(x)):
+        column, row = cell_of(mla.lattice, x[i], y[i])
+        whole = True
+        for corner in range(4):
+            sx, sy = half if corner & 1 else -half, half if corner & 2 else -half
+            other_column, other_row = cell_of(mla.lattice, x[i] + sx, y[i] + sy)
+            whole = whole and other_column == column and other_row == row
+        parts = 1 if whole else PARTS
+        for part in range(parts * parts):
+            px = x[i] + box * ((part % parts + 0.5) / parts - 0.5)
+            py = y[i] + box * ((part // parts + 0.5) / parts - 0.5)
+            _add(mla, px, py, 1.0 / (parts * parts), relief, i)
+
+
+@inlined
+def _add(mla: Lenslets, x: float, y: float, share: float, relief: Array, i: int) -> None:
+    """Add a share of the relief at a point."""
+    column, row = cell_of(mla.lattice, x, y)
+    if not is_inside(mla.lattice, column, row):
+        return
+    cx, cy = centre(mla.lattice, column, row)
+    curvature, ex, ey = shape_of(mla, column, row)
+    dx, dy = x - cx - ex, y - cy - ey
+    sag = face_sag(mla, column, row, curvature, dx, dy)
+    nx, ny, nz = face_normal(mla, column, row, curvature, dx, dy, sag)
+    relief[0, i] += share * sag
+    relief[1, i] -= share * nx / nz
+    relief[2, i] -= share * ny / nz
+    relief[3, i] += share

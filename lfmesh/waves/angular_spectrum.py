@@ -1,0 +1,244 @@
+"""Angular spectra: light as plane waves on a grid of directions, taken through space and across relief faces.
+
+Amplitudes are normalised to flux along z: the sum of their squares is the power, which travel keeps. Light across a
+plane follows by a Fourier transform (J. W. Goodman, Introduction to Fourier Optics, 3.10), without paraxial
+approximation. Lenslets are no thin phase screens here: light is evaluated on the curved face itself, from the waves
+before it, and sent on from there. Between planes through the relief, waves are interpolated in z by polynomials.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Waves = NDArray[np.complex128]
+
+INTERPOLATED = 1e-5
+"""Largest error of interpolation between planes through a relief."""
+
+NEAR_PEAK = 33
+"""Points on a side of the grid about the brightest place that the peak is looked for on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Directions and places that belong together by a discrete Fourier transform, n on a side.
+
+    Attributes
+    ----------
+    n : int
+        Even.
+    step_mm : float
+        Between places.
+    wavelength_mm : float
+        In air.
+    middle : (2,) float64
+        Direction that the directions lie around.
+    """
+
+    n: int
+    step_mm: float
+    wavelength_mm: float
+    middle: Array
+
+    @cached_property
+    def places(self) -> Array:
+        """(n,) mm: from the middle, in the order of transforms."""
+        return np.asarray(np.fft.fftfreq(self.n, 1.0 / (self.n * self.step_mm)))
+
+    @cached_property
+    def directions(self) -> tuple[Array, Array]:
+        """(n,), (n,): optical direction cosines n sin θ along x and y, in the order of transforms."""
+        offset = np.fft.fftfreq(self.n, self.step_mm) * self.wavelength_mm
+        return self.middle[0] + offset, self.middle[1] + offset
+
+    def along_z(self, index: float) -> Array:
+        """Return n cos θ in a medium for all directions, (n, n); 0 where waves are evanescent."""
+        px, py = self.directions
+        return np.asarray(np.sqrt(np.maximum(index * index - px[None, :] ** 2 - py[:, None] ** 2, 0.0)))
+
+    def middle_z(self, index: float) -> float:
+        """Return n cos θ of the middle direction in a medium."""
+        return math.sqrt(max(index * index - float(self.middle @ self.middle), 1e-12))
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Light across a plane.
+
+    Attributes
+    ----------
+    grid : Grid
+    waves : (n, n) complex128, √W
+        Amplitude of each direction, [y, x] in the order of transforms.
+    at_mm : (3,) float64
+        The point of the plane that the grid's places are counted from, camera frame.
+    index : float
+        Of the medium.
+    """
+
+    grid: Grid
+    waves: Waves
+    at_mm: Array
+    index: float = 1.0
+
+    @property
+    def power_w(self) -> float:
+        """Of all waves."""
+        return float((np.abs(self.waves) ** 2).sum())
+
+    @property
+    def field(self) -> Waves:
+        """(n, n) √W: light across the plane, [y, x] in the order of transforms; its squares are power."""
+        return np.asarray(scipy.fft.ifft2(self.waves, norm="ortho"))
+
+    def travelled(self, z_mm: float) -> "Spectrum":
+        """Return the light across another plane of the same medium; places are then counted along the middle ray."""
+        grid, way = self.grid, z_mm - float(self.at_mm[2])
+        if way == 0.0:
+            return self
+        pz, middle_z = grid.along_z(self.index), grid.middle_z(self.index)
+        shift = way / middle_z * grid.middle
+        px, py = grid.directions
+        phase = (pz - middle_z) * way
+        phase += (px * shift[0])[None, :] + (py * shift[1])[:, None]
+        waves = np.where(pz > 0.0, self.waves * np.exp(2j * np.pi / grid.wavelength_mm * phase), 0.0)
+        return replace(self, waves=waves, at_mm=np.array([*(self.at_mm[:2] + shift), z_mm]))
+
+    def through_plane(self, amplitude: Array, index: float) -> "Spectrum":
+        """Return the light behind a plane face, which passes each direction by an amplitude (n, n)."""
+        return replace(self, waves=self.waves * amplitude * (self.grid.along_z(index) > 0.0), index=index)
+
+    def through_relief(self, height: Array, amplitude: Array, index: float) -> "Spectrum":
+        """Return the light behind a face in relief over the plane, as waves of that plane.
+
+        Parameters
+        ----------
+        height : (n, n) float64, mm
+            z of the face above the plane, at the grid's places.
+        amplitude : (n, n) float64
+            That it passes at each place.
+        index : float
+            Of the medium behind.
+        """
+        grid, k = self.grid, 2.0 * np.pi / self.grid.wavelength_mm
+        spans, middles = [], []
+        for n in (self.index, index):
+            pz = grid.along_z(n)
+            middles.append(0.5 * float(pz.max() + pz[pz > 0.0].min()))
+            spans.append(np.where(pz > 0.0, pz - middles[-1], 0.0))
+        span = max(float(np.abs(each).max()) for each in spans)
+        slices = _slices(float(height.min()), float(height.max()), k * span)
+        face = np.zeros_like(self.waves)
+        for z, share in zip(slices, _shares(slices, height), strict=True):
+            face += share * scipy.fft.ifft2(self.waves * np.exp(1j * k * z * spans[0]), norm="ortho")
+        face *= amplitude * np.exp(1j * k * (middles[0] - middles[1]) * height)
+        waves = np.zeros_like(self.waves)
+        for z, share in zip(slices, _shares(slices, height), strict=True):
+            waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(share * face, norm="ortho")
+        return replace(self, waves=np.where(grid.along_z(index) > 0.0, waves, 0.0), index=index)
+
+
+def _slices(low: float, high: float, per_mm: float) -> Array:
+    """Return the heights of planes (Chebyshev's points) between which exp(i · per_mm · z) is interpolated well."""
+    half = 0.5 * (high - low)
+    count, error = 1, per_mm * half
+    while error > INTERPOLATED:
+        count += 1
+        error *= 0.5 * per_mm * half / count
+    return np.asarray(0.5 * (low + high) + half * np.cos(np.pi * (np.arange(count) + 0.5) / count))
+
+
+def _shares(planes: Array, height: Array) -> Iterator[Array]:
+    """Yield Lagrange's polynomials of some planes at heights, one array each."""
+    for z in planes:
+        share = np.ones_like(height)
+        for other in planes[planes != z]:
+            share *= (height - other) / (z - other)
+        yield share
+
+
+class Sampling(NamedTuple):
+    """Evenly spaced points along x and y, [row, column].
+
+    Attributes
+    ----------
+    first_mm : (2,) float64
+        x and y of the first one.
+    step_mm : float
+    size : (int, int)
+        Columns and rows.
+    """
+
+    first_mm: Array
+    step_mm: float
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Irradiance:
+    """Irradiance across a plane, as the Fourier series that it is: its waves have a limited range of directions.
+
+    Attributes
+    ----------
+    series : (m, m / 2 + 1) complex128
+        Transform of the irradiance, which is real: [y, x], of x the terms from 0 on.
+    period_mm : float
+    at_mm : (2,) float64
+        Where places are counted from.
+    brightest_mm : (2,) float64
+        The brightest one of m × m places.
+    """
+
+    series: Waves
+    period_mm: float
+    at_mm: Array
+    brightest_mm: Array
+
+    @classmethod
+    def of(cls, light: Spectrum) -> "Irradiance":
+        """Return that of light across a plane."""
+        n, m = light.grid.n, 2 * light.grid.n
+        wide = np.zeros((m, m), np.complex128)
+        low, high = slice(0, n // 2), slice(-(n // 2), None)
+        for rows in (low, high):
+            for columns in (low, high):
+                wide[rows, columns] = light.waves[rows, columns]
+        field = scipy.fft.ifft2(wide, norm="ortho", overwrite_x=True)
+        power = field.real**2 + field.imag**2
+        period = n * light.grid.step_mm
+        row, column = divmod(int(power.argmax()), m)
+        brightest = light.at_mm[:2] + np.fft.fftfreq(m, 1.0 / period)[[column, row]]
+        return cls(scipy.fft.rfft2(power) / period**2, period, light.at_mm[:2], brightest)
+
+    def sampled(self, points: Sampling, box_mm: float = 0.0) -> Array:
+        """Return the irradiance at points, averaged over a square box about each, (rows, columns) W/mm².
+
+        Parameters
+        ----------
+        points : Sampling
+            In the camera frame; beside the period, values repeat.
+        box_mm : float
+            Side of the box.
+        """
+        m = len(self.series)
+        waves = []
+        for axis, number in ((1, np.fft.fftfreq(m, 1.0 / m)), (0, np.arange(m // 2 + 1))):
+            at = points.first_mm[axis] - self.at_mm[axis] + points.step_mm * np.arange(points.size[axis])
+            mean = np.sinc(number * box_mm / self.period_mm)
+            waves.append(mean * np.exp(2j * np.pi / self.period_mm * at[:, None] * number))
+        # Each term of x but the first stands for that of the other sign, too; the last one is nearly 0.
+        waves[1][:, 1:] *= 2.0
+        return np.asarray(((waves[0] @ self.series) @ waves[1].T).real)
+
+    def peak(self) -> float:
+        """Return the largest irradiance, W/mm²."""
+        step = self.period_mm / len(self.series)
+        points = Sampling(self.brightest_mm - step, 2.0 * step / (NEAR_PEAK - 1), (NEAR_PEAK, NEAR_PEAK))
+        return float(self.sampled(points).max())

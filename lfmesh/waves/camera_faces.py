@@ -1,0 +1,199 @@
+"""The faces between lens and sensor as waves meet them: of the microlens array and of the sensor's cover."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.array.lattice import cell_of, is_inside
+from lfmesh.geometry.array.lenslets import Lenslets
+from lfmesh.geometry.array.relief import fill_relief
+from lfmesh.optics.coatings import Stack, coated
+from lfmesh.optics.glass import absorption_per_mm, refractive_index
+from lfmesh.optics.share_table import looked_up
+from lfmesh.scene import Scene
+from lfmesh.scene.materials.coatings import UNCOATED
+from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.coatings import coating_table
+from lfmesh.transport.tables.interfaces import Face, array_faces, cover_faces
+from lfmesh.transport.tables.tables import CURVED_ROW, Tables
+from lfmesh.waves.angular_spectrum import Spectrum
+
+Array = NDArray[np.float64]
+
+ANGLES = 257
+"""At which the transmittance of a face is computed; linear in between."""
+
+STRAIGHT = 1e-12
+"""Largest difference of a cosine from 1 at which a part counts as square to the axis."""
+
+GRAZING = 0.05
+"""Least cosine, about, between light and a lenslet's face: steeper places pass nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class WaveFace:
+    """A face, square to the axis.
+
+    Attributes
+    ----------
+    z_mm : float
+        Of the plane, or of the apexes of lenslets.
+    interface : Face
+        Its media and coating.
+    index : float
+        Of the medium behind.
+    absorption_per_mm : float
+        Of the medium behind.
+    lenslets : Lenslets, optional
+        That stand on it.
+    frame : (3, 4) float64
+        Move from the camera's frame into that of the lenslets.
+    """
+
+    z_mm: float
+    interface: Face
+    index: float
+    absorption_per_mm: float
+    lenslets: Lenslets | None
+    frame: Array
+
+    def passed(self, light: Spectrum, scene: Scene) -> Spectrum:
+        """Return the light behind the face.
+
+        Parameters
+        ----------
+        light : Spectrum
+            Across the plane of the face, before it.
+        scene : Scene
+            Has the coatings.
+        """
+        sines, amplitude = self._amplitudes(light, scene)
+        grid = light.grid
+        if self.lenslets is None:
+            px, py = grid.directions
+            return light.through_plane(np.interp(np.hypot(px[None, :], py[:, None]), sines, amplitude), self.index)
+        x, y = light.at_mm[0] + grid.places, light.at_mm[1] + grid.places
+        height, slope, inside = self._relief(self.lenslets, x, y)
+        # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
+        # waves within the grid's, keeps these out to the second order of the grid's step.
+        height = height - (_second_difference(height, 0) + _second_difference(height, 1)) / 24.0
+        steep = np.sqrt(1.0 + (slope**2).sum(axis=0))
+        before = np.array([*grid.middle, grid.middle_z(light.index)])
+        onto = (before[2] - before[0] * slope[0] - before[1] * slope[1]) / steep
+        across = np.sqrt(np.maximum(light.index**2 - onto**2, 0.0))
+        behind = np.sqrt(np.maximum(self.index**2 - across**2, 0.0))
+        # Behind, along the normal (−slope, 1) / steep, the wave vector is longer by this.
+        more = behind - onto
+        pz = before[2] + more / steep
+        # Flux through the face by that through a plane, before and behind: what crosses it aslant is more or less.
+        flux = (onto * steep / before[2]) * (behind * steep / np.maximum(pz, GRAZING))
+        clear = (onto > GRAZING) & (behind > GRAZING) & (pz > GRAZING)
+        shape = inside * np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0)
+        return light.through_relief(height, shape, self.index)
+
+    def reach_mm(self, places: Array) -> tuple[float, float]:
+        """Return the largest slope of the lenslets near places (n, 2), mm, and their pitch; 0, 0 of a plane."""
+        if self.lenslets is None:
+            return 0.0, 0.0
+        pitch = self.lenslets.lattice.pitch
+        low, high = places.min(axis=0) - pitch, places.max(axis=0) + pitch
+        x, y = (np.linspace(a, b, min(400, 8 + int(20 * (b - a) / pitch))) for a, b in zip(low, high, strict=True))
+        _, slope, _ = self._relief(self.lenslets, x, y)
+        return float(np.abs(slope).max()), pitch
+
+    def met_by(self, places: Array) -> int:
+        """Return the number of lenslets that rays to places (n, 2), mm, meet."""
+        assert self.lenslets is not None
+        lattice = self.lenslets.lattice
+        own = places @ self.frame[:2, :2].T + self.frame[:2, 3]
+        cells = {cell_of(lattice, float(x), float(y)) for x, y in own}
+        return sum(is_inside(lattice, *cell) for cell in cells)
+
+    def _relief(self, lenslets: Lenslets, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return height and slope of the lenslets (camera frame) on an even grid, and the share on the array."""
+        xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
+        turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
+        own = turn @ np.stack([xs, ys]) + self.frame[:2, 3:]
+        relief = np.zeros((4, len(xs)))
+        fill_relief(lenslets, np.ascontiguousarray(own[0]), np.ascontiguousarray(own[1]), abs(x[1] - x[0]), relief)
+        shape = len(y), len(x)
+        slope = sense * (turn.T @ relief[1:3])
+        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), relief[3].reshape(shape)
+
+    def _amplitudes(self, light: Spectrum, scene: Scene) -> tuple[Array, Array]:
+        """Return n sin θ, and the amplitude that the face passes there, both (angles,)."""
+        n_i, n_t, wavelength = light.index, self.index, light.grid.wavelength_mm * 1e6
+        thin = min(n_i, n_t)
+        cosines = np.linspace(1.0, 1e-6, ANGLES)
+        sines = thin * np.sqrt(1.0 - cosines**2)
+        face = self.interface
+        if face.coating == UNCOATED:
+            share = coated(thin, max(n_i, n_t), Stack((), ()), wavelength, cosines)[1]
+        else:
+            table = coating_table(scene, face.coating, face.outer, face.inner, (wavelength,))
+            # Tables go by the angle in the thinner medium; of layers that absorb, the third quantity is what passes.
+            first = 2 * len(table.values) // 3 if table.absorbs else 0
+            found = np.array([looked_up(table.values, first, table.pieces, 0, float(np.sqrt(c))) for c in cosines])
+            share = found if table.absorbs else 1.0 - found
+        return sines, np.sqrt(share)
+
+
+def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> list[WaveFace]:
+    """Return the faces of array and cover at one wavelength, from the lens to the sensor.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved.
+    tables : Tables
+    wavelength_nm : float
+
+    Raises
+    ------
+    LfmeshError
+        The array or the sensor is tilted.
+    """
+    faces, mla, cover = [], scene.camera.mla, scene.camera.sensor.cover
+    absorbs = scene.camera.absorption
+    if mla is not None:
+        tilt = list(mla.pose.tilt_deg)
+        _refuse_tilt(tables.frames[MLA_FRAME, CAMERA_FRAME], "camera.mla.pose.tilt_deg", tilt, turn=True)
+        curved, flat = array_faces(scene)
+        lenslets = {tables.mla.frame: (tables.mla.lenslets, curved if tables.mla.row == CURVED_ROW else flat)}
+        if tables.mla.back is not None:
+            back = tables.mla.back
+            lenslets[back.frame] = back.lenslets, curved if back.row == CURVED_ROW else flat
+        for frame in (MLA_FRAME, BACK_FRAME):
+            z = float(tables.frames[frame, CAMERA_FRAME][2, 3])
+            shape, interface = lenslets.get(frame, (None, flat))
+            faces.append((z, interface, shape, tables.frames[CAMERA_FRAME, frame], mla.medium))
+    sensor_z = float(tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3])
+    _refuse_tilt(
+        tables.frames[SENSOR_FRAME, CAMERA_FRAME],
+        "camera.sensor.pose.tilt_deg",
+        list(scene.camera.sensor.pose.tilt_deg),
+    )
+    faces.sort(key=lambda face: face[0])
+    if cover is not None:
+        for interface, height in zip(cover_faces(scene), (cover.height_mm, cover.gap_mm), strict=True):
+            faces.append((sensor_z - height, interface, None, np.zeros((3, 4)), cover.medium))
+    found = []
+    for number, (z, interface, shape, frame, medium) in enumerate(faces):
+        behind = None if number % 2 else medium
+        taken = absorption_per_mm(behind, wavelength_nm) if absorbs and isinstance(behind, str) else 0.0
+        found.append(WaveFace(z, interface, refractive_index(behind, wavelength_nm), taken, shape, frame))
+    return found
+
+
+def _second_difference(values: Array, axis: int) -> Array:
+    """Return the second difference on a grid in the order of transforms."""
+    return np.asarray(np.roll(values, 1, axis) + np.roll(values, -1, axis) - 2.0 * values)
+
+
+def _refuse_tilt(move: Array, where: str, value: list[float], *, turn: bool = False) -> None:
+    straight = abs(move[2, 2]) if turn else move[0, 0] * move[1, 1] * abs(move[2, 2])
+    if not math.isclose(straight, 1.0, abs_tol=STRAIGHT):
+        raise LfmeshError(f"{where} = {value}: a point spread needs array and sensor square to the axis; make it 0")

@@ -1,0 +1,392 @@
+"""The point spread: the sensor's irradiance of one shining point, coherent, through lens, lenslets and cover.
+
+The lens is traced (`pupil_waves`); its plane waves are taken to the microlens array, through the relief of all its
+lenslets at once, and on to the sensor (`angular_spectrum`). Lenslets thus interfere. The grid of directions and places
+is made finer and wider until the picture stands.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike, NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
+from lfmesh.notebook import Shown
+from lfmesh.scene import Scene
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.interfaces import refused_in_order
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.world import World, build
+from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
+from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
+from lfmesh.waves.pupil_waves import PupilWaves, pupil_waves
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 3e-3
+"""Change of the picture, over its power, at which grids are fine enough, if not said."""
+
+FINER = 1.25
+"""Each grid is finer and wider by this than the one before."""
+
+FIRST_BAND, FIRST_RINGS = 1.5, 30.0
+"""Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+
+LEAST, MOST = 128, 3072
+"""Places on a side of a grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointSpread(Shown):
+    """The point spread of one point on the sensor.
+
+    Attributes
+    ----------
+    mean : (rows, columns) float64, W
+        Power on each pixel, or on each part of one, from an isotropic point of 1 W/sr, so W per W/sr. It lies as on the
+        sensor: columns along +x, rows along +y. What lies beside the light that was computed is 0.
+    x_mm : (columns,) float64
+        Middle of each column, sensor frame.
+    y_mm : (rows,) float64
+    point_mm : (3,) float64
+        Camera frame.
+    wavelengths_nm, weights : tuple of float
+        Of the sum, weights adding up to 1.
+    oversample : int
+        Parts along each side of a pixel.
+    entered_w : float
+        Power behind the lens.
+    power_w : float
+        Power on the plane of the sensor, beside its pixels too.
+    peak_w_mm2 : float
+        Largest irradiance, at the middle one of the wavelengths.
+    strehl : float or None
+        The same over that of light in phase; None with a microlens array.
+    airy_radius_mm : float
+        Radius of the first dark ring, 0.61 λ / sin u by the rays on the sensor's side of lens or, behind an array,
+        λ / sin u by the pitch and the focal length of a lenslet, at the middle wavelength.
+    lenslets : int
+        Number of lenslets that the rays meet; 0 without an array.
+    change : float
+        Of the picture with the last refinement of the grid: sum of absolute differences, over its power.
+    misfit_waves : float
+        Of the polynomials that follow the wavefront, at most.
+    """
+
+    mean: Array
+    x_mm: Array
+    y_mm: Array
+    point_mm: tuple[float, float, float]
+    wavelengths_nm: tuple[float, ...]
+    weights: tuple[float, ...]
+    oversample: int
+    entered_w: float
+    power_w: float
+    peak_w_mm2: float
+    strehl: float | None
+    airy_radius_mm: float
+    lenslets: int
+    change: float
+    misfit_waves: float
+
+    def __repr__(self) -> str:
+        rows, columns = self.mean.shape
+        nm = ", ".join(f"{each:g}" for each in self.wavelengths_nm)
+        return f"<PointSpread: {columns} × {rows} at {nm} nm, {self.power_w:.4g} W, change {self.change:.1g}>"
+
+    @property
+    def irradiance_w_mm2(self) -> Array:
+        """(rows, columns) W/mm²: mean over each pixel, or part of one."""
+        return self.mean / (self.x_mm[1] - self.x_mm[0]) ** 2 if len(self.x_mm) > 1 else self.mean
+
+    def lines(self) -> list[str]:
+        """Return the key figures in words."""
+        pixel_mm = (self.x_mm[1] - self.x_mm[0]) * self.oversample if len(self.x_mm) > 1 else math.nan
+        peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else f"{self.lenslets} lenslets lit, "
+        part = "pixel" if self.oversample == 1 else f"1/{self.oversample} × 1/{self.oversample} of a pixel"
+        return [
+            f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr",
+            f"Airy radius {1e3 * self.airy_radius_mm:.4g} µm, {self.airy_radius_mm / pixel_mm:.3g} pixels",
+            f"{100.0 * self.brightest_share:.3g} % of the light on the brightest {part}; last change "
+            f"{100.0 * self.change:.2g} %",
+        ]
+
+    def facts(self) -> dict[str, object]:
+        """Return all but the picture, by name."""
+        named = {
+            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("mean", "x_mm", "y_mm")
+        }
+        return named | {"first_x_mm": float(self.x_mm[0]), "first_y_mm": float(self.y_mm[0])}
+
+    @property
+    def brightest_share(self) -> float:
+        """Share of the power on the sensor's plane that falls on the brightest pixel, or part of one."""
+        return float(self.mean.max()) / self.power_w
+
+
+def point_spread(
+    scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | None = None, *,
+    weights: Sequence[float] | None = None, window: int | None = None, oversample: int = 1,
+    tolerance: float = TOLERANCE,
+) -> PointSpread:  # fmt: skip
+    """Compute the sensor's irradiance of an isotropic point of 1 W/sr, with diffraction and interference.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its camera counts; targets and lights are left out, and nothing hides the point.
+    point_mm : (3,) float
+        x, y and z in the camera frame; z below 0.
+    wavelengths_nm : float or sequence of float, optional
+        Irradiances of several are summed. The scene's primary one if left out.
+    weights : sequence of float, optional
+        Of the wavelengths, even if left out; they are scaled to add up to 1.
+    window : int, optional
+        Pixels on a side of a square about the light; the whole sensor if left out.
+    oversample : int
+        Parts along each side of a pixel, from 1 to 64.
+    tolerance : float
+        Largest change of the picture, over its power, with the last refinement of the grid.
+
+    Raises
+    ------
+    LfmeshError
+        A camera or scene that waves are not taken through (meshes, rough faces, tilted arrays and sensors, media,
+        bodies of glass, polarisers), a point whose light does not pass, a spread too large, or a value out of range.
+    """
+    point = np.asarray(point_mm, dtype=np.float64)
+    nm = (scene.primary_nm,) if wavelengths_nm is None else tuple(np.atleast_1d(wavelengths_nm).astype(float).tolist())
+    shares = _shares(nm, weights)
+    _refuse_values(point, window, oversample, tolerance)
+    _refuse_scene(scene)
+    camera = solved_camera(scene)
+    world = build(camera.scene.camera_alone())
+    pixels = _pixels(camera, world, point, nm[len(nm) // 2], (window, oversample))
+    each = [_Monochrome(camera, world, point, wavelength, pixels).converged(tolerance) for wavelength in nm]
+    mean = sum(share * one.mean for share, one in zip(shares, each, strict=True))
+    middle = each[len(each) // 2]
+    x, y = (pixels.first_mm[axis] + pixels.step_mm * np.arange(pixels.size[axis]) for axis in (0, 1))
+    return PointSpread(
+        np.asarray(mean), x, y, (float(point[0]), float(point[1]), float(point[2])), nm, shares, oversample,
+        sum(share * one.entered_w for share, one in zip(shares, each, strict=True)),
+        sum(share * one.power_w for share, one in zip(shares, each, strict=True)),
+        middle.peak_w_mm2, middle.strehl, middle.airy_radius_mm, middle.lenslets,
+        max(one.change for one in each), max(one.misfit_waves for one in each),
+    )  # fmt: skip
+
+
+class _Found(NamedTuple):
+    """The point spread at one wavelength, see `PointSpread`."""
+
+    mean: Array
+    entered_w: float
+    power_w: float
+    peak_w_mm2: float
+    strehl: float | None
+    airy_radius_mm: float
+    lenslets: int
+    change: float
+    misfit_waves: float
+
+
+class _Monochrome:
+    """The point spread at one wavelength, on grids of any fineness."""
+
+    def __init__(
+        self, camera: SolvedCamera, world: World, point: Array, wavelength_nm: float, pixels: Sampling
+    ) -> None:
+        self.camera, self.pixels = camera, pixels
+        tables = at_wavelength(world, wavelength_nm)
+        self.sensor = tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
+        self.faces = faces_before_sensor(camera.scene, tables, wavelength_nm)
+        self.pupil = pupil_waves(world, camera, point, wavelength_nm)
+        self.words = f"point_mm = {point.tolist()}"
+
+    @property
+    def _relief(self) -> list[WaveFace]:
+        return [face for face in self.faces if face.lenslets is not None]
+
+    def converged(self, tolerance: float) -> _Found:
+        """Return the point spread on the first grid by which it changes less than the tolerance."""
+        first, change, fineness = self._on_grid(self._grid(1.0)), math.inf, 1.0
+        while change > tolerance:
+            fineness *= FINER
+            finer = self._on_grid(self._grid(fineness))
+            change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
+            first = finer
+        return first._replace(change=change)
+
+    def _grid(self, fineness: float) -> Grid:
+        """Return a grid that is finer and wider than the first one by a factor.
+
+        Raises
+        ------
+        LfmeshError
+            It has more than `MOST` places on a side.
+        """
+        pupil, wavelength = self.pupil, self.pupil.wavelength_mm
+        planes = [*(face.z_mm for face in self.faces), float(self.sensor[2])]
+        middle_z = math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
+        reach = 0.0
+        for z in planes:
+            chief = pupil.focus_mm[:2] + (z - pupil.focus_mm[2]) * pupil.middle / middle_z
+            reach = max(reach, float(np.abs(pupil.places_at(z) - chief).max()))
+        cone = float(pupil.half.max())
+        margin, turned, index = FIRST_RINGS * wavelength / (2.0 * cone), 0.0, 1.0
+        for face in self.faces:
+            steep, pitch = face.reach_mm(pupil.places_at(face.z_mm))
+            turn = abs(face.index - index) * steep + (4.0 * wavelength / pitch if pitch else 0.0)
+            margin += pitch + turn * (float(self.sensor[2]) - face.z_mm)
+            turned, index = turned + turn, face.index
+        band = FIRST_BAND * (cone + turned) + (reach + margin) / abs(pupil.radius_mm)
+        step = wavelength / (2.0 * band * fineness)
+        places = max(LEAST, math.ceil((reach + margin) * fineness / step) * 2)
+        if places > MOST:
+            raise LfmeshError(
+                f"{self.words}: its light is {2e3 * reach:.4g} µm wide between lens and sensor, and needs grids of "
+                f"{places} places on a side, {MOST} are possible; give a point nearer the plane in focus, or a larger "
+                "tolerance"
+            )
+        n = scipy.fft.next_fast_len(places // 2) * 2
+        return Grid(n, step, wavelength, pupil.middle)
+
+    def _on_grid(self, grid: Grid) -> _Found:
+        """Return the point spread by one grid; its change is not known."""
+        pupil = _in_pupil(self.pupil, grid)
+        light = _seen_from_focus(self.pupil, pupil)
+        behind_lens = light.power_w
+        for before, face in zip([None, *self.faces], self.faces, strict=False):
+            light = _travelled(light, face.z_mm, before)
+            light = face.passed(light, self.camera.scene)
+        light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
+        light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
+        irradiance = Irradiance.of(light)
+        # Of the pupil's amplitudes in phase, less what is lost behind the lens.
+        in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
+        peak = irradiance.peak()
+        return _Found(
+            self._on_pixels(irradiance), self.pupil.power_w, light.power_w, peak,
+            None if self._relief else peak / in_phase, self._airy_radius(), self._lenslets(), math.inf,
+            self.pupil.misfit_waves,
+        )  # fmt: skip
+
+    def _on_pixels(self, irradiance: Irradiance) -> Array:
+        """Return the power on each pixel; 0 beside the period of the irradiance."""
+        pixels, mean = self.pixels, np.zeros(self.pixels.size[::-1])
+        low = irradiance.at_mm - self.sensor[:2] - 0.5 * irradiance.period_mm
+        first = np.ceil((low - pixels.first_mm) / pixels.step_mm).astype(int).clip(0, pixels.size)
+        last = np.floor((low + irradiance.period_mm - pixels.first_mm) / pixels.step_mm).astype(int) + 1
+        count = last.clip(0, pixels.size) - first
+        if (count > 0).all():
+            at = self.sensor[:2] + pixels.first_mm + first * pixels.step_mm
+            lit = irradiance.sampled(Sampling(at, pixels.step_mm, (int(count[0]), int(count[1]))), pixels.step_mm)
+            mean[first[1] : first[1] + count[1], first[0] : first[0] + count[0]] = lit * pixels.step_mm**2
+        # Rounding leaves some of the darkest below 0.
+        return np.maximum(mean, 0.0)
+
+    def _airy_radius(self) -> float:
+        number = self.camera.report.microlens_f_number
+        if number is None:
+            return 0.61 * self.pupil.wavelength_mm / float(self.pupil.half.min())
+        return 1.22 * self.pupil.wavelength_mm * number
+
+    def _lenslets(self) -> int:
+        return max((face.met_by(self.pupil.places_at(face.z_mm)) for face in self._relief), default=0)
+
+
+def _in_pupil(pupil: PupilWaves, grid: Grid) -> Spectrum:
+    """Return the plane waves behind the lens on a grid, about the focus."""
+    px, py = grid.directions
+    return Spectrum(grid, np.fft.ifftshift(pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))), pupil.focus_mm)
+
+
+def _seen_from_focus(pupil: PupilWaves, light: Spectrum) -> Spectrum:
+    """Return the light across the plane of the focus, the pupil's rim at its distance."""
+    grid = light.grid
+    # Directions that the rim cuts in part are averaged over, which takes this from the light far from the focus.
+    taken = np.sinc(grid.places / (grid.n * grid.step_mm))
+    seen = light.field * np.exp(2j * np.pi * pupil.rim_phase(grid.places, grid.places)) / np.outer(taken, taken)
+    return replace(light, waves=scipy.fft.fft2(seen, norm="ortho"))
+
+
+def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectrum:
+    """Return the light across another plane of the medium behind a face, less what the medium absorbs."""
+    way = z_mm - float(light.at_mm[2])
+    light = light.travelled(z_mm)
+    if behind is None or behind.absorption_per_mm == 0.0:
+        return light
+    return replace(light, waves=light.waves * math.exp(-0.5 * behind.absorption_per_mm * way))
+
+
+def _pixels(
+    camera: SolvedCamera, world: World, point: Array, wavelength_nm: float, asked: tuple[int | None, int]
+) -> Sampling:
+    """Return the pixels, or parts of pixels, of the sensor's frame: all, or of a window about the light."""
+    sensor = camera.scene.camera.sensor
+    window, oversample = asked
+    count, first = list(sensor.pixels), [0, 0]
+    if window is not None:
+        tables = at_wavelength(world, wavelength_nm)
+        place = tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
+        light = pupil_waves(world, camera, point, wavelength_nm).places_at(float(place[2])).mean(axis=0) - place[:2]
+        for axis in (0, 1):
+            size = min(window, count[axis])
+            middle = light[axis] / sensor.pixel_mm + 0.5 * count[axis]
+            first[axis] = int(np.clip(round(middle - 0.5 * size), 0, count[axis] - size))
+            count[axis] = size
+    step = sensor.pixel_mm / oversample
+    # Of the first part of the first pixel.
+    corner = [(number - 0.5 * whole) * sensor.pixel_mm for number, whole in zip(first, sensor.pixels, strict=True)]
+    return Sampling(np.asarray(corner) + 0.5 * step, step, (count[0] * oversample, count[1] * oversample))
+
+
+def _shares(wavelengths_nm: tuple[float, ...], weights: Sequence[float] | None) -> tuple[float, ...]:
+    """Return the weights of wavelengths, which add up to 1."""
+    for wavelength in wavelengths_nm:
+        if not 0.0 < wavelength < math.inf:
+            raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be above 0 and finite")
+    if not wavelengths_nm:
+        raise LfmeshError("wavelengths_nm is empty: give one wavelength or more")
+    given = [1.0] * len(wavelengths_nm) if weights is None else [float(weight) for weight in weights]
+    if len(given) != len(wavelengths_nm):
+        raise LfmeshError(f"weights = {given}: there are {len(wavelengths_nm)} wavelengths; give one weight for each")
+    if not all(0.0 <= weight < math.inf for weight in given) or sum(given) == 0.0:
+        raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
+    return tuple(weight / sum(given) for weight in given)
+
+
+def _refuse_values(point: Array, window: int | None, oversample: int, tolerance: float) -> None:
+    if point.shape != (3,) or not np.isfinite(point).all() or not point[2] < 0.0:
+        raise LfmeshError(
+            f"point_mm = {point.tolist()}: give x, y and z in the camera frame, finite, with z below 0, before the lens"
+        )
+    if window is not None and not 1 <= window <= 100_000:
+        raise LfmeshError(f"window = {window}: must be 1 pixel or more, up to 100,000")
+    if not 1 <= oversample <= 64:
+        raise LfmeshError(f"oversample = {oversample}: must be from 1 to 64 parts of a pixel's side")
+    if not 0.0 < tolerance < 1.0:
+        raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
+
+
+def _refuse_scene(scene: Scene) -> None:
+    """Refuse what coherent waves are not taken through."""
+    if scene.media or scene.tanks:
+        name = "media" if scene.media else "tanks"
+        raise LfmeshError(f"{name}: a point spread is taken through air to the camera; leave them out")
+    body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
+    if body is not None:
+        raise LfmeshError(
+            f"targets[{body}] is a body of glass: a point spread is taken through air to the camera; leave it out"
+        )
+    if scene.camera.polariser_deg is not None:
+        raise LfmeshError(
+            f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; leave it out"
+        )
+    rough = refused_in_order(scene)
+    if rough is not None:
+        raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")

@@ -1,0 +1,250 @@
+"""The plane waves that a lens makes of a point's light: amplitude and phase by direction, from traced rays.
+
+Behind the lens every ray stands for a plane wave of its direction. Its phase is the optical path to the foot of the
+perpendicular from one common point, the focus: the angle characteristic, whose slopes are the places of the rays (M.
+Born, E. Wolf, Principles of Optics, 4.1). Its power is that of the point's solid angle that the lens sends there. Both
+are smooth, as is the place in each aperture, and are fitted by polynomials of the direction cosines; so they are known
+on any grid. Where the exit pupil lies at a finite distance, its rim casts spherical waves in place of plane ones, see
+`rim_phase`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.solved_camera import SolvedCamera
+from lfmesh.transport.world import World
+from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.waves.wavefront import NM_PER_MM
+
+Array = NDArray[np.float64]
+
+ACROSS = 40
+"""Rays on a diameter of the stop."""
+
+DEGREES = (6, 8, 10, 12, 14, 16, 18)
+"""Of the polynomials, in turn until the phase is followed."""
+
+FOLLOWED, REFUSED = 1e-4, 0.02
+"""Largest difference of the phase from its polynomial, waves: that is sought; that is refused."""
+
+CLOSE_TO_RIM = 0.8
+"""Of its semi-diameter: rays that come no farther from the axis than this say that a face does not clip them."""
+
+FINE = 401
+"""Directions on a side of the grid by which the power is summed."""
+
+NARROW = 1e-9
+"""Range of direction cosines behind the lens below which light is collimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class PupilWaves:
+    """Plane waves behind the lens, from one point of 1 W/sr at one wavelength.
+
+    Attributes
+    ----------
+    wavelength_mm : float
+    middle, half : (2,) float64
+        Middle and half width of the range of direction cosines along x and y.
+    focus_mm : (3,) float64
+        Where rays come closest together, camera frame: the phases are those of this point.
+    radius_mm : float
+        From the exit pupil to the focus along the middle direction; inf, or below 0 where the pupil lies behind it.
+    rays : (n, 3) float64, (n, 3) float64
+        Places on the last face, mm, and directions of the rays traced.
+    coefficients : (degree + 1, degree + 1, columns) float64
+        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, the two direction cosines
+        before the lens, the place in the stop and the squared height at the faces that clip, both over the rim's.
+    misfit_waves : float
+        Largest difference of the phase of a ray from its polynomial.
+    """
+
+    wavelength_mm: float
+    middle: Array
+    half: Array
+    focus_mm: Array
+    radius_mm: float
+    rays: tuple[Array, Array]
+    coefficients: Array
+    misfit_waves: float
+
+    @cached_property
+    def power_w(self) -> float:
+        """Power of all waves."""
+        px, py = (np.linspace(m - w, m + w, FINE) for m, w in zip(self.middle, self.half, strict=True))
+        cover, amplitude, _ = self._in_cells(px, py)
+        return float((cover * amplitude**2).sum())
+
+    def at(self, px: Array, py: Array) -> NDArray[np.complex128]:
+        """Return amplitudes (rows, columns) whose squares are the power, in W, in each cell of a grid of directions.
+
+        Where a rim cuts a cell, the amplitude is averaged over it.
+
+        Parameters
+        ----------
+        px : (columns,) float64
+            Direction cosines along x, evenly spaced, ascending.
+        py : (rows,) float64
+        """
+        inside_x = np.flatnonzero(np.abs(px - self.middle[0]) <= self.half[0] + abs(px[1] - px[0]))
+        inside_y = np.flatnonzero(np.abs(py - self.middle[1]) <= self.half[1] + abs(py[1] - py[0]))
+        cover, amplitude, phase = self._in_cells(px[inside_x], py[inside_y])
+        waves = np.zeros((len(py), len(px)), np.complex128)
+        waves[np.ix_(inside_y, inside_x)] = cover * amplitude * np.exp(2j * np.pi * phase)
+        return waves
+
+    def _in_cells(self, px: Array, py: Array) -> tuple[Array, Array, Array]:
+        """Return share within the rims, amplitude and phase (waves) in the cells of a grid close to the pupil."""
+        u = (px - self.middle[0]) / self.half[0]
+        v = (py - self.middle[1]) / self.half[1]
+        phase, root, ox, oy, sx, sy, *heights2 = self._on_grid(self.coefficients, u, v)
+        slopes = [np.asarray(chebyshev.chebder(self.coefficients[:, :, 2:4], axis=axis), np.float64) for axis in (0, 1)]
+        (xu, yu), (xv, yv) = (self._on_grid(each, u, v) for each in slopes)
+        solid = np.abs(xu * yv - xv * yu) / np.sqrt(np.maximum(1.0 - ox * ox - oy * oy, 1e-12))
+        cover = np.ones_like(phase)
+        for height2 in (sx * sx + sy * sy, *heights2):
+            across, along = np.gradient(height2)
+            cover *= np.clip(0.5 + (1.0 - height2) / (np.abs(across) + np.abs(along)), 0.0, 1.0)
+        cell = (px[1] - px[0]) * (py[1] - py[0]) / (self.half[0] * self.half[1])
+        return cover, root * np.sqrt(solid * cell), phase
+
+    @staticmethod
+    def _on_grid(coefficients: Array, u: Array, v: Array) -> Array:
+        """Return the values of polynomials on a grid, (columns, rows of v, columns of u)."""
+        along_u = chebyshev.chebvander(u, coefficients.shape[0] - 1)
+        along_v = chebyshev.chebvander(v, coefficients.shape[1] - 1)
+        return np.asarray(np.einsum("vj,ijc,ui->cvu", along_v, coefficients, along_u, optimize=True))
+
+    def places_at(self, z_mm: float) -> Array:
+        """Return where the rays cross a plane in the air behind the lens, (n, 2) mm."""
+        position, direction = self.rays
+        return position[:, :2] + ((z_mm - position[:, 2]) / direction[:, 2])[:, None] * direction[:, :2]
+
+    def rim_phase(self, x: Array, y: Array) -> Array:
+        """Return the phase (rows, columns) in waves by which the plane of the focus sees the pupil at its distance.
+
+        Seen from a point beside the focus, the pupil's points are |x − P| away, not by plane waves; of all of them the
+        middle one's difference counts (that of the others is the same to the order of NA² x² / 2R).
+
+        Parameters
+        ----------
+        x, y : (columns,), (rows,) float64, mm
+            From the focus.
+        """
+        if math.isinf(self.radius_mm):
+            return np.zeros((len(y), len(x)))
+        x, y = x[None, :], y[:, None]
+        linear = self.middle[0] * x + self.middle[1] * y
+        off = 2.0 * self.radius_mm * linear + x * x + y * y
+        # |x − P| − R − linear, without the difference of large numbers.
+        beyond = off / (np.sqrt(np.maximum(self.radius_mm**2 + off, 0.0)) + abs(self.radius_mm))
+        return np.asarray((math.copysign(1.0, self.radius_mm) * beyond - linear) / self.wavelength_mm)
+
+
+def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_nm: float) -> PupilWaves:
+    """Trace a point's light through the lens, and return the plane waves behind it.
+
+    Parameters
+    ----------
+    world : World
+        Of the camera alone.
+    camera : SolvedCamera
+    point_mm : (3,) float64
+        Camera frame.
+    wavelength_nm : float
+
+    Raises
+    ------
+    LfmeshError
+        Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass, or light that is
+        collimated or too aberrated behind the lens.
+    """
+    rays = LensRays(world, -float(point_mm[2]), 0.0)
+    slope = np.asarray(point_mm[:2]) / rays.object_mm
+    bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
+    passes = bundle.passes
+    words = f"point_mm = {[float(x) for x in point_mm]}"
+    if passes.sum() < 16:
+        raise LfmeshError(f"{words}: the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
+    traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
+    direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
+    low, high = direction[:, :2].min(axis=0), direction[:, :2].max(axis=0)
+    if (high - low).min() < NARROW:
+        raise LfmeshError(
+            f"{words}: its light is collimated behind the lens; a point spread needs light that converges"
+        )
+    focus = _focus(traced.position, direction)
+    path = traced.path_mm + ((focus - traced.position) * direction).sum(axis=1)
+    phase = (path - path.mean()) / wavelength
+    if _has_ideal_lens(camera):
+        # All paths of an ideal lens from the point to its image are equal.
+        phase = np.zeros_like(phase)
+    stop = camera.paraxial.stop
+    clips = [number != stop for number in world.lens_shape.numbers] & (traced.heights.max(axis=0) > CLOSE_TO_RIM)
+    columns = np.column_stack(
+        [
+            phase,
+            np.sqrt(bundle.weight[passes]),
+            traced.before[:, :2],
+            bundle.pupil[passes],
+            traced.heights[:, clips] ** 2,
+        ]
+    )
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    coefficients, misfit = _fitted((direction[:, :2] - middle) / half, columns)
+    if misfit > REFUSED:
+        raise LfmeshError(
+            f"{words}: the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
+            f"{misfit:.2g} waves of it, {REFUSED:g} are allowed; give a smaller stop"
+        )
+    radius = (focus[2] - camera.report.exit_pupil_z_mm) / math.sqrt(1.0 - float(middle @ middle))
+    return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
+
+
+def _has_ideal_lens(camera: SolvedCamera) -> bool:
+    """Tell whether the lens consists of ideal lenses.
+
+    Raises
+    ------
+    LfmeshError
+        Of ideal lenses and real surfaces.
+    """
+    lens = camera.scene.camera.lens
+    ideal = [each.paraxial for i, each in enumerate(lens.surfaces) if not lens.is_pure_stop(i)]
+    if any(ideal) and not all(ideal):
+        where = ideal.index(True)
+        raise LfmeshError(f"camera.lens: ideal lens {where} stands beside real surfaces, and has no optical path there")
+    return any(ideal)
+
+
+def _focus(position: Array, direction: Array) -> Array:
+    """Return where rays come closest together, on the middle one's line, (3,) mm."""
+    steep = direction[:, :2] / direction[:, 2:]
+    place = position[:, :2] - position[:, 2:] * steep
+    off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)
+    z = -float((off * turn).sum() / (turn * turn).sum())
+    return np.array([*(place.mean(axis=0) + z * steep.mean(axis=0)), z])
+
+
+def _fitted(points: Array, columns: Array) -> tuple[Array, float]:
+    """Return coefficients (degree + 1, degree + 1, columns), and the largest misfit of the first column."""
+    best, least = np.zeros((1, 1, columns.shape[1])), math.inf
+    for degree in DEGREES:
+        chosen = np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree
+        if chosen.sum() > len(points) // 3 and degree > DEGREES[0]:
+            break
+        terms = chebyshev.chebvander2d(points[:, 0], points[:, 1], [degree, degree])[:, chosen.ravel()]
+        found = np.linalg.lstsq(terms, columns, rcond=None)[0]
+        misfit = float(np.abs(terms @ found[:, 0] - columns[:, 0]).max())
+        if misfit < least:
+            best, least = np.zeros((degree + 1, degree + 1, columns.shape[1])), misfit
+            best[chosen] = found
+        if least < FOLLOWED:
+            break
+    return best, least

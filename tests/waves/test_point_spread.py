@@ -1,0 +1,228 @@
+"""Point spreads: against thin lenses propagated by force, focal shifts, Airy's disk, Strehl's ratio, and power.
+
+In focus the truth is a Fresnel integral by matrices: Gaussian quadrature over each lenslet, so that borders of lenslets
+are exact. Out of focus it is an angular spectrum on a fine grid from the lens on, in phases of thin lenses.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import j0, j1
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+
+Array = NDArray[np.float64]
+
+WAVE_NM, WAVE = 550.0, 0.55e-3
+PITCH, FOCAL, PIXEL = 0.14, 2.5, 0.014
+STOP, IMAGE = 1.4, 50.0
+FAR = 1e5
+COUNT = 21
+"""Lenslets along each side."""
+LIT, NODES = 15, 320
+"""Of these in the middle are lit; nodes across one."""
+
+
+def scene(lens: list[dict[str, Any]], sensor: dict[str, Any], mla: dict[str, Any] | None = None) -> lf.Scene:
+    camera: dict[str, Any] = {"lens": {"surfaces": lens}, "sensor": sensor}
+    return lf.Scene.model_validate({"schema_version": 1, "camera": camera | ({"mla": mla} if mla else {})})
+
+
+def ideal(focal_mm: float, stop_mm: float) -> list[dict[str, Any]]:
+    return [{"paraxial": True, "focal_length_mm": focal_mm, "stop": True, "semi_diameter_mm": stop_mm}]
+
+
+def light_field_camera(array_mm: float, gap_mm: float | None = None, **changes: Any) -> lf.Scene:
+    """A camera of the Fresnel number of 14 µm lenslets of f = 25 µm at ten times the size; the lens is ideal."""
+    mla = {
+        "count": [COUNT, COUNT], "pitch_mm": PITCH, "focal_length_mm": FOCAL, "index": 1.5, "conic": -1.0,
+        "thickness_mm": 0.01, "distance_mm": array_mm,
+    }  # fmt: skip
+    sensor = {"pixels": [10 * COUNT, 10 * COUNT], "pixel_mm": PIXEL}
+    if gap_mm is not None:
+        sensor["distance_mm"] = gap_mm - 0.01 / 1.5
+    return scene(ideal(1.0 / (1.0 / IMAGE + 1.0 / FAR), STOP), sensor, mla | changes)
+
+
+def fresnel_kernel(to: Array, source: Array, z: float) -> NDArray[np.complex128]:
+    return np.exp(1j * np.pi / (WAVE * z) * (to[:, None] - source[None, :]) ** 2) / np.sqrt(WAVE * z)
+
+
+def truth(array_mm: float, gap_mm: float, at: tuple[float, float]) -> Array:
+    """Return the share of the pupil's light on each pixel, by Fresnel integrals from the pupil over each lenslet."""
+    across, parts = 480, 6
+    step = 2.0 * STOP / across
+    pupil = (np.arange(across) - 0.5 * (across - 1)) * step
+    fine = (np.arange(across * parts) - 0.5 * (across * parts - 1)) * step / parts
+    disk = (np.hypot(fine[None, :], fine[:, None]) <= STOP).reshape(across, parts, across, parts).mean(axis=(1, 3))
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    centres = (np.arange(LIT) - 0.5 * (LIT - 1)) * PITCH
+    lenslet = (centres[:, None] + 0.5 * PITCH * nodes).ravel()
+    thin = np.exp(-1j * np.pi / (WAVE * FOCAL) * (0.5 * PITCH * nodes) ** 2) * 0.5 * PITCH * weights
+    inner, shares = np.polynomial.legendre.leggauss(4)
+    middles = (np.arange(10 * COUNT) - 0.5 * (10 * COUNT - 1)) * PIXEL
+    sensor = (middles[:, None] + 0.5 * PIXEL * inner).ravel()
+    ends = []
+    for place in at:
+        lens = np.exp(-1j * np.pi / (WAVE * IMAGE) * ((pupil - place) ** 2)) * step
+        onto = fresnel_kernel(lenslet, pupil, array_mm) * lens
+        ends.append((fresnel_kernel(sensor, lenslet, gap_mm) * np.tile(thin, LIT)) @ onto)
+    field = ends[1] @ disk @ ends[0].T
+    power = np.abs(field) ** 2 * np.outer(*(2 * [np.tile(0.5 * PIXEL * shares, 10 * COUNT)]))
+    power = power.reshape(10 * COUNT, 4, 10 * COUNT, 4).sum(axis=(1, 3))
+    return np.asarray(power / (disk.sum() * step**2))
+
+
+def propagated(field: NDArray[np.complex128], step: float, z: float) -> NDArray[np.complex128]:
+    """Return light farther on, by its angular spectrum."""
+    p = np.fft.fftfreq(len(field), step) * WAVE
+    along = np.sqrt(1.0 - p[None, :] ** 2 - p[:, None] ** 2) - 1.0
+    return np.asarray(np.fft.ifft2(np.fft.fft2(field) * np.exp(2j * np.pi / WAVE * z * along)))
+
+
+def truth_out_of_focus(array_mm: float) -> Array:
+    """Return the share of the pupil's light on each pixel, of a point on the axis, by angular spectra."""
+    n, step, parts = 2048, 1.75e-3, 4
+    x = (np.arange(n) - 0.5 * (n - 1)) * step
+    inner = (np.arange(parts) - 0.5 * (parts - 1)) * step / parts
+    shares = [np.hypot(x[None, :] + a, x[:, None] + b) <= STOP for a in inner for b in inner]
+    pupil = np.mean(shares, axis=0)
+    path = np.sqrt(x[None, :] ** 2 + x[:, None] ** 2 + IMAGE**2) - IMAGE
+    field = propagated(pupil * np.exp(-2j * np.pi / WAVE * path), step, array_mm)
+    off = x - PITCH * np.round(x / PITCH)
+    thin = np.exp(-1j * np.pi / (WAVE * FOCAL) * off**2)
+    power = np.abs(propagated(field * thin[None, :] * thin[:, None], step, FOCAL)) ** 2
+    pixel = round(PIXEL / step)
+    margin = (n - 10 * COUNT * pixel) // 2
+    power = power[margin : n - margin, margin : n - margin]
+    share = power.reshape(10 * COUNT, pixel, 10 * COUNT, pixel).sum(axis=(1, 3)) / (pupil**2).sum()
+    return np.asarray(share)
+
+
+def share_of(array_mm: float, at: tuple[float, float]) -> Array:
+    """Return the share of the light behind the lens on each pixel; both faces of the lenslets pass 1 − (1/5)²."""
+    point = [-x * FAR / IMAGE for x in at]
+    found = lf.point_spread(light_field_camera(array_mm, FOCAL), (*point, -FAR), WAVE_NM)
+    return np.asarray(found.mean / (found.entered_w * 0.96**2))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("at", "allowed"), [((0.0, 0.0), 0.005), ((0.5 * PITCH, 0.5 * PITCH), 0.01)])
+def test_points_in_focus_agree_with_fresnel_integrals(at: tuple[float, float], allowed: float) -> None:
+    """At a lenslet's centre, and at a corner, where four lenslets interfere."""
+    assert np.abs(share_of(IMAGE, at) - truth(IMAGE, FOCAL, at)).sum() < allowed
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pitches", [-10, 10])
+def test_points_out_of_focus_agree_with_angular_spectra(pitches: int) -> None:
+    """Ten pitches before and behind focus, where light spreads over a hundred lenslets."""
+    array = IMAGE + pitches * FOCAL
+    assert np.abs(share_of(array, (0.0, 0.0)) - truth_out_of_focus(array)).sum() < 0.0075
+
+
+def conventional(stop_mm: float, image_mm: float, pixel_mm: float, count: int, at_mm: float | None = None) -> lf.Scene:
+    """A camera of an ideal lens that images the far point at a distance, with the sensor there or elsewhere."""
+    sensor = {"pixels": [count, count], "pixel_mm": pixel_mm, "distance_mm": at_mm or image_mm}
+    return scene(ideal(1.0 / (1.0 / image_mm + 1.0 / FAR), stop_mm), sensor)
+
+
+def test_the_focus_of_a_small_round_lens_shifts_towards_it() -> None:
+    """At a Fresnel number of 3.5636 the brightest place is at 0.9202 of the focal length, with 1.0911 of the light."""
+    image = 2.5
+
+    def on_axis(distance: float) -> float:
+        camera = conventional(0.07, image, 0.0005, 9, distance)
+        return float(lf.point_spread(camera, (0.0, 0.0, -FAR), WAVE_NM).mean[4, 4])
+
+    places = image * np.linspace(0.88, 0.96, 5)
+    curve = np.polynomial.Polynomial.fit(places, [on_axis(z) for z in places], 4)
+    fine = np.linspace(places[0], places[-1], 2001)
+    best = fine[curve(fine).argmax()]
+    assert best / image == pytest.approx(0.9202, abs=0.001)
+    assert curve(best) / on_axis(image) == pytest.approx(1.0911, abs=0.002)
+
+
+def test_the_disk_of_a_perfect_lens_is_airys() -> None:
+    """Ten times the size of f/2: .6170 of the light within 7 µm, .8379 within 14 µm, of the light behind the lens."""
+    image = 50.0
+    found = lf.point_spread(conventional(image / 40.0, image, 0.0014, 41), (0.0, 0.0, -FAR), WAVE_NM, oversample=8)
+    distance = np.hypot(found.x_mm[None, :], found.y_mm[:, None])
+    for radius, published in ((0.007, 0.6170), (0.014, 0.8379)):
+        v = 2.0 * np.pi / WAVE * radius / 40.0
+        assert 1.0 - j0(v) ** 2 - j1(v) ** 2 == pytest.approx(published, abs=1e-4)
+        assert found.mean[distance <= radius].sum() / found.entered_w == pytest.approx(published, abs=0.001)
+    assert found.strehl == pytest.approx(1.0, abs=1e-3)
+    assert found.airy_radius_mm == pytest.approx(1.22 * WAVE * 20.0, rel=1e-3)
+
+
+def test_power_closes() -> None:
+    """Behind the lens is the solid angle of the stop; what the grid's plane lacks of it is Airy's light far away."""
+    image = 50.0
+    stop = image / 40.0
+    found = lf.point_spread(conventional(stop, image, 0.0014, 41), (0.0, 0.0, -FAR), WAVE_NM)
+    solid = 2.0 * math.pi * (1.0 - FAR / math.hypot(FAR, stop))
+    # The difference of 1 and a cosine has few digits.
+    assert found.entered_w == pytest.approx(solid, rel=1e-4)
+    assert 0.99 < found.power_w / found.entered_w < 1.0
+    assert found.mean.sum() < found.power_w
+
+
+@pytest.mark.parametrize("f_number", [4.0, 8.0])
+def test_the_peak_of_a_library_lens_is_that_of_its_wavefront(f_number: float) -> None:
+    lens = {"file": "lib:double_gauss_50mm", "f_number": f_number}
+    camera = {"focus_mm": 2000.0, "lens": lens, "sensor": {"pixels": [65, 65], "pixel_mm": 0.0005}}
+    given = lf.Scene.model_validate({"schema_version": 1, "camera": camera}).in_folder(asset_path("scenes"))
+    facts = lf.first_order(given)
+    found = lf.point_spread(given, (0.0, 0.0, -facts.object_distance_mm), WAVE_NM)
+    wanted = lf.wavefront(given, 0.0, WAVE_NM, image_z_mm=facts.image_z_mm).strehl
+    assert found.strehl == pytest.approx(wanted, abs=0.01)
+
+
+def test_white_light_is_the_sum_of_its_wavelengths() -> None:
+    camera = conventional(1.25, 50.0, 0.005, 15)
+    point = (0.0, 0.0, -FAR)
+    both = lf.point_spread(camera, point, (500.0, 600.0), weights=(1.0, 3.0))
+    blue, red = (lf.point_spread(camera, point, nm) for nm in (500.0, 600.0))
+    assert both.weights == (0.25, 0.75)
+    np.testing.assert_allclose(both.mean, 0.25 * blue.mean + 0.75 * red.mean, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"point_mm": (0.0, 0.0, 5.0)}, "z below 0"),
+        ({"point_mm": (0.0, math.nan, -5.0)}, "finite"),
+        ({"oversample": 0}, "oversample = 0"),
+        ({"window": 0}, "window = 0"),
+        ({"tolerance": 2.0}, "tolerance = 2"),
+        ({"wavelengths_nm": -1.0}, "wavelengths_nm = -1"),
+        ({"weights": (1.0, 2.0)}, "weights"),
+    ],
+)
+def test_wrong_values_are_refused_in_one_line(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(lf.LfmeshError, match=words) as error:
+        lf.point_spread(conventional(1.25, 50.0, 0.005, 15), **({"point_mm": (0.0, 0.0, -FAR)} | arguments))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"camera.mla.pose.tilt_deg": (1.0, 0.0, 0.0)}, "camera.mla.pose.tilt_deg"),
+        ({"camera.sensor.pose.tilt_deg": (0.0, 1.0, 0.0)}, "camera.sensor.pose.tilt_deg"),
+        ({"camera.mla.flat_finish": {"kind": "ground", "roughness": 0.1}}, "polished"),
+    ],
+)
+def test_cameras_that_waves_are_not_taken_through_are_refused(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(lf.LfmeshError, match=words):
+        lf.point_spread(light_field_camera(IMAGE).changed(values), (0.0, 0.0, -FAR))
+
+
+def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:
+    with pytest.raises(lf.LfmeshError, match="wide between lens and sensor"):
+        lf.point_spread(light_field_camera(IMAGE), (0.0, 0.0, -80.0))

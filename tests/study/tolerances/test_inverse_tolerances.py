@@ -14,7 +14,7 @@ from lfmesh.study.sweeps.table import Table
 POSE = "camera.mla.pose."
 LARGEST = {
     f"{POSE}tilt_deg[2]": 0.5,
-    f"{POSE}tilt_deg[0]": 2.0,
+    f"{POSE}tilt_deg[0]": 3.0,
     f"{POSE}shift_mm[2]": 0.05,
     f"{POSE}shift_mm[0]": 0.008,
 }

@@ -70,7 +70,7 @@ def check(scene: SceneFile, /) -> int:
     known = "\n".join(lines)
     warn_caller(each for each in foreseen(world) if str(each) not in known)
     lines += lamp_lines(loaded, world.targets)
-    print("\n".join(lines))
+    print("\n".join(map(wrapped, lines)))
     return 0
 
 

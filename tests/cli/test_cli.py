@@ -352,7 +352,7 @@ def test_check_prints_the_first_order_report_and_warnings_are_no_error(
     warnings = lfmesh.first_order(lfmesh.load("scene.toml")).warnings
     assert warnings
     assert all(warning in " ".join(out.split()) for warning in warnings)
-    assert max(len(line) for line in out.splitlines()) <= 110
+    assert max(len(line) for line in out.splitlines()) <= 80
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,8 @@ class PointSpread(Shown):
     def lines(self) -> list[str]:
         """Return the key figures in words."""
         pixel_mm = (self.x_mm[1] - self.x_mm[0]) * self.oversample if len(self.x_mm) > 1 else math.nan
-        peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else f"{self.lenslets} lenslets lit, "
+        lit = f"{self.lenslets} lenslet{'' if self.lenslets == 1 else 's'} lit, "
+        peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else lit
         part = "pixel" if self.oversample == 1 else f"1/{self.oversample} × 1/{self.oversample} of a pixel"
         return [
             f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr",

@@ -89,9 +89,10 @@ def read_profile(path: Path) -> LightProfile:
     further = len(numbers) - (13 + rows + columns + rows * columns)
     if further:
         raise FileError(f"{path}: {further} numbers follow the {rows * columns} intensities that it announces")
-    spans = vertical[0] in (0.0, 90.0) and vertical[-1] in (90.0, 180.0)
+    # Spots end before 90 degrees, where they are dark; LM-63 asks for zeros up to there.
+    spans = vertical[0] in (0.0, 90.0) and vertical[-1] <= 180.0
     if rows < 2 or (np.diff(vertical) <= 0.0).any() or not spans:
-        raise FileError(f"{path}: its vertical angles must increase from 0 or 90 to 90 or 180 degrees")
+        raise FileError(f"{path}: its vertical angles must increase from 0 or 90 up to 180 degrees at most")
     if (candela < 0.0).any() or not candela.any():
         raise FileError(f"{path}: its intensities must be 0 or above, and not all 0")
     horizontal, candela = _all_round(path, horizontal, candela)

@@ -26,6 +26,14 @@ def test_an_even_lamp_has_one_intensity(tmp_path: Path) -> None:
     assert half.shares().sum() == pytest.approx(1.0, rel=1e-15)
 
 
+def test_a_lamp_whose_angles_end_before_90_degrees_is_dark_beyond(tmp_path: Path) -> None:
+    """Even up to 60 degrees: 1 / (2π (1 − cos 60°)) = 1 / π there."""
+    profile = read(tmp_path, EVEN.replace("0 180", "0 60"))
+    np.testing.assert_allclose(profile.intensity, 1.0 / np.pi, rtol=1e-13)
+    directions = profile.at(np.deg2rad([0.0, 59.0, 61.0, 120.0]), np.zeros(4))
+    np.testing.assert_allclose(directions, [1.0 / np.pi, 1.0 / np.pi, 0.0, 0.0], rtol=1e-13)
+
+
 def test_the_integral_of_a_linear_intensity_has_its_closed_form(tmp_path: Path) -> None:
     """I falls from 1 to 0 over 0 to 90 degrees: 2π ∫ (1 − 2θ/π) sin θ dθ = 2π (1 − 2/π)."""
     profile = read(tmp_path, EVEN.replace("0 180", "0 90").replace("7 7", "7 0"))
@@ -64,7 +72,7 @@ def test_tilt_and_scale_do_not_change_the_shape(tmp_path: Path) -> None:
         "not finite": (QUARTER.replace("4 2 1", "4 inf 1"), "line 9: 'inf' is not finite"),
         "type B": (QUARTER.replace("3 3 1 2", "3 3 2 2"), "photometric type 2; only type C"),
         "angles out of order": (QUARTER.replace("0 45 90", "0 95 90"), "its vertical angles must increase"),
-        "vertical range": (QUARTER.replace("0 45 90", "0 45 80"), "its vertical angles must increase from 0 or 90"),
+        "vertical range": (QUARTER.replace("0 45 90", "10 45 90"), "its vertical angles must increase from 0 or 90"),
         "horizontal range": (QUARTER.replace("0 30 90\n", "0 30 80\n"), "its horizontal angles must be 0 alone"),
         "open turn": (QUARTER.replace("0 30 90\n", "0 30 360\n"), "at 0 and at 360 degrees differ"),
         "negative": (QUARTER.replace("4 2 1", "4 -2 1"), "its intensities must be 0 or above"),

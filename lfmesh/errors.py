@@ -47,7 +47,7 @@ class FileError(LfmeshError):
 
 
 class LensFileWarning(UserWarning):
-    """A lens file or glTF scene was read with approximations, or holds what the reader does not know."""
+    """A lens file, mesh file or glTF scene was read with approximations, or holds what the reader does not know."""
 
 
 class PlainNumbaWarning(UserWarning):

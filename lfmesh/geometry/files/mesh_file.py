@@ -8,6 +8,7 @@ against what the file says.
 import json
 import os
 import re
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from lfmesh.errors import MeshError
+from lfmesh.errors import LensFileWarning, MeshError
 from lfmesh.geometry.files import cad_file
 from lfmesh.geometry.files.gltf_nodes import (
     REPEAT,
@@ -156,7 +157,7 @@ def load_mesh(
 def companions(path: Path) -> list[str]:
     """Return the other files that a mesh file reads, by their paths from its folder: materials, pictures, buffers.
 
-    Only those that are there; a mesh that lacks one is refused when it is read.
+    Only those that are there; a mesh that lacks one is warned of or refused when it is read.
     """
     names: list[str] = []
     ending = path.suffix.lower()
@@ -369,7 +370,7 @@ _PICTURE_FILE = re.compile(r"^[ \t]*map_Kd[ \t]+(.+?)\s*$", re.MULTILINE)
 
 
 def _check_obj(path: Path) -> None:
-    """Raise what trimesh passes over: a corner numbered 0, a material file or picture that is not there."""
+    """Raise what trimesh passes over, a corner numbered 0 or a missing picture; warn of a missing material file."""
     text = read_text(path, errors="replace")
     if zero := _FACET_OF_VERTEX_ZERO.search(text):
         line = text.count("\n", 0, zero.start()) + 1
@@ -378,7 +379,12 @@ def _check_obj(path: Path) -> None:
         library = path.parent / name
         _check_inside(path, name, "material file")
         if not library.is_file():
-            raise MeshError(f"{path}: its material file {name} is not there; add it or delete the mtllib line")
+            warnings.warn(
+                f"{path}: its material file {name} is not there: its facets have the material that the scene gives",
+                LensFileWarning,
+                stacklevel=2,
+            )
+            continue
         for value in _PICTURE_FILE.findall(read_text(library, errors="replace")):
             picture = _picture_name(value)
             _check_inside(path, (Path(name).parent / picture).as_posix(), "picture")

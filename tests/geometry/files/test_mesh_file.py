@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 import trimesh
 
-from lfmesh.errors import MeshError
+from lfmesh.errors import LensFileWarning, MeshError
 from lfmesh.geometry.files.mesh_file import ENDINGS, MM_PER_UNIT, load_mesh
 from lfmesh.geometry.meshes.mesh import joined
 from lfmesh.geometry.objects.texture import srgb_to_linear
@@ -127,6 +127,20 @@ def test_obj_may_count_backwards_and_hold_polygons(tmp_path):
     corner = piece.mesh.vertices[piece.mesh.faces]
     area = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0)
     np.testing.assert_allclose(area, (0, 0, 1))
+
+
+def test_obj_without_its_material_file_has_the_material_of_the_scene_and_says_so(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "bare.obj").write_text(text)
+    (tmp_path / "t.obj").write_text(f"mtllib t.mtl\nusemtl red\n{text}")
+    (bare,) = load_mesh(tmp_path / "bare.obj", "mm")
+    with pytest.warns(
+        LensFileWarning, match=r"its material file t\.mtl is not there: its facets have the material that"
+    ):
+        (piece,) = load_mesh(tmp_path / "t.obj", "mm")
+    np.testing.assert_array_equal(piece.mesh.vertices, bare.mesh.vertices)
+    np.testing.assert_array_equal(piece.factor, bare.factor)
+    assert (piece.material, piece.picture) == (bare.material, bare.picture)
 
 
 def test_node_transforms_are_applied_down_the_tree(tmp_path):
@@ -257,7 +271,6 @@ def broken_files(folder):
     yield write("points.obj", TRIANGLE), "no facets"
     yield write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "1 of 1 facets"
     yield write("inf.off", "OFF\n3 1 0\n0 0 0\ninf 0 0\n0 1 0\n3 0 1 2\n"), "1 of 1 facets"
-    yield write("library.obj", "mtllib gone.mtl\n" + TRIANGLE + "f 1 2 3\n"), "gone.mtl is not there"
     write("chart.mtl", "newmtl a\nmap_Kd gone.png\n")
     yield write("chart.obj", "mtllib chart.mtl\n" + TRIANGLE + "f 1/1 2/2 3/3\n"), "gone.png is not there"
     yield write("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")), "no facets"

@@ -242,7 +242,7 @@ WRONG = [
     ({"camera.mla.asphere_mm": [1e6]}, r"up to 51\.85\d* mm deep in its cell, more than thickness_mm = 0\.3"),
     ({"camera.mla.asphere_mm": [-1e6]}, r"rises up to 51\.8\d* mm over its apexes, more than pitch_mm = 0\.12"),
     ({"camera.mla.asphere_mm": 3.0}, r"mla\.asphere_mm = 3\.0: must be a list"),
-    ({"camera.mla.asphere_mm": [0.0] * 11}, r"mla\.asphere_mm\[0\] = .*may have 10 entries at most"),
+    ({"camera.mla.asphere_mm": [0.0] * 15}, r"mla\.asphere_mm\[0\] = .*may have 14 entries at most"),
     ({"camera.mla.cylinder_axis": "z"}, r"mla\.cylinder_axis = \"z\": must be 'x' or 'y'"),
     ({"camera.mla.cylinder_axis": "y", "camera.mla.layout": "hexagonal"},
      r"mla\.cylinder_axis = \"y\": cylinders need layout = \"square\""),

@@ -7,7 +7,7 @@ before it, and sent on from there. Between planes through the relief, waves are 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -115,15 +115,23 @@ class Spectrum:
         """Return the light behind a plane face, which passes each direction by an amplitude (n, n)."""
         return replace(self, waves=self.waves * amplitude * (self.grid.along_z(index) > 0.0), index=index)
 
-    def through_relief(self, height: Array, amplitude: Array, index: float) -> "Spectrum":
+    @property
+    def spread(self) -> Array:
+        """(2,): root mean square of the direction cosines x and y about the middle direction."""
+        power = np.abs(self.waves) ** 2
+        off = [p - m for p, m in zip(self.grid.directions, self.grid.middle, strict=True)]
+        means = [float(power.sum(axis=axis) @ off[axis] ** 2) / max(float(power.sum()), 1e-300) for axis in (0, 1)]
+        return np.maximum(np.sqrt(means), 1e-6)
+
+    def through_relief(self, height: Array, amplitude: Sequence[Array], index: float) -> "Spectrum":
         """Return the light behind a face in relief over the plane, as waves of that plane.
 
         Parameters
         ----------
         height : (n, n) float64, mm
             z of the face above the plane, at the grid's places.
-        amplitude : (n, n) float64
-            That it passes at each place.
+        amplitude : (3,) of (n, n) float64
+            That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
         index : float
             Of the medium behind.
         """
@@ -136,9 +144,12 @@ class Spectrum:
         span = max(float(np.abs(each).max()) for each in spans)
         slices = _slices(float(height.min()), float(height.max()), k * span)
         face = np.zeros_like(self.waves)
+        off_x, off_y = (p - m for p, m in zip(grid.directions, grid.middle, strict=True))
         for z, share in zip(slices, _shares(slices, height), strict=True):
-            face += share * scipy.fft.ifft2(self.waves * np.exp(1j * k * z * spans[0]), norm="ortho")
-        face *= amplitude * np.exp(1j * k * (middles[0] - middles[1]) * height)
+            waves = self.waves * np.exp(1j * k * z * spans[0])
+            for passed, off in zip(amplitude, (1.0, off_x[None, :], off_y[:, None]), strict=True):
+                face += share * passed * scipy.fft.ifft2(waves * off, norm="ortho")
+        face *= np.exp(1j * k * (middles[0] - middles[1]) * height)
         waves = np.zeros_like(self.waves)
         for z, share in zip(slices, _shares(slices, height), strict=True):
             waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(share * face, norm="ortho")

@@ -80,19 +80,42 @@ class WaveFace:
         # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
         # waves within the grid's, keeps these out to the second order of the grid's step.
         height = height - (_second_difference(height, 0) + _second_difference(height, 1)) / 24.0
+        # What a place passes differs from direction to direction, which is followed to the first order: where light is
+        # out of focus, its directions go with the places.
+        steps = np.diag(light.spread)
+        passed = [self._passed_at(slope, light.index, grid.middle, sines, amplitude)]
+        for step in steps:
+            more, less = (
+                self._passed_at(slope, light.index, grid.middle + way, sines, amplitude) for way in (step, -step)
+            )
+            passed.append((more - less) / (2.0 * step.sum()))
+        return light.through_relief(height, [inside * each for each in passed], self.index)
+
+    def _passed_at(self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array) -> Array:
+        """Return the amplitude that each place of the relief passes of light of one direction, (n, n).
+
+        Parameters
+        ----------
+        slope : (2, n, n) float64
+            Of the face.
+        index : float
+            Of the medium before it.
+        direction : (2,) float64
+            Optical direction cosines of the light before it.
+        sines, amplitude : (angles,) float64
+            See `_amplitudes`.
+        """
         steep = np.sqrt(1.0 + (slope**2).sum(axis=0))
-        before = np.array([*grid.middle, grid.middle_z(light.index)])
-        onto = (before[2] - before[0] * slope[0] - before[1] * slope[1]) / steep
-        across = np.sqrt(np.maximum(light.index**2 - onto**2, 0.0))
+        along_z = math.sqrt(max(index * index - float(direction @ direction), GRAZING**2))
+        onto = (along_z - direction[0] * slope[0] - direction[1] * slope[1]) / steep
+        across = np.sqrt(np.maximum(index**2 - onto**2, 0.0))
         behind = np.sqrt(np.maximum(self.index**2 - across**2, 0.0))
         # Behind, along the normal (−slope, 1) / steep, the wave vector is longer by this.
-        more = behind - onto
-        pz = before[2] + more / steep
+        pz = along_z + (behind - onto) / steep
         # Flux through the face by that through a plane, before and behind: what crosses it aslant is more or less.
-        flux = (onto * steep / before[2]) * (behind * steep / np.maximum(pz, GRAZING))
+        flux = (onto * steep / along_z) * (behind * steep / np.maximum(pz, GRAZING))
         clear = (onto > GRAZING) & (behind > GRAZING) & (pz > GRAZING)
-        shape = inside * np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0)
-        return light.through_relief(height, shape, self.index)
+        return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0)
 
     def reach_mm(self, places: Array) -> tuple[float, float]:
         """Return the largest slope of the lenslets near places (n, 2), mm, and their pitch; 0, 0 of a plane."""

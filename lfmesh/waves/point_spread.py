@@ -211,6 +211,14 @@ class _Monochrome:
     def _relief(self) -> list[WaveFace]:
         return [face for face in self.faces if face.lenslets is not None]
 
+    @property
+    def _beyond_focus(self) -> float:
+        """Way along the middle ray from the focus to the sensor, over the index of the glass of the cover, mm."""
+        ends = [*(face.z_mm for face in self.faces), float(self.sensor[2])]
+        starts, indices = [float(self.pupil.focus_mm[2]), *ends[:-1]], [1.0, *(face.index for face in self.faces)]
+        way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
+        return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
+
     def converged(self, tolerance: float) -> _Found:
         """Return the point spread on the first grid by which it changes less than the tolerance."""
         first, change, fineness = self._on_grid(self._grid(1.0)), math.inf, 1.0
@@ -266,8 +274,9 @@ class _Monochrome:
         light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
         light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
         irradiance = Irradiance.of(light)
-        # Of the pupil's amplitudes in phase, less what is lost behind the lens.
+        # Of the pupil's amplitudes in phase, less what is lost behind the lens, spread as far as the sensor is away.
         in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
+        in_phase /= (1.0 + self._beyond_focus / self.pupil.radius_mm) ** 2
         peak = irradiance.peak()
         return _Found(
             self._on_pixels(irradiance), self.pupil.power_w, light.power_w, peak,

@@ -15,14 +15,16 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
-from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.trace import at_wavelength, trace
 from lfmesh.transport.world import World, build
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
+from lfmesh.waves.bundle import LensRays, pupil_grid
 from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
 from lfmesh.waves.pupil_waves import PupilWaves, pupil_waves
 
@@ -36,6 +38,12 @@ FINER = 1.25
 
 FIRST_BAND, FIRST_RINGS = 1.5, 30.0
 """Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+
+TRIALS = 16
+"""Rays on a diameter of the stop that look for targets before the point."""
+
+OFF_POINT = 1e-6
+"""Of the way to the lens: these rays start this far before the point, so that it may lie on a target."""
 
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
@@ -140,7 +148,7 @@ def point_spread(
     Parameters
     ----------
     scene : Scene
-        Its camera counts; targets and lights are left out, and nothing hides the point.
+        Its camera counts. Lights are left out; targets too, and must not hide the point.
     point_mm : (3,) float
         x, y and z in the camera frame; z below 0.
     wavelengths_nm : float or sequence of float, optional
@@ -158,7 +166,8 @@ def point_spread(
     ------
     LfmeshError
         A camera or scene that waves are not taken through (meshes, rough faces, tilted arrays and sensors, media,
-        bodies of glass, polarisers), a point whose light does not pass, a spread too large, or a value out of range.
+        bodies of glass, polarisers), a point that a target hides or whose light does not pass, a spread too large, or a
+        value out of range.
     """
     point = np.asarray(point_mm, dtype=np.float64)
     nm = (scene.primary_nm,) if wavelengths_nm is None else tuple(np.atleast_1d(wavelengths_nm).astype(float).tolist())
@@ -167,6 +176,8 @@ def point_spread(
     _refuse_scene(scene)
     camera = solved_camera(scene)
     world = build(camera.scene.camera_alone())
+    if scene.targets:
+        _refuse_hidden(camera, world, point, nm[len(nm) // 2])
     pixels = _pixels(camera, world, point, nm[len(nm) // 2], (window, oversample))
     each = [_Monochrome(camera, world, point, wavelength, pixels).converged(tolerance) for wavelength in nm]
     mean = sum(share * one.mean for share, one in zip(shares, each, strict=True))
@@ -211,6 +222,14 @@ class _Monochrome:
     @property
     def _relief(self) -> list[WaveFace]:
         return [face for face in self.faces if face.lenslets is not None]
+
+    @property
+    def _beyond_focus(self) -> float:
+        """Way along the middle ray from the focus to the sensor, over the index of the glass of the cover, mm."""
+        ends = [*(face.z_mm for face in self.faces), float(self.sensor[2])]
+        starts, indices = [float(self.pupil.focus_mm[2]), *ends[:-1]], [1.0, *(face.index for face in self.faces)]
+        way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
+        return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
     def converged(self, tolerance: float) -> _Found:
         """Return the point spread on the first grid by which it changes less than the tolerance."""
@@ -267,8 +286,9 @@ class _Monochrome:
         light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
         light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
         irradiance = Irradiance.of(light)
-        # Of the pupil's amplitudes in phase, less what is lost behind the lens.
+        # Of the pupil's amplitudes in phase, less what is lost behind the lens, spread as far as the sensor is away.
         in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
+        in_phase /= (1.0 + self._beyond_focus / self.pupil.radius_mm) ** 2
         peak = irradiance.peak()
         return _Found(
             self._on_pixels(irradiance), self.pupil.power_w, light.power_w, peak,
@@ -391,3 +411,21 @@ def _refuse_scene(scene: Scene) -> None:
     rough = refused_in_order(scene)
     if rough is not None:
         raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")
+
+
+def _refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
+    """Refuse a point whose light meets a target on its way to the lens."""
+    rays = LensRays(world, -float(point[2]), 0.0)
+    bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
+    entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])
+    whole = build(camera.scene, aimed=False)
+    out = at_wavelength(whole, wavelength_nm).frames[CAMERA_FRAME, WORLD_FRAME]
+    ahead = frames.directions(out, entry - point)
+    found = trace(whole, frames.points(out, point[None, :]) + OFF_POINT * ahead, ahead, wavelength_nm, "transmit")
+    names = [target.name or f"targets[{i}]" for i, target in enumerate(camera.scene.targets)]
+    hiding = [body for body in found.body if body in names]
+    if hiding:
+        raise LfmeshError(
+            f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(entry)} places of the "
+            "pupil; move the point or leave the target out"
+        )

@@ -1,11 +1,11 @@
 """The plane waves that a lens makes of a point's light: amplitude and phase by direction, from traced rays.
 
-Behind the lens every ray stands for a plane wave of its direction. Its phase is the optical path to the foot of the
-perpendicular from one common point, the focus: the angle characteristic, whose slopes are the places of the rays (M.
-Born, E. Wolf, Principles of Optics, 4.1). Its power is that of the point's solid angle that the lens sends there. Both
-are smooth, as is the place in each aperture, and are fitted by polynomials of the direction cosines; so they are known
-on any grid. Where the exit pupil lies at a finite distance, its rim casts spherical waves in place of plane ones, see
-`rim_phase`.
+Behind the lens every ray stands for a plane wave. Its direction is the one in which the focus sees the ray cross the
+sphere about it through the exit pupil, and its phase is the optical path up to there: the pupil function. Where the
+pupil lies at infinity, these are the ray's own direction and the angle characteristic (M. Born, E. Wolf, Principles of
+Optics, 4.1). Its power is that of the point's solid angle that the lens sends there. Both are smooth, as is the place
+in each aperture, and are fitted by polynomials of the direction cosines; so they are known on any grid. From a pupil at
+a finite distance come spherical waves in place of plane ones, see `rim_phase`.
 """
 
 import math
@@ -174,13 +174,14 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
         raise LfmeshError(f"{words}: the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
-    low, high = direction[:, :2].min(axis=0), direction[:, :2].max(axis=0)
-    if (high - low).min() < NARROW:
+    if np.ptp(direction[:, :2], axis=0).min() < NARROW:
         raise LfmeshError(
             f"{words}: its light is collimated behind the lens; a point spread needs light that converges"
         )
     focus = _focus(traced.position, direction)
-    path = traced.path_mm + ((focus - traced.position) * direction).sum(axis=1)
+    radius = (focus[2] - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())
+    seen, further = _onto_sphere(traced.position, direction, focus, radius)
+    path = traced.path_mm + further
     phase = (path - path.mean()) / wavelength
     if _has_ideal_lens(camera):
         # All paths of an ideal lens from the point to its image are equal.
@@ -196,14 +197,14 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
             traced.heights[:, clips] ** 2,
         ]
     )
+    low, high = seen.min(axis=0), seen.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    coefficients, misfit = _fitted((direction[:, :2] - middle) / half, columns)
+    coefficients, misfit = _fitted((seen - middle) / half, columns)
     if misfit > REFUSED:
         raise LfmeshError(
             f"{words}: the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
             f"{misfit:.2g} waves of it, {REFUSED:g} are allowed; give a smaller stop"
         )
-    radius = (focus[2] - camera.report.exit_pupil_z_mm) / math.sqrt(1.0 - float(middle @ middle))
     return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
 
 
@@ -230,6 +231,36 @@ def _focus(position: Array, direction: Array) -> Array:
     off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)
     z = -float((off * turn).sum() / (turn * turn).sum())
     return np.array([*(place.mean(axis=0) + z * steep.mean(axis=0)), z])
+
+
+def _onto_sphere(position: Array, direction: Array, focus: Array, radius_mm: float) -> tuple[Array, Array]:
+    """Return the direction cosines in which the focus sees rays cross the pupil's sphere, and their way to it.
+
+    Parameters
+    ----------
+    position, direction : (n, 3) float64
+        On the last face, and unit.
+    focus : (3,) float64
+        Centre of the sphere.
+    radius_mm : float
+        inf: directions are those of the rays.
+
+    Returns
+    -------
+    (n, 2) float64
+    (n,) float64, mm
+        More than -radius_mm, which is the same for all.
+    """
+    off = position - focus
+    along = (off * direction).sum(axis=1)
+    aside2 = ((off - along[:, None] * direction) ** 2).sum(axis=1)
+    if math.isinf(radius_mm):
+        return direction[:, :2], -along
+    # √(R² − aside²) − R, without the difference of large numbers.
+    less = -aside2 / (np.sqrt(np.maximum(radius_mm**2 - aside2, 0.0)) + abs(radius_mm)) * math.copysign(1.0, radius_mm)
+    further = -along - less
+    at = off + (further - radius_mm)[:, None] * direction
+    return -at[:, :2] / radius_mm, further
 
 
 def _fitted(points: Array, columns: Array) -> tuple[Array, float]:

@@ -226,3 +226,24 @@ def test_cameras_that_waves_are_not_taken_through_are_refused(values: dict[str, 
 def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:
     with pytest.raises(lf.LfmeshError, match="wide between lens and sensor"):
         lf.point_spread(light_field_camera(IMAGE), (0.0, 0.0, -80.0))
+
+
+PLATE = {"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0}}
+BESIDE = PLATE | {"position_mm": (50.5, 0.0, -200.0)}
+
+
+@pytest.mark.parametrize("target", [PLATE | {"position_mm": (0.0, 0.0, -200.0)}, BESIDE | {"name": "fence"}])
+def test_points_that_a_target_hides_even_in_part_are_refused(target: dict[str, Any]) -> None:
+    camera = conventional(1.25, 50.0, 0.005, 15).changed({"targets": [target]})
+    with pytest.raises(lf.LfmeshError, match=r"hides it from .* of .* places of the pupil") as error:
+        lf.point_spread(camera, (0.0, 0.0, -400.0), window=4)
+    assert "\n" not in str(error.value)
+    assert target.get("name", "targets[0]") in str(error.value)
+
+
+def test_targets_beside_and_behind_a_point_and_under_it_change_nothing() -> None:
+    camera, point = conventional(1.25, 50.0, 0.005, 15), (0.0, 0.0, -50000.0)
+    wanted = lf.point_spread(camera, point, window=4)
+    targets = [BESIDE | {"position_mm": (53.0, 0.0, -200.0)}, PLATE | {"position_mm": point}]
+    found = lf.point_spread(camera.changed({"targets": targets}), point, window=4)
+    np.testing.assert_array_equal(found.mean, wanted.mean)

@@ -64,7 +64,9 @@ def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float]
     lateral, deep = extent
     pitch, depth = array.mla.lenslets.lattice.pitch, abs(p[2] - array.aim.apex_z)
     # A difference in depth widens the views that are listed by this factor, and a little more.
-    return list_cells(array, p, (lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)), near)
+    return list_cells(
+        array, p, (lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)), near
+    )
 
 
 @inlined

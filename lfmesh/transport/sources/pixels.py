@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import first_kick, is_in_reach, list_cells_after_kick, list_cells_of_pixel, without_kick
+from lfmesh.transport.aims.kick_aim import (
+    first_kick,
+    is_in_reach,
+    list_cells_after_kick,
+    list_cells_of_pixel,
+    without_kick,
+)
 from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
     CELL_V,

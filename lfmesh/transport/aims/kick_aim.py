@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.lenslet_aim import VIEW_RADIUS2, ArraySeen, list_cells
+from lfmesh.transport.aims.lenslet_aim import ArraySeen, list_cells
 from lfmesh.transport.aims.lenslet_faces import path_to_apexes
 from lfmesh.transport.events.kick import drawn_kick
 
@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 
 SEARCH_AFTER_KICK = 2.0
 """Factor on the distance at which lenslets are looked for, as changes of direction widen their views."""
+
+SHIFT_IN_REACH, GROWTH_IN_REACH = 0.5, 1.25
+"""Shift in pitches of the point that needs no change of direction, and growth of the views, up to which a sample takes
+the lenslets that were listed for its pixel. The few samples beyond list their own, which takes far longer."""
 
 EVENTS_OF_COVER, EVENTS_BEHIND_FACES = 2, 2
 """Interfaces that a packet from a pixel meets in the sensor's cover, and until it has left lenslets that look to the
@@ -48,9 +52,62 @@ def first_kick(apertures: Any, array: ArraySeen, colour: int, key: np.uint64, ha
     return drawn_kick(apertures, colour, key, events + (EVENTS_BEHIND_FACES if array.mla.curved_to_lens else 0))
 
 
+@kernel
+def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
+    """List the lenslets by which points of a pixel may see the opening after changes of direction within reach.
+
+    Parameters
+    ----------
+    array, p, extent, near
+        As for `list_cells`.
+    """
+    lateral, deep = extent
+    pitch, depth = array.mla.lenslets.lattice.pitch, abs(p[2] - array.aim.apex_z)
+    # A difference in depth widens the views that are listed by this factor, and a little more.
+    return list_cells(
+        array, p, (lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)), near
+    )
+
+
 @inlined
-def list_cells_after_kick(array: ArraySeen, p: Vector, kick: tuple[float, float], near: Array) -> tuple[int, Vector]:
+def is_in_reach(array: ArraySeen, p: Vector, growth: float, seen_from: Vector) -> bool:
+    """Tell whether the pixel's list holds the lenslets that a point of it needs after a change of direction.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    p : (3,) float, mm
+        Array frame.
+    growth, seen_from
+        From `without_kick`.
+    """
+    x, y, reach = seen_from[0] - p[0], seen_from[1] - p[1], SHIFT_IN_REACH * array.mla.lenslets.lattice.pitch
+    return growth <= GROWTH_IN_REACH and x * x + y * y <= reach * reach
+
+
+@kernel
+def list_cells_after_kick(array: ArraySeen, growth: float, seen_from: Vector, near: Array) -> int:
     """List the lenslets by which a point of the sensor may see the opening after a change of direction.
+
+    Parameters
+    ----------
+    array : ArraySeen
+    growth, seen_from
+        From `without_kick`.
+    near : (n, LISTED) float64
+        As for `list_cells`.
+    """
+    if not growth > 0.0:
+        return 0
+    return list_cells(array, seen_from, (0.0, (growth - 1.0) * abs(seen_from[2] - array.aim.apex_z)), near)
+
+
+@inlined
+def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tuple[float, Vector]:
+    """Return by what factor a change of direction widens the views of lenslets, and the point that sees them without.
+
+    The factor is 0 where the point does not see the opening's centre. Otherwise it is the ratio of the changes of slope
+    with direction cosine before and after, as the light of all of the opening is moved by the same direction cosines.
 
     Parameters
     ----------
@@ -59,32 +116,6 @@ def list_cells_after_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]
         Array frame.
     kick : (2,) float
         See `first_kick`.
-    near : (n, LISTED) float64
-        As for `list_cells`.
-
-    Returns
-    -------
-    listed : int
-        Number of lenslets listed.
-    seen_from : (3,) float, mm
-        The point that sees the opening without the change.
-    """
-    growth, seen_from = _without_kick(array, p, kick)
-    if not growth > 0.0:
-        return 0, p
-    # A difference in depth widens the views that are listed by this factor, and a little more.
-    listed = list_cells(array, seen_from, (0.0, (growth - 1.0) * abs(p[2] - array.aim.apex_z)), near)
-    for i in range(listed):
-        near[i, VIEW_RADIUS2] *= growth * growth
-    return listed, seen_from
-
-
-@kernel
-def _without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tuple[float, Vector]:
-    """Return by what factor a change of direction widens the views of lenslets, and the point that sees them without.
-
-    The factor is 0 where the point does not see the opening's centre. Otherwise it is the ratio of the changes of slope
-    with direction cosine before and after, as the light of all of the opening is moved by the same direction cosines.
     """
     aim, (air, plate, _) = array.aim, path_to_apexes(array.mla, p[2])
     over, kappa = 1.0 / abs(p[2] - aim.apex_z), aim.pupil_vergence
@@ -98,7 +129,8 @@ def _without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tup
     if not before2 > 0.0:
         return 0.0, p
     across, before = _shift(cx, cy, air, plate, array.glass), _shift(bx, by, air, plate, array.glass)
-    growth = (1.0 + np.sqrt(kick[0] * kick[0] + kick[1] * kick[1])) * max(1.0, (after2 / before2) ** 1.5)
+    ratio = after2 / before2
+    growth = (1.0 + np.sqrt(kick[0] * kick[0] + kick[1] * kick[1])) * max(1.0, ratio * np.sqrt(ratio))
     return growth, (p[0] + bx * before - cx * across, p[1] + by * before - cy * across, p[2])
 
 

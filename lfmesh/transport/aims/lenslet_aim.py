@@ -54,9 +54,6 @@ evenly: where the image is in focus, sharp detail in the scene is sharp over the
 LISTED = 11
 """Number of values of a lenslet in the list of those that may show the opening, see `list_cells`."""
 
-VIEW_RADIUS2 = 4
-"""One of these values: squared radius of the view, in slopes."""
-
 SOLID_ANGLE, CHANCE = 8, 9
 """Two of these values: the relative probabilities with which margin rays, by solid angle, and all others choose the
 lenslet, by the light that it shows too."""
@@ -336,7 +333,9 @@ def toward_lenslet(
 
 
 @pasted
-def cells_that_show(array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector) -> Shown:
+def cells_that_show(
+    array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector, growth2: float
+) -> Shown:
     """Find the listed lenslets that may show the opening to a point.
 
     Parameters
@@ -349,6 +348,8 @@ def cells_that_show(array: ArraySeen, near: Array, listed: int, cells: NDArray[n
         Filled with indices in the list.
     p : (3,) float, mm
         The point, array frame.
+    growth2 : float
+        Factor on the squared radius of all views.
     """
     aim, lattice = array.aim, array.mla.lenslets.lattice
     over = 1.0 / abs(p[2] - aim.apex_z)
@@ -356,7 +357,7 @@ def cells_that_show(array: ArraySeen, near: Array, listed: int, cells: NDArray[n
     count, by_light, by_angle = 0, 0.0, 0.0
     for cell in range(listed):
         a, b = (near[cell, 0] - p[0]) * over - near[cell, 2], (near[cell, 1] - p[1]) * over - near[cell, 3]
-        part2 = (a * a + b * b) / max(near[cell, 4], _TINY)
+        part2 = (a * a + b * b) / max(near[cell, 4] * growth2, _TINY)
         shows = part2 <= 1.0
         # The last entry of `shown`, for lenslets that do not show the opening, is zero.
         chance = near[cell, SOLID_ANGLE] * aim.shown[int(min(part2, 1.0) * rings)]

@@ -10,7 +10,7 @@ from lfmesh.geometry.array.lenslets import shape_of, type_of
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import list_cells_after_kick
+from lfmesh.transport.aims.kick_aim import list_cells_after_kick, without_kick
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
@@ -169,9 +169,12 @@ def _outside_cells(
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
         array = ArraySeen(mla, aim, glass_before_faces(mla, colour[i]))
         p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        listed, seen_from = _listed(mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near)
+        listed, growth, seen_from = _listed(
+            mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near
+        )  # fmt: skip
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        on_cells, on_wider = lenslets_density(array, cells_that_show(array, near, listed, cells, seen_from), p, d)
+        shown = cells_that_show(array, near, listed, cells, seen_from, growth * growth)
+        on_cells, on_wider = lenslets_density(array, shown, p, d)
         if not on_cells + on_wider > 0.0:
             outside[i] = np.inf
 
@@ -180,8 +183,8 @@ def _outside_cells(
 def _listed(
     apertures: Any, array: ArraySeen, pixel: Vector, extent: tuple[float, float], p: Vector,
     kick: tuple[float, float], near: Array,
-) -> tuple[int, Vector]:  # fmt: skip
-    """List the lenslets that a pixel's rays go to, after diffraction as `kick_aim` has it, and whence they are seen.
+) -> tuple[int, float, Vector]:  # fmt: skip
+    """List the lenslets that a pixel's rays go to after diffraction, the growth of their views, and whence they show.
 
     Parameters
     ----------
@@ -191,8 +194,9 @@ def _listed(
     kick : (2,) float
     """
     if apertures is None:
-        return list_cells(array, pixel, extent, near), p
-    return list_cells_after_kick(array, p, kick, near)
+        return list_cells(array, pixel, extent, near), 1.0, p
+    growth, seen_from = without_kick(array, p, kick)
+    return list_cells_after_kick(array, growth, seen_from, near), growth, seen_from
 
 
 @kernel

@@ -10,17 +10,20 @@ directions that are inclined already may, does not exist as a wave, and ends.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.optics.diffraction import hexagon_share, proposed_sinc2, rhombus_frequency
+from lfmesh.optics.diffraction import hexagon_share, proposed_in_tail, rhombus_frequency, sinc2_in_body
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import Apertures
+
+Array = NDArray[np.float64]
 
 IN_KICK = 1 << 23
 """With the number of the event, number of the key of a change of direction; see `interface.IN_WALK`."""
 
 _DIMENSIONS = 1 << 10
-"""Random numbers from one of a hexagon's trials to the next."""
+"""Random numbers from one trial to the next."""
 
 
 @kernel
@@ -40,11 +43,11 @@ def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -
     own = derived(key, IN_KICK + events)
     width_x, width_y = apertures.spread[colour, 0], apertures.spread[colour, 1]
     trial = 0
-    # Each trial succeeds with a chance of 0.3 or more, but for apertures narrower than the wavelength.
+    # Each of a hexagon's trials succeeds with a chance of 1/3.
     while True:
         first = _DIMENSIONS * trial
-        a, used = _drawn_sinc2(own, first)
-        b, _ = _drawn_sinc2(own, first + used)
+        a = _drawn_sinc2(apertures.quantiles, own, first)
+        b = _drawn_sinc2(apertures.quantiles, own, first + _DIMENSIONS // 2)
         trial += 1
         if apertures.hexagonal:
             number = int(3.0 * uniform(own, first + _DIMENSIONS - 1))
@@ -56,15 +59,21 @@ def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -
             return kx, ky
 
 
+@inlined
+def _drawn_sinc2(quantiles: Array, key: np.uint64, first: int) -> float:
+    """Return a number with the density sinc², by random numbers from the given one on."""
+    inside, x = sinc2_in_body(quantiles, uniform(key, first))
+    return x if inside else _drawn_in_tail(x, key, first + 1)
+
+
 @kernel
-def _drawn_sinc2(key: np.uint64, first: int) -> tuple[float, int]:
-    """Return a number with the density sinc², and how many random numbers it took from the given one on."""
-    used = 0
+def _drawn_in_tail(end: float, key: np.uint64, first: int) -> float:
+    """Return a number with the density sinc² beyond the end of the table."""
     while True:
-        accepted, x = proposed_sinc2(uniform(key, first + used), uniform(key, first + used + 1))
-        used += 2
+        accepted, x = proposed_in_tail(end, uniform(key, first), uniform(key, first + 1))
+        first += 2
         if accepted:
-            return x, used
+            return x
 
 
 @inlined

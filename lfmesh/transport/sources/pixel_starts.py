@@ -31,7 +31,9 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (most + 1, LISTED) lenslets that may show the opening to some point of a pixel, see `list_cells`
+    near: (
+        Array  # (2 · most + 1, LISTED) lenslets that may show the opening to points of a pixel, then those of a sample
+    )
     cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
@@ -47,7 +49,7 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET) -> StartRoom
         np.zeros(table, np.uint32),
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
-        np.zeros((most + 1, LISTED)),
+        np.zeros((2 * most + 1, LISTED)),
         np.zeros(most + 1, np.int64),
         np.zeros(STARTS, record),
     )

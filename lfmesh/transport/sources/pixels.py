@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import first_kick, list_cells_after_kick
+from lfmesh.transport.aims.kick_aim import (
+    first_kick,
+    is_in_reach,
+    list_cells_after_kick,
+    list_cells_of_pixel,
+    without_kick,
+)
 from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
     CELL_V,
@@ -241,8 +247,10 @@ def launch_along_image_path(
 
 
 @inlined
-def _near_cells(apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
-    """List the lenslets that points of a pixel may see; with diffraction each sample has its own: return −1.
+def _near_cells(
+    apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array
+) -> tuple[int, bool]:
+    """List the lenslets that points of a pixel may see, and tell whether there are any; diffraction may add others.
 
     Parameters
     ----------
@@ -251,8 +259,9 @@ def _near_cells(apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float
         As for `list_cells`.
     """
     if apertures is None:
-        return list_cells(array, p, extent, near)
-    return -1
+        listed = list_cells(array, p, extent, near)
+        return listed, listed > 0
+    return list_cells_of_pixel(array, p, extent, near), True
 
 
 @inlined
@@ -266,17 +275,20 @@ def _cells_shown(
     ----------
     apertures : Apertures or None
     near : int
-        From `_near_cells`.
+        Number of lenslets listed for the pixel.
     p : (3,) float, mm
         Array frame.
     key : uint64
         Of the sample.
     """
     if apertures is None:
-        return cells_that_show(array, room.near, near, room.cells, p)
-    kick = first_kick(apertures, array, colour, key, has_cover)
-    listed, seen_from = list_cells_after_kick(array, p, kick, room.near)
-    return cells_that_show(array, room.near, listed, room.cells, seen_from)
+        return cells_that_show(array, room.near, near, room.cells, p, 1.0)
+    growth, seen_from = without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
+    first, listed = 0, near
+    if not is_in_reach(array, p, growth, seen_from):
+        # Behind the pixel's list.
+        first, listed = near, list_cells_after_kick(array, growth, seen_from, room.near[near:])
+    return cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)
 
 
 @kernel
@@ -309,8 +321,8 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near = _near_cells(mla.apertures, array, (px, py, pz), extent, room.near)
-                wide = aim.exit.wide_share if near != 0 else aim.exit.share_without_aim
+                near, sees = _near_cells(mla.apertures, array, (px, py, pz), extent, room.near)
+                wide = aim.exit.wide_share if sees else aim.exit.share_without_aim
                 unaimed = unaimed_share(wide)
                 by_light, own_weight = aimed_rays(unaimed, samples, derived(replicate_key, pixel))
                 usual = area * lenslet_ahead(mla, array.glass, pz) / (1.0 - aim.exit.wide_share)

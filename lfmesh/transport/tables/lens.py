@@ -17,6 +17,7 @@ from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
+from lfmesh.optics.diffraction import sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (
@@ -307,7 +308,7 @@ def apertures_of(scene: Scene, wavelengths_nm: tuple[float, ...]) -> Apertures |
     over = 1e-6 / (mla.pitch_mm * (1.0 + mla.form.pitch_error))
     # A cylinder ends with the array along its axis.
     has_width = [float(mla.cylinder_axis != axis) for axis in "xy"]
-    return Apertures(mla.layout == "hexagonal", np.outer(wavelengths_nm, has_width) * over)
+    return Apertures(mla.layout == "hexagonal", np.outer(wavelengths_nm, has_width) * over, sinc2_quantiles())
 
 
 def _back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:

@@ -89,6 +89,7 @@ class Apertures(NamedTuple):
 
     hexagonal: bool
     spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
+    quantiles: Array  # see `diffraction.sinc2_quantiles`
 
 
 @by_address

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from lfmesh.kernels.decorators import kernel
+from lfmesh.optics.diffraction import PARTS, sinc2_quantiles
 from lfmesh.transport.events.kick import drawn_kick
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables.tables import Apertures
@@ -23,7 +24,9 @@ def _fill(apertures: Apertures, key: np.uint64, kicks: np.ndarray) -> None:
 def kicks_of(hexagonal: bool, spread: float) -> np.ndarray:
     """Draw changes of direction over the spread, (n, 2): frequencies in cycles over the pitch."""
     kicks = np.empty((DRAWS, 2))
-    _fill(Apertures(hexagonal, np.array([[spread, spread]])), descendant(0x6B69636B, hexagonal), kicks)
+    _fill(
+        Apertures(hexagonal, np.array([[spread, spread]]), sinc2_quantiles()), descendant(0x6B69636B, hexagonal), kicks
+    )
     return kicks / spread
 
 
@@ -81,6 +84,17 @@ def test_tails_fall_as_their_integral() -> None:
         assert near((np.abs(SQUARE[:, 0]) > beyond).astype(float), 1.0 - expected)
 
 
+def test_shares_within_any_distance_are_those_of_the_density_to_their_stated_error() -> None:
+    """The table's chances against sinc² by quadrature over each part; the tail goes on at its end."""
+    quantiles = sinc2_quantiles()
+    x = np.linspace(0.0, quantiles[-1], 200_001)
+    density = np.sinc(x) ** 2
+    within = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) * np.diff(x))])
+    chances = np.interp(x, quantiles, np.arange(len(quantiles)) / PARTS)
+    assert np.abs(chances - within).max() < 1.2e-4
+    assert chances[-1] == pytest.approx(within[-1], abs=1e-8)
+
+
 def test_no_change_is_beyond_a_right_angle() -> None:
     wide = kicks_of(False, 0.3) * 0.3
     assert np.hypot(wide[:, 0], wide[:, 1]).max() < 1.0
@@ -88,6 +102,6 @@ def test_no_change_is_beyond_a_right_angle() -> None:
 
 def test_an_aperture_without_ends_does_not_diffract() -> None:
     kicks = np.empty((1000, 2))
-    _fill(Apertures(False, np.array([[0.04, 0.0]])), descendant(1, 2), kicks)
+    _fill(Apertures(False, np.array([[0.04, 0.0]]), sinc2_quantiles()), descendant(1, 2), kicks)
     assert (kicks[:, 1] == 0.0).all()
     assert kicks[:, 0].std() > 0.0

@@ -19,6 +19,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import Scene
+from lfmesh.scene.quantities import LARGEST
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.trace import at_wavelength, trace
@@ -48,6 +49,12 @@ OFF_POINT = 1e-6
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
 
+MOST_PARTS = 50_000_000
+"""Parts of pixels in a picture."""
+
+SHORTEST_NM, LONGEST_NM = 100.0, 20_000.0
+"""Wavelengths, as in a scene."""
+
 
 @dataclass(frozen=True, eq=False)
 class PointSpread(Shown):
@@ -61,6 +68,8 @@ class PointSpread(Shown):
     x_mm : (columns,) float64
         Middle of each column, sensor frame.
     y_mm : (rows,) float64
+    step_mm : float
+        From one column, or row, to the next.
     point_mm : (3,) float64
         Camera frame.
     wavelengths_nm, weights : tuple of float
@@ -72,12 +81,12 @@ class PointSpread(Shown):
     power_w : float
         Power on the plane of the sensor, beside its pixels too.
     peak_w_mm2 : float
-        Largest irradiance, at the middle one of the wavelengths.
+        Largest irradiance, at the weightiest one of the wavelengths.
     strehl : float or None
         The same over that of light in phase; None with a microlens array.
     airy_radius_mm : float
         Radius of the first dark ring, 0.61 λ / sin u by the rays on the sensor's side of lens or, behind an array,
-        λ / sin u by the pitch and the focal length of a lenslet, at the middle wavelength.
+        λ / sin u by the pitch and the focal length of a lenslet, at the weightiest wavelength.
     lenslets : int
         Number of lenslets that the rays meet; 0 without an array.
     change : float
@@ -89,6 +98,7 @@ class PointSpread(Shown):
     mean: Array
     x_mm: Array
     y_mm: Array
+    step_mm: float
     point_mm: tuple[float, float, float]
     wavelengths_nm: tuple[float, ...]
     weights: tuple[float, ...]
@@ -110,16 +120,17 @@ class PointSpread(Shown):
     @property
     def irradiance_w_mm2(self) -> Array:
         """(rows, columns) W/mm²: mean over each pixel, or part of one."""
-        return self.mean / (self.x_mm[1] - self.x_mm[0]) ** 2 if len(self.x_mm) > 1 else self.mean
+        return self.mean / self.step_mm**2
 
     def lines(self) -> list[str]:
         """Return the key figures in words."""
-        pixel_mm = (self.x_mm[1] - self.x_mm[0]) * self.oversample if len(self.x_mm) > 1 else math.nan
+        pixel_mm = self.step_mm * self.oversample
         lit = f"{self.lenslets} lenslet{'' if self.lenslets == 1 else 's'} lit, "
         peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else lit
         part = "pixel" if self.oversample == 1 else f"1/{self.oversample} × 1/{self.oversample} of a pixel"
+        of = f" at {self.wavelengths_nm[int(np.argmax(self.weights))]:g} nm" if len(self.wavelengths_nm) > 1 else ""
         return [
-            f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr",
+            f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr{of}",
             f"Airy radius {1e3 * self.airy_radius_mm:.4g} µm, {self.airy_radius_mm / pixel_mm:.3g} pixels",
             f"{100.0 * self.brightest_share:.3g} % of the light on the brightest {part}; last change "
             f"{100.0 * self.change:.2g} %",
@@ -169,10 +180,12 @@ def point_spread(
         bodies of glass, polarisers), a point that a target hides or whose light does not pass, a spread too large, or a
         value out of range.
     """
-    point = np.asarray(point_mm, dtype=np.float64)
-    nm = (scene.primary_nm,) if wavelengths_nm is None else tuple(np.atleast_1d(wavelengths_nm).astype(float).tolist())
-    shares = _shares(nm, weights)
-    _refuse_values(point, window, oversample, tolerance)
+    if not isinstance(scene, Scene):
+        raise LfmeshError(f"scene = {scene!r}: must be a Scene; read a file by lf.load")
+    point = _numbers("point_mm", point_mm)
+    nm = tuple(_numbers("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
+    shares = _shares(nm, _numbers("weights", [1.0] * len(nm) if weights is None else weights).tolist())
+    _refuse_values(scene, point, window, oversample, tolerance)
     _refuse_scene(scene)
     camera = solved_camera(scene)
     world = build(camera.scene.camera_alone())
@@ -181,10 +194,16 @@ def point_spread(
     pixels = _pixels(camera, world, point, nm[len(nm) // 2], (window, oversample))
     each = [_Monochrome(camera, world, point, wavelength, pixels).converged(tolerance) for wavelength in nm]
     mean = sum(share * one.mean for share, one in zip(shares, each, strict=True))
-    middle = each[len(each) // 2]
+    if not np.any(mean > 0.0):
+        raise LfmeshError(
+            f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
+        )
+    # Figures of one wavelength are those of the weightiest.
+    middle = each[int(np.argmax(shares))]
     x, y = (pixels.first_mm[axis] + pixels.step_mm * np.arange(pixels.size[axis]) for axis in (0, 1))
     return PointSpread(
-        np.asarray(mean), x, y, (float(point[0]), float(point[1]), float(point[2])), nm, shares, oversample,
+        np.asarray(mean), x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])), nm, shares,
+        oversample,
         sum(share * one.entered_w for share, one in zip(shares, each, strict=True)),
         sum(share * one.power_w for share, one in zip(shares, each, strict=True)),
         middle.peak_w_mm2, middle.strehl, middle.airy_radius_mm, middle.lenslets,
@@ -366,30 +385,54 @@ def _pixels(
     return Sampling(np.asarray(corner) + 0.5 * step, step, (count[0] * oversample, count[1] * oversample))
 
 
-def _shares(wavelengths_nm: tuple[float, ...], weights: Sequence[float] | None) -> tuple[float, ...]:
+def _shares(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[float, ...]:
     """Return the weights of wavelengths, which add up to 1."""
     for wavelength in wavelengths_nm:
-        if not 0.0 < wavelength < math.inf:
-            raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be above 0 and finite")
+        if not SHORTEST_NM <= wavelength <= LONGEST_NM:
+            raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be from {SHORTEST_NM:g} to {LONGEST_NM:g}")
     if not wavelengths_nm:
         raise LfmeshError("wavelengths_nm is empty: give one wavelength or more")
-    given = [1.0] * len(wavelengths_nm) if weights is None else [float(weight) for weight in weights]
     if len(given) != len(wavelengths_nm):
-        raise LfmeshError(f"weights = {given}: there are {len(wavelengths_nm)} wavelengths; give one weight for each")
-    if not all(0.0 <= weight < math.inf for weight in given) or sum(given) == 0.0:
+        raise LfmeshError(f"weights = {given}: give one weight for each of wavelengths_nm = {list(wavelengths_nm)}")
+    if not all(weight >= 0.0 for weight in given) or not 0.0 < sum(given) < math.inf:
         raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
     return tuple(weight / sum(given) for weight in given)
 
 
-def _refuse_values(point: Array, window: int | None, oversample: int, tolerance: float) -> None:
+def _numbers(name: str, given: object) -> Array:
+    """Return numbers as an array, (n,)."""
+    try:
+        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1:
+        raise LfmeshError(f"{name} = {given!r}: must be a number, or a list of numbers")
+    return numbers
+
+
+def _refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
+    whole = {"window": 1 if window is None else window, "oversample": oversample}
+    for name, number in whole.items():
+        if not isinstance(number, int | np.integer):
+            raise LfmeshError(f"{name} = {number!r}: must be a whole number")
+    if not isinstance(tolerance, float | int):
+        raise LfmeshError(f"tolerance = {tolerance!r}: must be a number between 0 and 1")
     if point.shape != (3,) or not np.isfinite(point).all() or not point[2] < 0.0:
         raise LfmeshError(
             f"point_mm = {point.tolist()}: give x, y and z in the camera frame, finite, with z below 0, before the lens"
         )
+    if -point[2] > LARGEST:
+        raise LfmeshError(f"point_mm = {point.tolist()}: z must be {-LARGEST:g} or more")
     if window is not None and not 1 <= window <= 100_000:
         raise LfmeshError(f"window = {window}: must be 1 pixel or more, up to 100,000")
     if not 1 <= oversample <= 64:
         raise LfmeshError(f"oversample = {oversample}: must be from 1 to 64 parts of a pixel's side")
+    sides = [min(window or side, side) * oversample for side in scene.camera.sensor.pixels]
+    if math.prod(sides) > MOST_PARTS:
+        raise LfmeshError(
+            f"window = {window}, oversample = {oversample}: a picture of {sides[0]} × {sides[1]}; {MOST_PARTS:,} parts "
+            "of pixels are possible"
+        )
     if not 0.0 < tolerance < 1.0:
         raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
 

@@ -196,6 +196,18 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
     ("arguments", "words"),
     [
         ({"point_mm": (0.0, 0.0, 5.0)}, "z below 0"),
+        ({"point_mm": "here"}, "point_mm = 'here': must be a number, or a list of numbers"),
+        ({"point_mm": (0.0, 0.0, -1e300)}, r"z must be -1e\+15 or more"),
+        ({"point_mm": (1000.0, 0.0, -FAR)}, "no light falls on the sensor's pixels"),
+        ({"wavelengths_nm": "red"}, "wavelengths_nm = 'red'"),
+        ({"wavelengths_nm": [[550.0]]}, "wavelengths_nm = "),
+        ({"wavelengths_nm": 0.001}, "wavelengths_nm = 0.001: must be from 100 to 20000"),
+        ({"wavelengths_nm": [500.0, 600.0], "weights": [1e308, 1e308]}, "weights = "),
+        ({"weights": "ab"}, "weights = 'ab'"),
+        ({"window": 2.5}, "window = 2.5: must be a whole number"),
+        ({"oversample": "a"}, "oversample = 'a': must be a whole number"),
+        ({"tolerance": None}, "tolerance = None"),
+        ({"scene": "scene.toml"}, "read a file by lf.load"),
         ({"point_mm": (0.0, math.nan, -5.0)}, "finite"),
         ({"oversample": 0}, "oversample = 0"),
         ({"window": 0}, "window = 0"),
@@ -206,7 +218,7 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
 )
 def test_wrong_values_are_refused_in_one_line(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(lf.LfmeshError, match=words) as error:
-        lf.point_spread(conventional(1.25, 50.0, 0.005, 15), **({"point_mm": (0.0, 0.0, -FAR)} | arguments))
+        lf.point_spread(**({"scene": conventional(1.25, 50.0, 0.005, 15), "point_mm": (0.0, 0.0, -FAR)} | arguments))
     assert "\n" not in str(error.value)
 
 
@@ -221,6 +233,22 @@ def test_wrong_values_are_refused_in_one_line(arguments: dict[str, Any], words: 
 def test_cameras_that_waves_are_not_taken_through_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(lf.LfmeshError, match=words):
         lf.point_spread(light_field_camera(IMAGE).changed(values), (0.0, 0.0, -FAR))
+
+
+def test_out_of_focus_no_more_passes_an_array_than_fresnel_lets_pass() -> None:
+    """Two bare faces of n = 1.5 pass 0.96² at most, however steep they are and wherever light comes from."""
+    scene = lf.load(asset_path("scenes/first_light.toml")).changed({"camera.lens.stop_semi_diameter_mm": 2.4})
+    found = lf.point_spread(scene, (0.0, 0.0, -480.0), window=64, tolerance=0.05)
+    assert 0.96**2 * 0.99 < found.power_w / found.entered_w < 0.96**2
+
+
+def test_figures_of_several_wavelengths_are_those_of_the_weightiest() -> None:
+    camera = conventional(1.25, 50.0, 0.005, 15)
+    both = lf.point_spread(camera, (0.0, 0.0, -FAR), [500.0, 600.0], weights=[1.0, 0.0])
+    one = lf.point_spread(camera, (0.0, 0.0, -FAR), 500.0)
+    assert both.peak_w_mm2 == one.peak_w_mm2
+    assert "at 500 nm" in both.lines()[0]
+    np.testing.assert_array_equal(both.mean, one.mean)
 
 
 def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:

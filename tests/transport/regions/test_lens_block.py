@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.surface import normals, sag, slope, surface
+from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS, normals, sag, slope, surface
 from lfmesh.optics.fresnel import fresnel
 from lfmesh.transport.events.crossing import FLOAT32_GRAIN
 from lfmesh.transport.regions import lens_block as lb
@@ -199,7 +199,7 @@ def ready_aspheres(draw):
             block, i, shape["curvature"], 1.0 + shape["conic"], shape["vertex_z"], (10.0 + 1e-9) ** 2, sense
         )  # fmt: skip
         block[lb.TERMS + i] = shape["terms"]
-        rows(block, lb.COEFFICIENTS, 10)[i] = shape["asphere"]
+        rows(block, lb.COEFFICIENTS, MAX_ASPHERE_TERMS)[i] = shape["asphere"]
     rays = unit(rays)
     way = draw.uniform(0.1, 20.0, n)
     rows(block, lb.X, 3)[:] = met - way[:, None] * rays
@@ -214,7 +214,7 @@ def test_steep_rays_meet_aspheres_where_these_are():
     for _ in range(20):
         block, met, normal, way = ready_aspheres(draw)
         lb.meet_in_order(block)
-        lb.meet_aspheres(block, 10)
+        lb.meet_aspheres(block, MAX_ASPHERE_TERMS)
         held = rows(block, lb.HELD)[:, 0] == 1.0
         missed += (~held).sum()
         curved += (rows(block, lb.TERMS)[:, 0] > 0).sum()
@@ -229,7 +229,7 @@ def test_steep_rays_meet_aspheres_where_these_are():
         rows(again, lb.APERTURE2)[:, 0] = np.square(met[:, :2]).sum(axis=1) * (1.0 - 1e-9)
         rows(again, lb.NEXT_APERTURE2)[:] = rows(again, lb.APERTURE2)
         lb.meet_in_order(again)
-        lb.meet_aspheres(again, 10)
+        lb.meet_aspheres(again, MAX_ASPHERE_TERMS)
         assert (rows(again, lb.HELD) == 0.0).all()
     assert curved > 300
     # A ray may not settle where it is hardly steeper than the surface.
@@ -254,15 +254,15 @@ def test_steep_rays_meet_aspheres_from_facets_beside_them():
         wrong = lb.empty_block()
         wrong[:] = block
         rows(wrong, lb.SENSE)[:] *= -1.0
-        lb.meet_aspheres_at_facets(wrong, 10)
+        lb.meet_aspheres_at_facets(wrong, MAX_ASPHERE_TERMS)
         assert (rows(wrong, lb.HELD)[aspheres] == 0.0).all()
         narrow = lb.empty_block()
         narrow[:] = block
         rows(narrow, lb.APERTURE2)[:, 0] = np.square(met[:, :2]).sum(axis=1) * (1.0 - 1e-9)
-        lb.meet_aspheres_at_facets(narrow, 10)
+        lb.meet_aspheres_at_facets(narrow, MAX_ASPHERE_TERMS)
         assert (rows(narrow, lb.HELD)[aspheres] == 0.0).all()
         rows(block, lb.APERTURE2)[:] = (10.0 + 1e-9) ** 2
-        lb.meet_aspheres_at_facets(block, 10)
+        lb.meet_aspheres_at_facets(block, MAX_ASPHERE_TERMS)
         held = (rows(block, lb.HELD)[:, 0] == 1.0) & aspheres
         cosine = np.sum(normal * rays, axis=1)
         missed += (aspheres & ~held).sum()

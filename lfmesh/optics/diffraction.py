@@ -32,7 +32,7 @@ _RHOMBUS = 1.0 / (2.0 * np.sqrt(3.0))
 
 @cache
 def sinc2_quantiles() -> NDArray[np.float64]:
-    """Return the distances from 0 within which a number of density sinc² lies with chances 0, 1/N, ...; see `PARTS`.
+    """Return the distances within which a number of density sinc² lies with chances 0, 1/N, 2/N, ...; N is `PARTS`.
 
     The last of them is the last below `_BODY`. Within x lies 2/π (Si(2πx) − sin²(πx) / πx). Read as even between them,
     the density puts a share within any x that is wrong by 1.2·10⁻⁴ at most, beside its zeros.

@@ -30,7 +30,7 @@ def optimise(
     Ctrl-C keeps the best camera so far. The exit code is 1 if the best camera found violates a limit.
     """
     with defer_interrupt():
-        from lfmesh.study.fits.fit_files import make_folder
+        from lfmesh.files.whole import make_folder
         from lfmesh.study.optimise.design_files import write_optimum
         from lfmesh.study.optimise.optimise import best_of, load_design
 

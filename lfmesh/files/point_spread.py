@@ -1,15 +1,15 @@
 """Files of a point spread: power as EXR, a logarithmic picture, facts as JSON."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 
-from lfmesh.errors import FileError
 from lfmesh.files.exr import write_maps
 from lfmesh.files.json_values import plain_json
-from lfmesh.files.whole import write_whole
+from lfmesh.files.whole import make_folder, write_whole
 from lfmesh.waves.point_spread import PointSpread
 
 DECADES = 4.0
@@ -33,10 +33,7 @@ def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
     FileError
         It cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be made: {error.strerror}") from None
+    make_folder(folder)
     exr, png, facts = (folder / f"spread.{kind}" for kind in ("exr", "png", "json"))
     known = plain_json(spread.facts())
     write_maps(exr, {"W": spread.mean}, known)
@@ -44,6 +41,8 @@ def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
     shown = 1.0 + np.log10(np.maximum(spread.mean / max(float(spread.mean.max()), 1e-300), floor)) / DECADES
     picture = PIL.Image.fromarray(np.round(255.0 * shown[:, ::-1]).astype(np.uint8))
     larger = max(1, round(LEAST_PX / max(picture.size)))
-    picture.resize((larger * picture.width, larger * picture.height), PIL.Image.Resampling.NEAREST).save(png)
+    drawn = io.BytesIO()
+    picture.resize((larger * picture.width, larger * picture.height), PIL.Image.Resampling.NEAREST).save(drawn, "PNG")
+    write_whole(png, drawn.getvalue())
     write_whole(facts, json.dumps(known, indent=2) + "\n")
     return [exr, png, facts]

@@ -1,4 +1,4 @@
-"""A single file that is written whole or not at all."""
+"""A single file that is written whole or not at all, and folders for results."""
 
 import os
 import tempfile
@@ -38,6 +38,20 @@ def write_whole(path: Path, content: str | bytes) -> None:
         if isinstance(error, OSError):
             raise FileError(f"{path} cannot be written: {error.strerror or error}") from None
         raise
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results.
+
+    Raises
+    ------
+    FileError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
 
 
 def make_like_any_other(temporary: Path) -> None:

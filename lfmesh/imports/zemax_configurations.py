@@ -52,7 +52,7 @@ _OF_SURFACES: dict[str, Setter] = {
     "GLSS": _glass,
 }
 
-_ANGLES = ("XFIE", "YFIE")
+_OF_FIELDS = ("XFIE", "YFIE")
 
 _VIGNETTING = command_names("FVCX FVCY FVDX FVDY FVAN")
 """Vignetting of a field: it only sizes clear apertures that the file leaves open."""
@@ -163,7 +163,7 @@ def _set(made: Prescription, name: str, place: int, value: str) -> None:
         if not 1 <= place <= len(made.wavelengths_nm):
             raise ValueError(f"there is no wavelength {place}")
         made.wavelengths_nm[place - 1] = float(f"{number(value) * 1000.0:.10g}")
-    elif name in _ANGLES:
+    elif name in _OF_FIELDS:
         if not 1 <= place <= len(made.fields):
             raise ValueError(f"there is no field {place}")
         point = made.fields[place - 1]

@@ -18,6 +18,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Shown
+from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -51,9 +52,6 @@ LEAST, MOST = 128, 3072
 
 MOST_PARTS = 50_000_000
 """Parts of pixels in a picture."""
-
-SHORTEST_NM, LONGEST_NM = 100.0, 20_000.0
-"""Wavelengths, as in a scene."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from lfmesh.accuracy.figures import finish
 from lfmesh.errors import FileError
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
+from lfmesh.files.whole import make_folder
 from lfmesh.regular_file import open_text
 from lfmesh.study.fits.board_corners import LEAST_CORNERS, BoardCorners
 from lfmesh.study.fits.board_fit import BoardFit
@@ -24,7 +25,6 @@ from lfmesh.study.fits.fit_files import (
     VALUES,
     as_png,
     facts,
-    make_folder,
     parameter_facts,
     residuals_picture,
     show_spread,

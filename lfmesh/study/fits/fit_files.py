@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 import lfmesh
 from lfmesh.accuracy.figures import finish
-from lfmesh.errors import FileError
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
-from lfmesh.files.whole import write_whole
+from lfmesh.files.whole import make_folder, write_whole
 from lfmesh.lightfield.views.upright import ON_SENSOR, Upright
 from lfmesh.study.fits.fit import Estimate, Fit
 
@@ -47,20 +46,6 @@ def write_fit(fit: Fit, folder: Path) -> list[Path]:
         PICTURE: residuals_picture(fit),
     }
     return write_files(contents, folder)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results.
-
-    Raises
-    ------
-    FileError
-        It cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
 
 
 def write_files(contents: dict[str, str | bytes], folder: Path) -> list[Path]:

@@ -138,7 +138,7 @@ def test_an_element_given_as_a_mesh_has_its_coating_on_the_refractor(tmp_path):
 def test_check_says_what_coatings_reflect_and_which_are_not_used(tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(SCENE)
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.replace("\n  ", " ").splitlines()
     own = [line for line in lines if line.startswith("coating of ")]
     # Magnesium fluoride of 106.5 nm on n = 1.5 at 587.6 nm, just off its quarter wave.
     assert [line.split("  ")[0] for line in own] == ["coating of lens surface 0", "coating of the mla's curved face"]

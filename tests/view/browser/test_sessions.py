@@ -118,6 +118,7 @@ def test_pages_that_are_left_make_room_the_oldest_first() -> None:
             session.stay()
         return found, kept
 
-    closed, kept = asyncio.run(leave())
+    with asyncio.Runner(loop_factory=Clock) as runner:
+        closed, kept = runner.run(leave())
     assert closed == [True, True] + [False] * (sessions.MOST_PAGES - 2)
     assert kept == sessions.MOST_PAGES - 2

@@ -34,6 +34,11 @@ COUNT = 100
 ALL = "all"
 """The choice of every wavelength of the scene."""
 
+FORM = (
+    "launch", "light", "point_x", "point_y", "point_z", "row", "column", "count", "wavelength", "split", "cutoff",
+)  # fmt: skip
+"""Variables of the form that rays are launched by."""
+
 PICKED, PICKED_COLOUR, PICKED_WIDTH = "picked path", "white", 3.0
 """Name, colour and width in px of the line along the path that was clicked."""
 
@@ -86,7 +91,7 @@ class RaysPanel:
             ("launch", self._launch),
             ("look", self._look),
             ("pick_in_view", self._pick),
-            ("filter", self._filter),
+            ("filter", self._filter_by),
             ("choose", self._choose),
             ("csv", self._csv),
             ("pixel_rays", self._pixel_rays),
@@ -124,9 +129,13 @@ class RaysPanel:
         state.update({"launch": "point", "point_x": x, "point_y": y, "point_z": z})
         return f"from x = {x:g}, y = {y:g}, z = {z:g} mm"
 
-    def _launch(self) -> None:
-        """Launch rays as the form says."""
+    def _launch(self, form: dict[str, Any]) -> None:
+        """Launch rays as the form says.
+
+        Its values come with the call: what a busy page has written into its state may arrive later.
+        """
         state, world = self._state, self._view.world
+        state.update({name: value for name, value in form.items() if name in FORM})
         if state.launch == "point":
             point = [_number(state[f"point_{axis}"], f"{axis} / mm") for axis in "xyz"]
             rays = launch.from_field_point(world, point, self._count(), **self._options())
@@ -184,6 +193,11 @@ class RaysPanel:
             return
         self._kept = np.ones(len(rays), np.bool_)
         self._view.near(pixels_on_array(rays))
+        self._filter()
+
+    def _filter_by(self, expression: str) -> None:
+        """Keep the paths that another expression is true of, which comes with the call as a form does."""
+        self._state.expression = expression
         self._filter()
 
     def _filter(self) -> None:

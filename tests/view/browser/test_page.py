@@ -369,6 +369,18 @@ def test_pixels_clicked_and_areas_drawn_launch_their_rays(fresh: Page) -> None:
     assert fresh.text("#kept").split()[0] == every, "all of them start in the area"
 
 
+def test_a_filter_and_a_form_count_as_they_were_when_the_button_was_pressed(fresh: Page) -> None:
+    """A page that waits for an answer keeps what is written in it to itself until that has come."""
+    every = fresh.text("#kept").split()[0]
+    fresh.redrawn(lambda: fresh.tab.evaluate("trame.trigger('filter', ['ghost'])"))
+    assert fresh.tab.input_value("#filter") == "ghost"
+    assert 0 < int(fresh.text("#kept").split()[0].replace(",", "")) < int(every.replace(",", ""))
+    form = "{ launch: 'point', point_x: 1.25, point_y: 0.0, point_z: -420.0, unknown: 1 }"
+    fresh.redrawn(lambda: fresh.tab.evaluate(f"trame.trigger('launch', [{form}])"))
+    assert fresh.tab.input_value("#point-x") == "1.25"
+    fresh.tab.fill("#point-x", "0")
+
+
 def test_ghosts_are_those_of_the_sequences(fresh: Page, run: Path) -> None:
     fresh.tab.click("#side-ghosts")
     fresh.tab.wait_for_selector("#ghost-table tbody tr")

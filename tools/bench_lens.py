@@ -51,7 +51,7 @@ from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.packets.packet import BY_MESH, BY_ORDER, LENS, SENSOR_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.sequences.bundle import BLOCK, DX, DZ, ROWS, WEIGHT, X, Z
 from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_LENS, Route, follow_legs, image_route_of
 from lfmesh.transport.settings import options_of
@@ -174,7 +174,11 @@ class EngineRun:
     def __init__(self, world: Any, sent: Bundle, surface: str, sequential: bool, pool: ThreadPoolExecutor) -> None:
         self.world, self.sent, self.pool = world, sent, pool
         self.options = options_of(
-            world, tracing=True, split=TRANSMIT, surface=SURFACE_LEVEL[surface], sequential=sequential
+            world,
+            tracing=True,
+            split=TRANSMIT,
+            surface=SURFACE_LEVEL[surface],
+            faces=BY_ORDER if sequential else BY_MESH,
         )
         rays = len(sent.origins)
         start = np.full(rays, LENS), np.zeros(rays, np.int64)

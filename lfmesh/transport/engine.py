@@ -25,6 +25,8 @@ from lfmesh.transport.lights.combine import ask_lights
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
+    BY_MESH,
+    BY_ORDER,
     CELLS,
     CELLS_MESH,
     COUNTERS,
@@ -159,17 +161,18 @@ class Workspace:
             Number of packets that the chunk starts.
         """
         self.tops[:] = 0
-        self.options = self.options._replace(each=0)
+        pixels = self.options.pixels._replace(each=0)
         self.book[:] = 0.0
         self.counts[:] = 0
         if film is not None:
             self.film, self.hits = film.power, film.hits
-            self.options = self.options._replace(first_source=film.origin)
+            pixels = pixels._replace(first_source=film.origin)
             if packets > len(self.counted):
                 self.counted = np.zeros(packets, np.uint8)
             self.counted[:packets] = 0
         self.embree_seconds = 0.0
         self.queries = 0
+        self.options = self.options._replace(pixels=pixels)
         # A pixel with more samples than a chunk is still started in one piece.
         self.reserve(max(self.chunk, packets))
 
@@ -232,8 +235,8 @@ class Workspace:
             if handled > most:
                 raise LfmeshError(
                     f"packets have more than {MOST_EVENTS_EACH:,} events each with all their children: give "
-                    f"weight_cutoff a larger value than {self.options.cutoff:g}, or max_events a smaller one than "
-                    f"{self.options.max_events}"
+                    f"weight_cutoff a larger value than {self.options.thinning.cutoff:g}, or max_events a smaller one "
+                    f"than {self.options.max_events}"
                 )
             self.advance(station)
 
@@ -258,11 +261,11 @@ class Workspace:
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
             for some in self._by_colour(wave):
                 follow_ghosts(some, tables.camera, tables.ghosts, options, flow, room)
-        elif options.sequential and station in (LENS, PLATE):
+        elif options.faces == BY_ORDER and station in (LENS, PLATE):
             for some in self._by_colour(wave):
                 camera, route = tables.camera_of_packets, image_route_of(tables)
                 follow_image_path(some, station, camera, route, self.bundle, self.numbers, options, flow)
-        elif station == LENS and options.in_order:
+        elif station == LENS and options.faces != BY_MESH:
             count = admit_to_lens(wave, origins, directions, lens, frames, options, flow, False)
             wave = wave[:count]
             self._sample(wave)
@@ -274,7 +277,7 @@ class Workspace:
             shade_lens(wave, found, self.block, self.numbers, lens, mla.present, frames, options, flow, False)
         elif station in (CELLS, CELLS_MESH, BACK_CELLS, BACK_CELLS_MESH):
             face = mla if station in (CELLS, CELLS_MESH) else mla.back
-            in_order = station == face.cells and options.in_order and options.surface == EXACT
+            in_order = station == face.cells and options.faces != BY_MESH and options.surface == EXACT
             if in_order:
                 self._sample(wave)
                 found = self.unasked
@@ -363,7 +366,8 @@ class Workspace:
             if ends > MOST_ENDS:
                 raise LfmeshError(
                     f"{self.chunk:,} rays or fewer end in more than {MOST_ENDS:,} packets: give weight_cutoff a larger "
-                    f"value than {self.options.cutoff:g}, or max_events a smaller one than {self.options.max_events}"
+                    f"value than {self.options.thinning.cutoff:g}, or max_events a smaller one than "
+                    f"{self.options.max_events}"
                 )
             self.ended = _grown(self.ended, ends)
         if self.options.record:
@@ -371,7 +375,7 @@ class Workspace:
             if self.recorded + need > MOST_VERTICES:
                 raise LfmeshError(
                     f"the paths have more than {MOST_VERTICES:,} vertices: launch fewer rays, or give weight_cutoff a "
-                    f"larger value than {self.options.cutoff:g}"
+                    f"larger value than {self.options.thinning.cutoff:g}"
                 )
             self.nodes = _grown(self.nodes, need)
 

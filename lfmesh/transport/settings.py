@@ -12,6 +12,9 @@ from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import (
     BOTH,
+    BY_MESH,
+    BY_ORDER,
+    BY_ORDER_OR_MESH,
     CAMERA_FRAME,
     EVENTS,
     FALLBACKS,
@@ -20,6 +23,7 @@ from lfmesh.transport.packets.packet import (
     TRANSMIT,
     WORLD_FRAME,
     Options,
+    Thinning,
 )
 from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.world import World
@@ -41,15 +45,15 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
     tracing, record : bool
         See `Options`.
     **override
-        Options that replace those of the scene.
+        Options that replace those of the scene, or fields of their `Thinning`.
     """
     transport = world.scene.transport
     tables = world.tables
     options = Options(
         surface=SURFACE_LEVEL[transport.surface],
-        split=SPLIT_MODE[transport.split],
+        faces=BY_MESH if tracing else _faces(world),
+        thinning=Thinning(SPLIT_MODE[transport.split], transport.weight_cutoff, transport.weight_cutoff),
         max_events=transport.max_events,
-        cutoff=transport.weight_cutoff,
         adjoint=transport.method == "adjoint" and not tracing,
         tracing=tracing,
         record=record,
@@ -63,16 +67,25 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
             or (transport.split != "transmit" and _is_near_lens(world))
         ),
         aimed=True,
-        sequential=not tracing and engine_of(world.scene)[0] == "sequential",
         paths=EVERY,
-        unturned_cutoff=transport.weight_cutoff,
-        first_source=0,
         importance=transport.method == "adjoint" and not tracing,
-        in_order=not tracing
-        and transport.engine != "mesh"
-        and (bool(tables.lens.ordered.any()) or (tables.mla.present and transport.surface == "exact")),
     )
-    return options._replace(**override)
+    thinning = {name: override.pop(name) for name in Thinning._fields if name in override}
+    return with_thinning(options._replace(**override), **thinning)
+
+
+def with_thinning(options: Options, **change: Any) -> Options:
+    """Return options with other fields of their `Thinning`."""
+    return options._replace(thinning=options.thinning._replace(**change))
+
+
+def _faces(world: World) -> int:
+    """Return by which surfaces of lens and array are found in a render."""
+    transport, tables = world.scene.transport, world.tables
+    if engine_of(world.scene)[0] == "sequential":
+        return BY_ORDER
+    in_order = bool(tables.lens.ordered.any()) or (tables.mla.present and transport.surface == "exact")
+    return BY_ORDER_OR_MESH if in_order and transport.engine != "mesh" else BY_MESH
 
 
 def _is_near_lens(world: World) -> bool:

@@ -23,6 +23,8 @@ from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import (
+    BY_MESH,
+    BY_ORDER,
     CAMERA_FRAME,
     COUNTERS,
     END,
@@ -244,7 +246,7 @@ def trace(
         states = _states(stokes, settings.get("reference", X_AXIS), _unit_directions(p, d))
     call = _Call(world, tables, options, descendant(0x7472616365, int(seed)), int(threads), states)
     p = before_faces(world, p, d)
-    in_blocks = options.sequential and not _absorbs(call.tables)
+    in_blocks = options.faces == BY_ORDER and not _absorbs(call.tables)
     paths = _in_blocks(call, p, d) if in_blocks else _as_packets(call, p, d)
     lost = paths.ledger.loss_in_words()
     if lost is not None:
@@ -307,7 +309,7 @@ def _options(
     return options_of(
         world,
         tracing=True,
-        sequential=engine == "sequential",
+        faces=BY_ORDER if engine == "sequential" else BY_MESH,
         record=record,
         split=SPLIT_MODE[split],
         surface=SURFACE_LEVEL[level],
@@ -523,7 +525,7 @@ class _Call(NamedTuple):
         world = self.world
         inside = glass_round(world.tables.objects, world.targets, p)
         station, space, p, d = located(world, p, d, numbers)
-        if self.options.sequential:
+        if self.options.faces == BY_ORDER:
             _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
         power, stokes, reference = self.states if self.states is not None else (np.ones(len(p)), None, None)
         source = RaySource(

@@ -20,7 +20,7 @@ from lfmesh.scene import load_lens
 from lfmesh.transport.checks import order_check
 from lfmesh.transport.checks.order_check import LARGEST_MM, OrderCheck, compare
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import BOTH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
+from lfmesh.transport.packets.packet import BOTH, BY_ORDER_OR_MESH, LENS, MLA_FRAME, PLATE, WORLD_FRAME, Options
 from lfmesh.transport.paths.automaton import ON_IMAGE_PATH, STRAY
 from lfmesh.transport.render.parts import parts_of
 from lfmesh.transport.render.render import Renderer
@@ -151,7 +151,7 @@ def waiting_packets(
     world: World, count: int, seed: int, source: RaySource | None = None
 ) -> tuple[NDArray[np.void], Options]:
     """Return packets that wait for a surface of lens or array, of the first rays whose packets are as many."""
-    options = options_of(world, tracing=True, in_order=True, split=BOTH, cutoff=0.02)
+    options = options_of(world, tracing=True, faces=BY_ORDER_OR_MESH, split=BOTH, cutoff=0.02)
     source = source or rays_from_both_sides(world, 2 * count // (3 * len(world.tables.lens.surfaces)), seed)
     work = Launcher(lambda: Workspace(world, options)).launch(source)
     work.sampled = []
@@ -364,7 +364,7 @@ def test_a_wrong_cell_is_told(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> No
     spoiled = world.tables._replace(mla=array._replace(lenslets=spoil(array.lenslets)))
 
     def spoiled_in_order(world: World, options: Options, chunk: int, tables: Any) -> Workspace:
-        return Workspace(world, options, chunk, spoiled if options.in_order else tables)
+        return Workspace(world, options, chunk, spoiled if options.faces == BY_ORDER_OR_MESH else tables)
 
     monkeypatch.setattr(order_check, "Workspace", spoiled_in_order)
     assert not compare(world, options, world.tables, packets).holds
@@ -446,4 +446,4 @@ def test_meshes_that_stand_for_nothing_exact_are_not_asked_for_an_order() -> Non
     for changes in ({"surface": "flat"}, {"engine": "mesh"}):
         renderer = Renderer(lf.build(scene(**changes)))
         assert renderer.order is None
-        assert not any(part.options.in_order for part in renderer.parts)
+        assert not any(part.options.faces == BY_ORDER_OR_MESH for part in renderer.parts)

@@ -13,7 +13,7 @@ from lfmesh.lightfield.views.decode import view_count
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.transport.engine import CHUNK, Workspace
-from lfmesh.transport.packets.packet import CAMERA_FRAME, TRANSMIT, WORLD_FRAME
+from lfmesh.transport.packets.packet import BY_MESH, BY_ORDER, CAMERA_FRAME, TRANSMIT, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
@@ -117,7 +117,9 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
     pixels = sensor.rows * sensor.columns
     mean, spread, seen = np.empty((3, pixels), np.float32)
     sequential = image_path_engine(world.scene) == "sequential"
-    options = options_of(world, tracing=True, split=TRANSMIT, sequential=sequential, importance=True)
+    options = options_of(
+        world, tracing=True, split=TRANSMIT, faces=BY_ORDER if sequential else BY_MESH, importance=True
+    )
     tables = world.aimed_tables
     key = descendant(0x6465707468, world.scene.transport.seed)
     source = PixelSource(np.arange(pixels), samples, key, world.lines.middle)

@@ -27,6 +27,7 @@ from lfmesh.transport.checks.found import given_up
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.bodies import RANK
 from lfmesh.transport.packets.packet import (
+    BY_MESH,
     CAMERA_FRAME,
     COUNTERS,
     ENDED,
@@ -49,7 +50,7 @@ from lfmesh.transport.regions.objects import admit_to_objects
 from lfmesh.transport.render.parts import OWN_BOOK, Part
 from lfmesh.transport.render.render import warn_beforehand
 from lfmesh.transport.render.tracer import Tracer
-from lfmesh.transport.settings import ledger_of
+from lfmesh.transport.settings import ledger_of, with_thinning
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
@@ -595,8 +596,9 @@ def _onward(options: Options) -> Options:
 
     One child of each interface survives with the whole weight, so that each piece of a path has an end.
     """
-    split = TRANSMIT if options.split == TRANSMIT else ROULETTE
-    return options._replace(tracing=True, adjoint=False, sequential=False, split=split, bounce=False)
+    split = TRANSMIT if options.thinning.split == TRANSMIT else ROULETTE
+    options = with_thinning(options, split=split)
+    return options._replace(tracing=True, adjoint=False, faces=BY_MESH, bounce=False)
 
 
 def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], counts: NDArray[np.bool_]) -> Segments:

@@ -72,7 +72,7 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
     scene = scene.camera_alone({"transport.polarisation": False}).at_line(scene.primary_nm)
     centres = calibrate(scene).centres_px
     world, cells = build(scene), KDTree(centres.reshape(-1, 2))
-    options = options_of(world, tracing=True, record=True, split=TRANSMIT, sequential=False, importance=True)
+    options = options_of(world, tracing=True, record=True, split=TRANSMIT, importance=True)
     tables = world.aimed_tables
     launcher = Launcher(lambda: Workspace(world, options, CHUNK, tables))
     transport, sensor = world.scene.transport, tables.sensor

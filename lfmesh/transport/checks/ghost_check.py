@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import BOTH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS
+from lfmesh.transport.packets.packet import BOTH, BY_MESH, CAMERA_FRAME, OBJECT_FRAME, OBJECTS, STATIONS, Thinning
 from lfmesh.transport.paths.automaton import EVERY, ON_IMAGE_PATH, REFLECTED_ONCE, REFLECTED_TWICE
 from lfmesh.transport.sequences.ghosts import GhostRoom, GhostTables, ghost_room
 from lfmesh.transport.world import World
@@ -76,7 +76,7 @@ def _through_meshes(
     Their places and directions are in the camera frame.
     """
     options = work.options._replace(
-        tracing=True, sequential=False, in_order=False, split=BOTH, cutoff=0.0, paths=EVERY, importance=False
+        tracing=True, importance=False, faces=BY_MESH, thinning=Thinning(BOTH, 0.0, 0.0), paths=EVERY
     )
     mesh = Workspace(world, options, max(len(packets), 1), work.tables._replace(ghosts=None))
     mesh.begin(packets=len(packets))

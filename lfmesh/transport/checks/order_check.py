@@ -17,6 +17,8 @@ from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
     BACK_FRAME,
+    BY_MESH,
+    BY_ORDER_OR_MESH,
     CELLS,
     CELLS_MESH,
     LENS,
@@ -153,11 +155,12 @@ def outcomes(world: World, options: Options, tables: Tables, packets: NDArray[np
     world, options, tables, packets
         As for `compare`.
     """
-    options = options._replace(tracing=True, record=False, sequential=False)
+    options = options._replace(tracing=True, record=False)
     given = packets.copy()
     given["source"] = np.arange(len(given))
-    by_order, undecided = _outcomes(Workspace(world, options._replace(in_order=True), len(given), tables), given)
-    by_mesh, _ = _outcomes(Workspace(world, options._replace(in_order=False), len(given), tables), given)
+    in_order, meshes = options._replace(faces=BY_ORDER_OR_MESH), options._replace(faces=BY_MESH)
+    by_order, undecided = _outcomes(Workspace(world, in_order, len(given), tables), given)
+    by_mesh, _ = _outcomes(Workspace(world, meshes, len(given), tables), given)
     by_order, by_mesh = (found[~np.isin(found["source"], undecided)] for found in (by_order, by_mesh))
     _, a, b = np.intersect1d(by_order["name"], by_mesh["name"], assume_unique=True, return_indices=True)
     return Outcomes(by_order[a], by_mesh[b], np.delete(by_order, a), np.delete(by_mesh, b), undecided)

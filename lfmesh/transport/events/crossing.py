@@ -77,10 +77,10 @@ def draw_two(options: Options, packet: Any, dimension: int) -> tuple[float, floa
         Of the first; the second has the next.
     """
     number = packet.events * DIMENSIONS_PER_EVENT + dimension
-    if options.each == 0:
+    if options.pixels.each == 0:
         return uniform(packet.key, number), uniform(packet.key, number + 1)
-    pixel, sample = packet.source & PIXEL_MASK, (packet.source >> SAMPLE_SHIFT) % options.each
-    return of_event(derived(options.stream, pixel), number, sample)
+    pixel, sample = packet.source & PIXEL_MASK, (packet.source >> SAMPLE_SHIFT) % options.pixels.each
+    return of_event(derived(options.pixels.stream, pixel), number, sample)
 
 
 @inlined
@@ -188,8 +188,8 @@ def split_shares(
     """
     weight = packet.weight
     dimension = packet.events * DIMENSIONS_PER_EVENT
-    if options.split == BOTH:
-        floor = options.cutoff * packet.start
+    if options.thinning.split == BOTH:
+        floor = options.thinning.cutoff * packet.start
         to_reflected = weight * reflectance
         if to_reflected > 0.0:
             to_reflected = windowed(book, to_reflected, floor, packet.key, dimension + KEEP_REFLECTED)
@@ -197,7 +197,7 @@ def split_shares(
         if to_refracted > 0.0:
             to_refracted = windowed(book, to_refracted, floor, packet.key, dimension + KEEP_REFRACTED)
         return to_reflected, to_refracted
-    if options.split == ROULETTE:
+    if options.thinning.split == ROULETTE:
         if uniform(packet.key, dimension + CHOOSE) * (reflectance + transmittance) < reflectance:
             return weight, 0.0
         return 0.0, weight
@@ -437,10 +437,10 @@ def deposit(options: Options, flow: Flow, place: int, colour: int, weight: float
     weight : float, W
     """
     if options.adjoint:
-        row, sample = (place & PIXEL_MASK) - options.first_source, place >> SAMPLE_SHIFT
-        flow.film[row, options.channel] += weight
+        row, sample = (place & PIXEL_MASK) - options.pixels.first_source, place >> SAMPLE_SHIFT
+        flow.film[row, options.pixels.channel] += weight
         # Without a branch: each sample is counted once, when it first brings light.
-        flow.hits[row, options.channel] += np.uint32(1) - flow.counted[sample]
+        flow.hits[row, options.pixels.channel] += np.uint32(1) - flow.counted[sample]
         flow.counted[sample] = 1
         return
     entry = flow.deposits[flow.tops[DEPOSITS]]

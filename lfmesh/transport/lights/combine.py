@@ -333,7 +333,7 @@ def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) ->
 @inlined
 def _kept(options: Options, packet: Any, weight: float) -> float:
     """Return the chance with which roulette keeps a scattered packet of that weight."""
-    floor = options.cutoff * packet.start
+    floor = options.thinning.cutoff * packet.start
     return weight / floor if weight < floor else 1.0
 
 

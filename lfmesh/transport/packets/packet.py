@@ -275,33 +275,51 @@ class Flow(NamedTuple):
     polarised: Any = None
 
 
+# Thinning.split
+BOTH, ROULETTE, TRANSMIT = 0, 1, 2
+
+# Options.faces: by which surfaces of lens and array are found.
+BY_MESH = 0  # their meshes
+BY_ORDER_OR_MESH = 1  # their order where that decides, else their meshes
+BY_ORDER = 2  # their order, along the image path
+
+
+@by_address
+class Thinning(NamedTuple):
+    """Division of packets at interfaces, and the ends of weak ones."""
+
+    split: int
+    cutoff: float
+    unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
+
+
+@by_address
+class PixelSamples(NamedTuple):
+    """Samples of pixels that a chunk of the adjoint method starts, and the part of the film that they add light to."""
+
+    first_source: int = 0  # pixel in row 0 of the film
+    channel: int = 0  # column of the film
+    samples: int = 0  # of a pixel, by whose number its light is divided
+    each: int = 0  # of a pixel, whose events share Sobol' sets; 0: random numbers
+    stream: np.uint64 = np.uint64(0)  # key of the replicate's random numbers at this wavelength
+
+
 @by_address
 class Options(NamedTuple):
     """Transport settings as kernels take them."""
 
     surface: int
-    split: int
+    faces: int
+    thinning: Thinning
     max_events: int
-    cutoff: float
     adjoint: bool
     tracing: bool  # keep how every packet ends, and end packets at targets
     record: bool  # keep every vertex, and how every packet ends
     bounce: bool  # light may go from target to target
     aimed: bool  # scattered light is aimed at the lens; else it meets the lens by chance
-    sequential: bool  # surfaces of lens and array are met in their order, without a mesh
     paths: int  # class of paths that are estimated, see `paths.automaton`
-    unturned_cutoff: float  # replaces `cutoff` at targets, for paths outside the estimated class so far
-    first_source: int  # pixel in row 0 of the film
-    stream: np.uint64 = np.uint64(0)  # adjoint: key of the replicate's random numbers at this wavelength
-    each: int = 0  # adjoint: samples of a pixel, whose events share Sobol' sets; 0: random numbers
-    samples: int = 0  # adjoint: samples of a pixel, by whose number its light is divided
-    channel: int = 0  # adjoint: column of the film that light is added to
-    importance: bool = False  # weights are importance, which thin lenses change, and not power
-    in_order: bool = False  # surfaces of lens and array are met in their order where that decides, else by their meshes
-
-
-# Options.split
-BOTH, ROULETTE, TRANSMIT = 0, 1, 2
+    importance: bool  # weights are importance, which thin lenses change, and not power
+    pixels: PixelSamples = PixelSamples()
 
 
 @inlined

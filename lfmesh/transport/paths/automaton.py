@@ -191,7 +191,7 @@ def cutoff_at_child(options: Options, leaves: bool, refracts: bool, packet: Any)
     if not counts_not_yet(options, packet):
         return 0.0
     if leaves:
-        return options.unturned_cutoff
+        return options.thinning.unturned_cutoff
     if not refracts and packet.path == REFLECTED_TWICE:
-        return min(options.unturned_cutoff, THROWN_BACK_PER_FOLLOWED * options.cutoff)
+        return min(options.thinning.unturned_cutoff, THROWN_BACK_PER_FOLLOWED * options.thinning.cutoff)
     return 0.0

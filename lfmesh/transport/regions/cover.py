@@ -17,6 +17,7 @@ from lfmesh.transport.events.interface import divided, splitter
 from lfmesh.transport.events.travel import travel
 from lfmesh.transport.packets.book import HOUSING, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
+    BY_ORDER,
     COVER_FRONT,
     COVER_REAR,
     EVENTS,
@@ -126,7 +127,7 @@ def _meet_face(
     )
     bent = refracted(packet.dx, packet.dy, packet.dz, 0.0, 0.0, sense, n_i / n_t, cos_i, cos_t)
     place = (at_front, outside, lens_surfaces)
-    if options.sequential:
+    if options.faces == BY_ORDER:
         # Only what both faces transmit is on the image path.
         flow.counts[EVENTS] += 1
         count_event(packet)

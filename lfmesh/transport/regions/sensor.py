@@ -19,6 +19,7 @@ from lfmesh.transport.events.crossing import (
 from lfmesh.transport.events.polarisation import through_polariser
 from lfmesh.transport.packets.book import BESIDE_SENSOR, HOUSING, ON_SENSOR, SAMPLING_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
+    BY_ORDER,
     E_REFLECTED,
     ENDS_AT,
     EVENTS,
@@ -114,7 +115,7 @@ def onto_pixel(
     if too_deep(options, flow, frames, packet):
         return
     flow.counts[EVENTS] += 1
-    if options.sequential:
+    if options.faces == BY_ORDER:
         # The image path ends here.
         reflected, detected = 0.0, packet.weight * (1.0 - sensor.reflectance)
         flow.book[UNFOLLOWED] += packet.weight * sensor.reflectance

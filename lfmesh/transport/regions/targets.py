@@ -95,7 +95,7 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
         return
     if counts_not_yet(options, packet):
         # It gathers nothing here, and only few such packets continue: roulette comes before the work of scattering.
-        weight = thinned(options.unturned_cutoff, flow.book, packet, weight, packet.key)
+        weight = thinned(options.thinning.unturned_cutoff, flow.book, packet, weight, packet.key)
         if weight == 0.0:
             return
         packet.weight = weight
@@ -205,7 +205,7 @@ def _bounce(
     dx, dy, dz, share = sample(objects.scattering, point, packet.colour, incoming, u, v)
     # A sample carries the scattered weight on average only; the book takes the difference.
     flow.book[SAMPLING_ADDED] += weight * share - scattered
-    cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
+    cutoff = options.thinning.unturned_cutoff if counts_not_yet(options, packet) else options.thinning.cutoff
     dimension = packet.events * DIMENSIONS_PER_EVENT + KEEP_BOUNCE
     drawn = weight * share
     weight = windowed(flow.book, drawn, cutoff * packet.start, packet.key, dimension)

@@ -274,7 +274,7 @@ def send_from_medium(space: ObjectSpace, packet: Any, phase: Any, ray: Ray, key:
                 twin = put(flow, OBJECTS, packet, OBJECT_FRAME, x, y, z, ux, uy, uz, to_camera, twin_key, 0.0)
                 twin.kind, twin.start, twin.facet, twin.medium = CAMERA, to_camera, LEFT_MEDIUM, packet.medium
                 twin.density = density
-    cutoff = options.unturned_cutoff if counts_not_yet(options, packet) else options.cutoff
+    cutoff = options.thinning.unturned_cutoff if counts_not_yet(options, packet) else options.thinning.cutoff
     kept = windowed(flow.book, weight, cutoff * packet.start, key, KEEP)
     if kept <= 0.0:
         return

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.transport.packets.packet import EVENTS
+from lfmesh.transport.packets.packet import BY_ORDER, EVENTS
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.parts import Part
 
@@ -68,7 +68,7 @@ def measured(part: Part, sets: NDArray[np.float64], samples: int, counts: NDArra
     squares = 0.5 * samples * (sets[0] - sets[1]) ** 2
     error = squares.std(ddof=1) / math.sqrt(len(squares)) if len(squares) > 1 else math.inf
     per_event = EVENT_NS
-    if part.options.sequential:
+    if part.options.faces == BY_ORDER:
         per_event = EVENT_OF_GHOST_NS if part.options.paths == GHOSTS else EVENT_OF_PATH_NS
     met = per_event * counts[EVENTS] + QUERY_NS * queries
     return Measured(max(float(squares.mean()) - error, 0.0), EACH_NS + float(met) / (2 * samples * len(squares)))

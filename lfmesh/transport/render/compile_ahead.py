@@ -23,7 +23,17 @@ from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import CELLS, LENS, LENS_MESH, OBJECTS, PLATE, SENSOR
+from lfmesh.transport.packets.packet import (
+    BY_MESH,
+    BY_ORDER,
+    BY_ORDER_OR_MESH,
+    CELLS,
+    LENS,
+    LENS_MESH,
+    OBJECTS,
+    PLATE,
+    SENSOR,
+)
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.lens import shade_lens
 from lfmesh.transport.regions.mla import shade_cells
@@ -188,7 +198,7 @@ def compile_launches(world: World, *, starts: bool = True, done: Callable[[], ob
             ParticleSource(part.particles, 0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
         else:
             LightSource(0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
-        if part.options.paths == GHOSTS or (part.options.sequential and not alone):
+        if part.options.paths == GHOSTS or (part.options.faces == BY_ORDER and not alone):
             work.advance(LENS)
         done()
 
@@ -218,11 +228,12 @@ def compile_stations(
     work = Workspace(world, options, 1)
     work.begin(Film.empty(0, 1), 0)
     for station, sequential in stations:
-        work.options = options._replace(in_order=station == LENS, sequential=sequential)
+        by_mesh = BY_ORDER_OR_MESH if station == LENS else BY_MESH
+        work.options = options._replace(faces=BY_ORDER if sequential else by_mesh)
         work.advance(station)
         done()
     if starts:
-        work.options = options._replace(sequential=False)
+        work.options = options._replace(faces=BY_MESH)
         PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
         done()
 

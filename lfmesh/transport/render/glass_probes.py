@@ -15,6 +15,7 @@ from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_IMAGE_PATH, with_wide_sh
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.packet import (
+    BY_ORDER,
     CAMERA_FRAME,
     NO_SURFACE,
     OBJECT_FRAME,
@@ -145,7 +146,9 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
     """Return packets that have left the lens along the image path, drawn by the light that they would bring."""
     transport, sensor = world.scene.transport, world.tables.sensor
     in_order = obstacle_of(world.scene, transport.surface, transport.max_events) is None
-    options = options_of(world)._replace(adjoint=True, importance=True, split=TRANSMIT, sequential=in_order)
+    options = options_of(world, adjoint=True, importance=True, split=TRANSMIT)
+    if in_order:
+        options = options._replace(faces=BY_ORDER)
     tables = world.aimed_tables
     if tables.aim.exit.opening.known:
         share = WIDE_SHARE_OF_IMAGE_PATH

@@ -23,7 +23,7 @@ from lfmesh.transport.aims.through_glass import GlassAim
 from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.book import LIT, REACHED
-from lfmesh.transport.packets.packet import BOTH, TRANSMIT, Options
+from lfmesh.transport.packets.packet import BOTH, BY_MESH, BY_ORDER, TRANSMIT, Options
 from lfmesh.transport.paths.automaton import (
     GHOSTS,
     LAMP_ON_CAMERA,
@@ -33,7 +33,7 @@ from lfmesh.transport.paths.automaton import (
 )
 from lfmesh.transport.paths.estimators import Estimator, lamps_on_camera
 from lfmesh.transport.render.glass_aim import glass_aim, has_glass, refuse_unaimed
-from lfmesh.transport.settings import options_of
+from lfmesh.transport.settings import options_of, with_thinning
 from lfmesh.transport.tables.objects import aimed_at_camera, aimed_at_glass
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.scattering import LAMBERTIAN, ScatteringTables
@@ -129,7 +129,9 @@ class Part:
 
     def by_meshes(self) -> "Part":
         """Return the same part with all surfaces of lens and array found by Embree, except along the image path."""
-        return replace(self, options=self.options._replace(in_order=False))
+        if self.options.faces == BY_ORDER:
+            return self
+        return replace(self, options=self.options._replace(faces=BY_MESH))
 
     def booked(self, book: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the entries of a chunk's book for the run's books, (BOOKS, slots)."""
@@ -176,7 +178,7 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     path = with_wide_share(tables.aim, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
     strays = with_wide_share(tables.aim, WIDE_SHARE_OF_STRAYS)
     thinned = WITH_GLASS if has_glass(world) else IMAGE_PATHS_PER_STRAY
-    along_path = options._replace(split=TRANSMIT, sequential=True)
+    along_path = with_thinning(options, split=TRANSMIT)._replace(faces=BY_ORDER)
     off_path = _off_image_path(options, world)
     image_path = Part(Estimator.IMAGE_PATH, along_path, tables._replace(aim=path), accounts=False)
     if not ghosts or world.ghosts is None:
@@ -186,9 +188,8 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     if not has_glass(world):
         single = len(tables.lens.surfaces) == 2 and tables.cover is None and tables.sensor.reflectance == 0.0
         lower = IN_SINGLE_ELEMENT if single else CUTOFF_OF_OTHER_STRAYS
-        others = others._replace(
-            cutoff=lower * others.cutoff, unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * others.unturned_cutoff
-        )
+        cutoff, unturned = others.thinning.cutoff, others.thinning.unturned_cutoff
+        others = with_thinning(others, cutoff=lower * cutoff, unturned_cutoff=CUTOFF_OF_OTHER_STRAYS * unturned)
     of_ghosts = tables._replace(aim=aim_at_ghosts(tables, world.ghosts), ghosts=world.ghosts)
     return (
         image_path,
@@ -201,9 +202,9 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
 def _off_image_path(options: Options, world: World) -> Options:
     """Return the options of the part that estimates paths off the image path."""
     options = options._replace(paths=OFF_IMAGE_PATH)
-    if options.split == BOTH and not has_glass(world):
+    if options.thinning.split == BOTH and not has_glass(world):
         # Few scattered paths reach the lens, where alone they could leave the image path.
-        return options._replace(unturned_cutoff=SCATTERED_PER_FOLLOWED * options.cutoff)
+        return with_thinning(options, unturned_cutoff=SCATTERED_PER_FOLLOWED * options.thinning.cutoff)
     return options
 
 

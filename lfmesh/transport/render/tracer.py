@@ -18,7 +18,7 @@ from lfmesh.transport.checks.ghost_check import compare_ghosts
 from lfmesh.transport.checks.order_check import SAMPLE, STARTS, OrderCheck, compare
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import COUNTERS, DEPOSITS
+from lfmesh.transport.packets.packet import BY_ORDER_OR_MESH, COUNTERS, DEPOSITS
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.adaptive import Counts
@@ -245,7 +245,7 @@ class Tracer:
 
         The sample is of the part that follows all reflections, or the only one there is.
         """
-        asking = [part for part in self.parts if part.options.in_order and not part.options.sequential]
+        asking = [part for part in self.parts if part.options.faces == BY_ORDER_OR_MESH]
         if not asking:
             return None
         part = max(asking, key=lambda each: not each.from_lamps)

@@ -45,6 +45,7 @@ from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.polarisation import behind_polariser
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
+    BY_ORDER,
     CAMERA_FRAME,
     LENS,
     MLA_FRAME,
@@ -123,9 +124,10 @@ class PixelSource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Start the samples of some of the pixels."""
         channel = self.nodes.first if self.channel is None else self.channel
-        work.options = work.options._replace(channel=channel, samples=self.samples)
+        into = work.options.pixels._replace(channel=channel, samples=self.samples)
         if self.stratified:
-            work.options = work.options._replace(stream=self.key, each=self.samples)
+            into = into._replace(stream=self.key, each=self.samples)
+        work.options = work.options._replace(pixels=into)
         pixels = self.pixels[part.start : part.stop]
         for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key):
             self._launch(work, entries, colour)
@@ -157,7 +159,7 @@ class PixelSource(Source):
 
 def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
     """Return the kernel that starts the packets of pixels."""
-    if options.sequential and options.adjoint and tables.cover is None and options.paths != GHOSTS:
+    if options.faces == BY_ORDER and options.adjoint and tables.cover is None and options.paths != GHOSTS:
         return launch_along_image_path
     return launch_adjoint
 

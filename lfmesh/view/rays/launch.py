@@ -17,7 +17,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.scene.literals import literal
 from lfmesh.transport.aims.aim_table import opening_seen, widest_disk
 from lfmesh.transport.aims.pupil import opening_from
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import BY_MESH, CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.settings import SPLIT_MODE, options_of
 from lfmesh.transport.sources.lights import LightSource
@@ -338,7 +338,7 @@ def _from_sources(world: World, tables: Tables, settings: Settings) -> Rays:
         cutoff=settings.cutoff,
         adjoint=False,
         importance=False,
-        sequential=False,
+        faces=BY_MESH,
     )
     one = tables.sensor.rows * tables.sensor.columns * transport.samples_each
     parts = []

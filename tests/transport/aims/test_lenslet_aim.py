@@ -15,7 +15,7 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.aims.lenslet_faces import slope_to, solid_angle
 from lfmesh.transport.checks.blind_check import without_aim
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import PLATE
+from lfmesh.transport.packets.packet import BY_MESH, PLATE
 from lfmesh.transport.packets.random import run_key
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
@@ -75,7 +75,7 @@ class Starts:
     def __init__(self, world: World, samples: int, **shares: float) -> None:
         self.samples = samples
         self._tables = world.tables._replace(aim=world.aim._replace(exit=world.aim.exit._replace(**shares)))
-        self._work = Workspace(world, options_of(world)._replace(sequential=False), tables=self._tables)
+        self._work = Workspace(world, options_of(world)._replace(faces=BY_MESH), tables=self._tables)
 
     def drawn(self, pixel: int, seed: int, times: int) -> tuple[Array, Array]:
         """Return directions (n, 2), x and y in the sensor's frame, and cos θ over density, (n,), as a mean of `times`.

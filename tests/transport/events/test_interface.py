@@ -19,6 +19,7 @@ from lfmesh.transport.events.interface import shares, splitter
 from lfmesh.transport.packets.book import FIXED, ROULETTE_ADDED, ROULETTE_REMOVED, UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     BOTH,
+    BY_MESH,
     CAMERA_FRAME,
     COUNTERS,
     DEPOSIT,
@@ -38,6 +39,7 @@ from lfmesh.transport.packets.packet import (
     TRANSMIT,
     Flow,
     Options,
+    Thinning,
     put,
 )
 from lfmesh.transport.packets.random import derived, descendant
@@ -49,6 +51,7 @@ from lfmesh.transport.paths.automaton import (
     REFLECTED_TWICE,
     STRAY,
 )
+from lfmesh.transport.settings import with_thinning
 from lfmesh.transport.tables import interfaces as table
 from lfmesh.transport.tables.interfaces import coating_errors, interface_tables
 from lfmesh.transport.tables.tables import FLAT_ROW, INTERFACE, Interfaces
@@ -164,7 +167,7 @@ class Children:
         return self.flow.book[ROULETTE_ADDED] - self.flow.book[ROULETTE_REMOVED]
 
 
-def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, path=0, record=False, **options):
+def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, path=0, record=False, **thinning):
     """Divide `count` packets of weight 2."""
     packets = np.zeros(count, PACKET)
     packets["weight"], packets["start"], packets["frame"], packets["path"], packets["events"] = (
@@ -183,14 +186,13 @@ def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, pa
         hits=np.zeros((0, 1), np.uint32), counted=np.zeros(0, np.uint8), deposits=np.zeros(0, DEPOSIT),
         ended=np.zeros(0, END), nodes=np.zeros(2 * count, NODE),
     )  # fmt: skip
-    settings = {
-        "surface": 0, "split": BOTH, "max_events": 64, "cutoff": 0.0, "adjoint": True, "tracing": False,
-        "record": record, "bounce": False, "aimed": True, "sequential": False, "paths": EVERY,
-        "unturned_cutoff": 0.0, "first_source": 0,
-    }  # fmt: skip
+    settings = Options(
+        surface=0, faces=BY_MESH, thinning=Thinning(BOTH, 0.0, 0.0), max_events=64, adjoint=True, tracing=False,
+        record=record, bounce=False, aimed=True, paths=EVERY, importance=True,
+    )  # fmt: skip
     still = np.zeros((5, 5, 3, 4))
     still[:, :, range(3), range(3)] = 1.0
-    split_all(packets, still, Options(**settings | options), flow, reflectance, transmittance)
+    split_all(packets, still, with_thinning(settings, **thinning), flow, reflectance, transmittance)
     assert flow.counts[EVENTS] == count
     return Children(flow.stacks[LENS, : flow.tops[LENS]].copy(), flow)
 

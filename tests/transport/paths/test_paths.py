@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.packets.packet import CURVED_FACE, ENDED, FLAT_FACE, NODES, ON_GLASS, ON_TARGET, ROULETTE, Event
+from lfmesh.transport.packets.packet import (
+    BY_MESH,
+    CURVED_FACE,
+    ENDED,
+    FLAT_FACE,
+    NODES,
+    ON_GLASS,
+    ON_TARGET,
+    ROULETTE,
+    Event,
+)
 from lfmesh.transport.packets.random import run_key
 from lfmesh.transport.paths.automaton import EVERY, OFF_IMAGE_PATH
 from lfmesh.transport.render.tally import Film
@@ -98,7 +108,7 @@ def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     tables = world.tables._replace(
         aim=world.aim._replace(exit=world.aim.exit._replace(wide_share=0.5)), objects=objects
     )
-    options = options_of(world)._replace(sequential=False, split=ROULETTE, record=True, paths=paths)
+    options = options_of(world, faces=BY_MESH, split=ROULETTE, record=True, paths=paths)
     work = Workspace(world, options, tables=tables)
     film = Film.empty(SIDE * SIDE, 1)
     source = PixelSource(np.arange(SIDE * SIDE), 1, run_key(3), stratified=False)

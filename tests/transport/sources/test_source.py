@@ -9,7 +9,7 @@ from numpy.lib.recfunctions import repack_fields
 import lfmesh as lf
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.book import EMITTED
-from lfmesh.transport.packets.packet import OBJECTS, PACKET, STATIONS
+from lfmesh.transport.packets.packet import BY_MESH, OBJECTS, PACKET, STATIONS
 from lfmesh.transport.packets.random import run_key
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
@@ -61,7 +61,7 @@ SOURCES: dict[str, tuple[Callable[[], Source], dict[str, bool]]] = {
 
 
 def workspace(world: World, name: str) -> Workspace:
-    return Workspace(world, options_of(world)._replace(sequential=False, **SOURCES[name][1] | {"adjoint": False}))
+    return Workspace(world, options_of(world)._replace(faces=BY_MESH, **SOURCES[name][1] | {"adjoint": False}))
 
 
 def started(work: Workspace, source: Source, part: range) -> tuple[list[bytes], float]:
@@ -135,7 +135,7 @@ def test_no_ray_through_the_array_is_rouletted_by_more_than_a_lenslets_weight() 
     aim = world.aim._replace(exit=world.aim.exit._replace(wide_share=0.5))
     tables = world.tables._replace(aim=aim)
     source = PixelSource(np.arange(1600), samples, KEY)
-    work = Workspace(world, options_of(world)._replace(sequential=False), tables=tables)
+    work = Workspace(world, options_of(world)._replace(faces=BY_MESH), tables=tables)
     work.begin(packets=1600 * samples)
     source.launch(work, range(1600))
     packets = np.concatenate([work.stacks[work.rows[s], : work.tops[s]] for s in range(STATIONS)])

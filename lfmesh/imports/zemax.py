@@ -16,8 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import SceneError
+from lfmesh.imports.decentres import Move
+from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
+from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.imports.zemax_configurations import Configurations
@@ -42,6 +44,14 @@ _EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
 
 _ASPHERES = ("EVENASPH", "ODDASPHE", *_EXTENDED)
 
+_FORBES = "QED_TYPE"
+"""Forbes' aspheres: XDAT 1 is 0 for mild ones and 1 for strong ones, 2 the number of terms, 3 the radius that heights
+are counted in, the rest the coefficients from a₀, as a catalogue lens has them (ASL5040-UV of Thorlabs, whose focus is
+sharp at 405 nm with the deviation along the normal of its conic)."""
+
+_FIRST_TERM = {_FORBES: 4, **dict.fromkeys(_EXTENDED, 3)}
+"""Place of the first coefficient in XDAT, behind the number of terms and the radius."""
+
 _SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
 """Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
 its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
@@ -51,15 +61,21 @@ coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to
 the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
 prysm takes parameter 1 for a curvature."""
 
+_MOST_EXTRA = 1000
+
 _LAST_OF_TOROID, _ZERNIKE_TERMS = 8, 13
 """Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
 
 _OF_ZERNIKE_TERMS = 0, 14
 """Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
 
+_ORDER_OF_BREAK = 6
+"""Parameter of a coordinate break: 0 shifts and then tilts about x, y and z, others tilt about z, y and x first. It
+follows the shifts in x and y and the three angles, right-handed, each about the axes that the last one left (Zemax's
+"Rotation Matrix and Tilt About X/Y/Z in OpticStudio")."""
+
 _REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",
-    "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon and qbfs",
     "XPOLYNOM": "surfaces without rotational symmetry are not supported",
     "SZERNSAG": "surfaces without rotational symmetry are not supported",
     "DGRATING": "gratings are not supported",
@@ -133,6 +149,8 @@ class _Reader:
         self.report = report
         self.made = Prescription()
         self.kind, self.norm_radius = "STANDARD", 1.0
+        self.break_values: dict[int, float] = {}
+        self.extra: dict[int, tuple[int, str, float]] = {}
         self.catalogues: list[str] = []
         self.notes: list[str] = []
         self.waves: dict[int, float] = {}
@@ -170,6 +188,7 @@ class _Reader:
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
+        self._end_surface()
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
         if made.wavelengths_nm and self.waves:
@@ -338,13 +357,25 @@ class _Reader:
     def _on_surf(self, _: list[str]) -> None:
         if len(self.made.surfaces) >= MOST_SURFACES:
             raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
+        self._end_surface()
         self.made.surfaces.append(FileSurface(self.at, self.text))
         self.kind, self.norm_radius = "STANDARD", 1.0
         self._taken()
 
+    def _end_surface(self) -> None:
+        """Put what only a surface's last line completes into it."""
+        if self.break_values:
+            x, y, *tilt, tilts_first = (self.break_values.get(place, 0.0) for place in range(1, _ORDER_OF_BREAK + 1))
+            make = Move.tilted_then_shifted if tilts_first else Move.shifted_then_tilted
+            self._surface.before = make((x, y, 0.0), tilt)
+            self.break_values = {}
+        if self.extra:
+            self._end_extra()
+
     def _on_type(self, words: list[str]) -> None:
         self.kind = words[0].upper()
-        if self.kind in ("STANDARD", "COORDBRK", *_ASPHERES):
+        self._surface.is_break = self.kind == "COORDBRK"
+        if self.kind in ("STANDARD", "COORDBRK", _FORBES, *_ASPHERES):
             self._taken()
         elif self.kind in _SECTIONS:
             self._surface.section = _SECTIONS[self.kind]
@@ -354,7 +385,7 @@ class _Reader:
             self._taken("a thin lens")
         else:
             why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, {', '.join((*_ASPHERES, *_SECTIONS))} and PARAXIAL are")
+            self._refuse(f"{why}; STANDARD, {', '.join((*_ASPHERES, *_SECTIONS, _FORBES))} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -421,11 +452,11 @@ class _Reader:
             self._refuse("Zernike terms of a toroid are not supported")
         elif self.kind == "TOROIDAL" and place in _OF_ZERNIKE_TERMS:
             self._without_effect()
-        elif self.kind in (*_ASPHERES, *_SECTIONS):
+        elif self.kind in (*_ASPHERES, *_SECTIONS, _FORBES):
             self._refuse(f"parameter {place} of {self.kind} is unknown")
-        elif self.kind == "COORDBRK":
-            if place != 6:
-                self._refuse("a coordinate break that moves or tilts: decentred and folded axes are not supported")
+        elif self.kind == "COORDBRK" and 1 <= place <= _ORDER_OF_BREAK:
+            self.break_values[place] = value
+            self._taken()
         elif self.kind == "PARAXIAL" and place == 1:
             self._surface.focal_length = value
             self._taken()
@@ -452,29 +483,47 @@ class _Reader:
             self._taken()
 
     def _on_xdat(self, words: list[str]) -> None:
-        if len(words) < 2 or not number(words[1]):
-            return
         place, value = int(number(words[0])), number(words[1])
-        if self.kind == "TOROIDAL":
+        if self.kind in _FIRST_TERM:
+            # What it means is known with the number of terms, at the surface's end.
+            self.extra[place] = self.at, self.text, value
+        elif not value:
+            self._taken()
+        elif self.kind == "TOROIDAL":
             # The number of terms, and the radius that heights are counted in, come before the coefficients.
             if place > 2:
                 self._refuse("Zernike terms of a toroid are not supported")
             else:
-                self._taken()
-        elif self.kind not in _EXTENDED:
-            if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
-                self.report.add(self.at, self.text, Verdict.UNKNOWN)
-        elif place == 1:
-            self._taken()
-        elif place == 2:
-            if value > 0.0:
-                self.norm_radius = value
-                self._taken()
-            else:
+                self._without_effect()
+        elif self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
+            self.report.add(self.at, self.text, Verdict.UNKNOWN)
+
+    def _end_extra(self) -> None:
+        """Put the values of XDAT into the surface."""
+        first = _FIRST_TERM.get(self.kind, 0)
+        values = {place: value for place, (_, _, value) in self.extra.items()}
+        count = values.get(first - 2, float(_MOST_EXTRA))
+        norm_radius = values.get(first - 1, 1.0 if self.kind in _EXTENDED else 0.0)
+        terms = [values.get(first + k, 0.0) for k in range(max(0, min(int(count), _MOST_EXTRA)))]
+        for place, (at, text, value) in sorted(self.extra.items()):
+            self.at, self.text = at, text
+            if place == first - 1 and not value > 0.0:
                 self._refuse("the radius in which heights are counted must be above 0")
-        else:
-            power = _EXTENDED[self.kind] * (place - 2)
-            self._add_term(power, value / self.norm_radius**power)
+            elif place < first or not value:
+                self._taken()
+            elif place - first >= count:
+                self.report.add(at, text, Verdict.WITHOUT_EFFECT, f"XDAT {first - 2} counts {count:g} terms")
+            elif self.kind in _EXTENDED:
+                power = _EXTENDED[self.kind] * (place - first + 1)
+                self._add_term(power, value / norm_radius**power if norm_radius > 0.0 else 0.0)
+            elif place - first >= MOST_ASPHERE_TERMS:
+                self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
+            else:
+                self._taken()
+        if self.kind == _FORBES and any(terms) and norm_radius > 0.0:
+            kind = "qcon" if values.get(1) else "qbfs"
+            self._surface.forbes = kind, norm_radius, terms[:MOST_ASPHERE_TERMS]
+        self.extra = {}
 
     def _on_diam(self, words: list[str]) -> None:
         self._surface.extent = abs(number(words[0])) or None

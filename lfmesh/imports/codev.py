@@ -13,11 +13,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import laurent_glass, private_glass
 from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription
+from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
@@ -47,7 +48,7 @@ _REFUSED = {
     **dict.fromkeys(["BEN", "GLB"], "folded and global axes are not supported"),
 }
 
-_MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
+MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
 """Decentres of a surface: shifts along x, y and z, then turns about its own x and y axes, left-handed, and z axis,
 right-handed, as LightTools' manual gives CODE V's convention."""
 
@@ -75,7 +76,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    if choices.configuration is not None:
+    if choices.configuration not in (None, 1):
         raise SceneError(f"{path}: configuration = {choices.configuration}: zoom positions of .seq files are not read")
     reader = _Reader(Report(path))
     for at, words in commands(read_lines(path) if lines is None else lines):
@@ -151,7 +152,7 @@ class _Reader:
                 self._private_glass(command, words)
             elif _SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
-            elif command in _MOVES:
+            elif command in MOVES:
                 self._moved(command, rest)
             elif command == "DAR" or command in _RIGID:
                 surface, _ = self._named(rest)
@@ -278,7 +279,7 @@ class _Reader:
         values, orders = self.moves.get(id(surface), {}), self.returns.get(id(surface), [])
         moved = any(values.values())
         if moved:
-            x, y, z, about_x, about_y, about_z = (values.get(name, 0.0) for name in _MOVES)
+            x, y, z, about_x, about_y, about_z = (values.get(name, 0.0) for name in MOVES)
             surface.before = Move.shifted_then_tilted((x, y, z), (-about_x, -about_y, about_z))
         for at, text in orders:
             if not moved:

@@ -102,13 +102,15 @@ START = Place(np.zeros(3), Rotation.identity())
 """Frame of the first surface after the object."""
 
 
-def straightened(places: Sequence[Place]) -> tuple[list[float], list[Element]]:
+def straightened(places: Sequence[Place], sums: Sequence[float]) -> tuple[list[float], list[Element]]:
     """Return where surfaces stand along the axis without their poses, and the elements that put them in their places.
 
     Parameters
     ----------
     places : sequence of Place
         Of the surfaces, mm.
+    sums : sequence of float
+        Thicknesses up to each, mm: groups off the axis start so far behind what comes before them.
     """
     length = max(1.0, *(float(np.linalg.norm(place.vertex)) for place in places))
     groups: list[list[int]] = []
@@ -123,7 +125,9 @@ def straightened(places: Sequence[Place]) -> tuple[list[float], list[Element]]:
         if number in inside:
             z = vertices[-1] + float(places[number - 1].turn.inv().apply(place.vertex - places[number - 1].vertex)[2])
         elif vertices and not place.on_axis(length):
-            z = max(z, vertices[-1])
+            z = vertices[-1] + max(0.0, sums[number] - sums[number - 1])
+        elif not place.on_axis(length):
+            z = sums[0]
         vertices.append(z)
     return vertices, [_element(group, places[group[0]], vertices[group[0]]) for group in groups]
 
@@ -139,3 +143,14 @@ def _element(group: list[int], first: Place, vertex: float) -> Element:
     about_x, about_y, about_z = np.round(first.turn.as_euler("xyz", degrees=True), _DIGITS) + 0.0
     pose = Pose(shift_mm=(float(x), float(y), float(z)), tilt_deg=(float(about_x), float(about_y), float(about_z)))
     return Element(surfaces=tuple(group), pose=pose)
+
+
+def move_of(element: Element) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return the shift, mm, and the tilts, degrees, about the own x, y and z axes one after the other, of an element.
+
+    Parameters
+    ----------
+    element : Element
+    """
+    x, y, z = Rotation.from_euler("xyz", element.pose.tilt_deg, degrees=True).as_euler("XYZ", degrees=True) + 0.0
+    return element.pose.shift_mm, (float(x), float(y), float(z))

@@ -7,17 +7,20 @@ a size open.
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.clear_apertures import apertures_mm, stop_radius_mm, without_crossings
 from lfmesh.imports.coatings import lens_coatings
+from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.imports.decentres import START, Place, gaps, straightened
 from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.optics.glass import AIR, glass_name, refractive_index
+from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
 
@@ -258,6 +261,7 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
     if not moved:
         return
     place, places = START, list[Place]()
+    sums = [0.0, *accumulate(surface.thickness * prescription.unit_mm for surface in prescription.surfaces[1:])]
     for surface in prescription.surfaces[1:]:
         place = place.moved(surface.before) if surface.before else place
         places.append(Place(place.vertex * prescription.unit_mm, place.turn))
@@ -273,7 +277,9 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
             "and decentred groups must be followed by the axis of the object",
         )
         return
-    vertices, made.elements = straightened([places[number - 1] for number in numbers])
+    vertices, made.elements = straightened(
+        [places[number - 1] for number in numbers], [sums[number - 1] for number in numbers]
+    )
     made.gaps_mm = gaps(vertices)
     made.object_mm = prescription.surfaces[0].thickness * prescription.unit_mm + vertices[0]
     made.image_mm = float(image.vertex[2]) - vertices[-1]
@@ -281,6 +287,16 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
 
 def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> None:
     """Note what the file says beside the lens."""
+    scale = 1.0 if prescription.field_kind == "angle" else prescription.unit_mm
+    report.conditions = Conditions(
+        wavelengths_nm=tuple(prescription.wavelengths_nm) or (D_LINE_NM,),
+        primary=min(prescription.primary, max(0, len(prescription.wavelengths_nm) - 1)),
+        field_kind=prescription.field_kind,
+        fields=tuple(replace(point, x=point.x * scale, y=point.y * scale) for point in prescription.fields)
+        or (FieldPoint(),),
+        object_mm=made.object_mm,
+        image_mm=made.image_mm,
+    )
     lines = ", ".join(f"{line:.10g}" for line in prescription.wavelengths_nm)
     if lines:
         report.notes.append(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium
 from lfmesh.imports.square_terms import SquareTerm, without_square
@@ -78,16 +79,6 @@ class FileSurface:
                 self.curvature, self.conic, self.asphere, self.square
             )
             self.square = 0.0
-
-
-@dataclass(frozen=True)
-class FieldPoint:
-    """A field point of the file: where it is, and how far its beam fills the pupil upwards and downwards."""
-
-    x: float = 0.0
-    y: float = 0.0
-    upper: float = 1.0
-    lower: float = 1.0
 
 
 @dataclass

@@ -16,10 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import SceneError
+from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription
+from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.imports.zemax_configurations import Configurations
@@ -155,6 +156,7 @@ class _Reader:
         self.notes: list[str] = []
         self.waves: dict[int, float] = {}
         self.count = 0
+        self.primary_line: tuple[int, str] | None = None
         self.configurations = Configurations()
         self.fields: dict[str, list[float]] = {}
         self.at, self.text = 0, ""
@@ -192,6 +194,11 @@ class _Reader:
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
         if made.wavelengths_nm and self.waves:
+            if self.primary_line and made.primary not in self.waves:
+                how = f"there is no wavelength {made.primary}; the first is the primary one"
+                self.report.add(*self.primary_line, Verdict.APPROXIMATED, how)
+            elif self.primary_line:
+                self.report.add(*self.primary_line, Verdict.TAKEN)
             primary = self.waves.get(made.primary, used[0])
             made.primary = made.wavelengths_nm.index(primary) if primary in made.wavelengths_nm else 0
         made.makers = self.catalogues
@@ -342,7 +349,7 @@ class _Reader:
 
     def _on_pwav(self, words: list[str]) -> None:
         self.made.primary = int(number(words[0]))
-        self._taken()
+        self.primary_line = self.at, self.text
 
     def _on_cofn(self, words: list[str]) -> None:
         names = [word.strip('"') for word in words]

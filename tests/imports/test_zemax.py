@@ -591,3 +591,12 @@ def test_terms_beyond_their_count_are_none():
     lens, report = lens_of(aspheric("XASPHERE", *terms)), report_of(aspheric("XASPHERE", *terms))
     assert len(lens.surfaces[1].asphere_mm) == 1
     assert [line.text for line in report.of(Verdict.WITHOUT_EFFECT) if "XDAT" in line.text] == ["XDAT 5 1e-3 0 0"]
+
+
+def test_a_primary_wavelength_that_is_not_there_is_said():
+    report = report_of(changed("PWAV 2", "PWAV 7"))
+    assert [line.how for line in report.of(Verdict.APPROXIMATED)] == [
+        "there is no wavelength 7; the first is the primary one"
+    ]
+    assert report.conditions is not None
+    assert report.conditions.primary == 0

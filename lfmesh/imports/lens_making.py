@@ -204,6 +204,10 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     made = KeptSurfaces([], [], [], distances[0], 0.0)
     if media[0] is not None:
         report.refuse(prescription.surfaces[0].line, "object", "it stands in a medium; the lens must start in air")
+    for surface, name in ((prescription.surfaces[0], "object"), (prescription.surfaces[-1], "image")):
+        if surface.curvature or any(surface.asphere) or any(surface.odd) or surface.forbes:
+            how = f"the {name} is curved in the file; here it is flat"
+            report.add(surface.line, surface.text or name, Verdict.APPROXIMATED, how)
     inner = prescription.surfaces[1:-1]
     for surface in inner:
         if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:

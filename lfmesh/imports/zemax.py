@@ -151,6 +151,8 @@ class _Reader:
         self.made = Prescription()
         self.kind, self.norm_radius = "STANDARD", 1.0
         self.break_values: dict[int, float] = {}
+        self.drawn: list[tuple[int, str, FileSurface]] = []
+        self.distance_line = 0, ""
         self.extra: dict[int, tuple[int, str, float]] = {}
         self.catalogues: list[str] = []
         self.notes: list[str] = []
@@ -190,7 +192,11 @@ class _Reader:
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
+        if self.distance_line[0]:
+            self.report.add(*self.distance_line, Verdict.WITHOUT_EFFECT, "nothing stands behind the image")
+            self.distance_line = 0, ""
         self._end_surface()
+        self._end_drawn()
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
         if made.wavelengths_nm and self.waves:
@@ -205,6 +211,15 @@ class _Reader:
         made.source = " ".join(self.notes).strip() or None
         made.fields = self._field_points()
         return made
+
+    def _end_drawn(self) -> None:
+        """Say which semi-diameters are used: where a pupil or a clear aperture decides, they only draw."""
+        for at, text, surface in self.drawn:
+            sized = surface.stop and self.made.pupil[0] != "stop"
+            ends = surface is self.made.surfaces[0] or surface is self.made.surfaces[-1]
+            cut = surface.aperture is not None and surface.aperture != surface.extent
+            unused = sized or ends or cut or surface.is_break
+            self.report.add(at, text, Verdict.WITHOUT_EFFECT if unused else Verdict.TAKEN)
 
     def _field_points(self) -> list[FieldPoint]:
         x, y = self.fields.get("x", []), self.fields.get("y", [])
@@ -345,7 +360,10 @@ class _Reader:
             raise ValueError("a wavelength must be above 0")
         # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
         self.waves[place] = float(f"{micrometres * 1000.0:.10g}")
-        self._taken()
+        if self.count and place > self.count:
+            self._without_effect()
+        else:
+            self._taken()
 
     def _on_pwav(self, words: list[str]) -> None:
         self.made.primary = int(number(words[0]))
@@ -371,6 +389,9 @@ class _Reader:
 
     def _end_surface(self) -> None:
         """Put what only a surface's last line completes into it."""
+        if self.distance_line[0]:
+            self.report.add(*self.distance_line, Verdict.TAKEN)
+            self.distance_line = 0, ""
         if self.break_values:
             x, y, *tilt, tilts_first = (self.break_values.get(place, 0.0) for place in range(1, _ORDER_OF_BREAK + 1))
             make = Move.tilted_then_shifted if tilts_first else Move.shifted_then_tilted
@@ -409,7 +430,7 @@ class _Reader:
             self._surface.thickness = math.inf
         else:
             self._surface.thickness = number(words[0])
-        self._taken()
+        self.distance_line = self.at, self.text
 
     @staticmethod
     def _solve(words: list[str]) -> str:
@@ -512,6 +533,7 @@ class _Reader:
         count = values.get(first - 2, float(_MOST_EXTRA))
         norm_radius = values.get(first - 1, 1.0 if self.kind in _EXTENDED else 0.0)
         terms = [values.get(first + k, 0.0) for k in range(max(0, min(int(count), _MOST_EXTRA)))]
+        line = self.at, self.text
         for place, (at, text, value) in sorted(self.extra.items()):
             self.at, self.text = at, text
             if place == first - 1 and not value > 0.0:
@@ -527,6 +549,7 @@ class _Reader:
                 self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
             else:
                 self._taken()
+        self.at, self.text = line
         if self.kind == _FORBES and any(terms) and norm_radius > 0.0:
             kind = "qcon" if values.get(1) else "qbfs"
             self._surface.forbes = kind, norm_radius, terms[:MOST_ASPHERE_TERMS]
@@ -534,7 +557,7 @@ class _Reader:
 
     def _on_diam(self, words: list[str]) -> None:
         self._surface.extent = abs(number(words[0])) or None
-        self._taken()
+        self.drawn.append((self.at, self.text, self._surface))
 
     def _on_clap(self, words: list[str]) -> None:
         inner, outer = numbers(words[:2])

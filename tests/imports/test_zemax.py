@@ -566,7 +566,7 @@ def test_a_catalogue_lens_with_forbes_asphere_has_its_makers_focus():
     choices = FileChoices({"C79-80": "main/SiO2/Malitson"})
     lens, report = read(FILE, CONDENSER_ZMX.splitlines(), choices)
     assert report.focal_length_mm == pytest.approx(40.0, abs=1e-3)
-    assert [line.text for line in report.of(Verdict.WITHOUT_EFFECT)] == ["XDAT 10 5.0"]
+    assert "XDAT 10 5.0" in [line.text for line in report.of(Verdict.WITHOUT_EFFECT)]
     front, index = lens.surfaces[0], refractive_index("main/SiO2/Malitson", 405.0)
     for height in (1.0, 8.0, 16.0, 22.5):
         step = 1e-4

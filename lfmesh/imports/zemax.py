@@ -22,82 +22,30 @@ from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.imports.text import command_names, read_lines
+from lfmesh.imports.text import read_lines
 from lfmesh.imports.zemax_configurations import Configurations
+from lfmesh.imports.zemax_tables import (
+    APERTURES_REFUSED,
+    ASPHERES,
+    EXTENDED,
+    FIELD_KINDS,
+    FIRST_TERM,
+    FORBES,
+    LAST_OF_TOROID,
+    MOST_EXTRA,
+    OF_ZERNIKE_TERMS,
+    ORDER_OF_BREAK,
+    REFUSED_TYPES,
+    SECTIONS,
+    THERMAL,
+    UNITS_MM,
+    WITHOUT_EFFECT,
+    ZERNIKE_TERMS,
+)
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 MOST_SURFACES = 1000
-
-_UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
-
-_FIELD_KINDS = {0: "angle", 1: "object", 2: "image", 3: "image"}
-
-_WITHOUT_EFFECT = command_names(
-    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD BLNK TOL DBDT FWGN FWGT WWGT "
-    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
-    "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
-)
-"""Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
-
-_EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
-"""Aspheres of terms of r over a radius of their own, in XDAT, and by how much the power grows from term to term."""
-
-_ASPHERES = ("EVENASPH", "ODDASPHE", *_EXTENDED)
-
-_FORBES = "QED_TYPE"
-"""Forbes' aspheres: XDAT 1 is 0 for mild ones and 1 for strong ones, 2 the number of terms, 3 the radius that heights
-are counted in, the rest the coefficients from a₀, as a catalogue lens has them (ASL5040-UV of Thorlabs, whose focus is
-sharp at 405 nm with the deviation along the normal of its conic)."""
-
-_FIRST_TERM = {_FORBES: 4, **dict.fromkeys(_EXTENDED, 3)}
-"""Place of the first coefficient in XDAT, behind the number of terms and the radius."""
-
-_SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
-"""Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
-its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
-
-Held against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
-coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). Of the biconic no vendor's page of
-the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
-prysm takes parameter 1 for a curvature."""
-
-_MOST_EXTRA = 1000
-
-_LAST_OF_TOROID, _ZERNIKE_TERMS = 8, 13
-"""Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
-
-_OF_ZERNIKE_TERMS = 0, 14
-"""Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
-
-_ORDER_OF_BREAK = 6
-"""Parameter of a coordinate break: 0 shifts and then tilts about x, y and z, others tilt about z, y and x first. It
-follows the shifts in x and y and the three angles, right-handed, each about the axes that the last one left (Zemax's
-"Rotation Matrix and Tilt About X/Y/Z in OpticStudio")."""
-
-_REFUSED_TYPES = {
-    "XODDASPH": "extended odd aspheres are not supported",
-    "XPOLYNOM": "surfaces without rotational symmetry are not supported",
-    "SZERNSAG": "surfaces without rotational symmetry are not supported",
-    "DGRATING": "gratings are not supported",
-    "BINARY_1": "diffractive surfaces are not supported",
-    "BINARY_2": "diffractive surfaces are not supported",
-    "NONSEQCO": "non-sequential groups are not supported",
-    "FRESNELS": "Fresnel surfaces are not supported",
-    "IRREGULA": "irregular surfaces are not supported",
-}
-
-_APERTURES_REFUSED = {
-    "OBSC": "a central obscuration",
-    "SQOB": "a rectangular obscuration",
-    "ELOB": "an elliptical obscuration",
-    "ELAP": "an elliptical aperture",
-    "SPID": "a spider",
-    "UDAD": "an aperture drawn by the user",
-    "UDOB": "an obscuration drawn by the user",
-}
-
-_THERMAL = 20.0, 1.0
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
@@ -175,11 +123,11 @@ class _Reader:
         try:
             if method is not None:
                 method(rest)
-            elif command in _APERTURES_REFUSED and inside:
-                self._refuse(f"{_APERTURES_REFUSED[command]} is not supported; only circular apertures are")
+            elif command in APERTURES_REFUSED and inside:
+                self._refuse(f"{APERTURES_REFUSED[command]} is not supported; only circular apertures are")
             elif not inside and self.configurations.take(self.at, self.text):
                 pass  # What becomes of it is known with the configuration that is asked for.
-            elif command in _WITHOUT_EFFECT or (self.made.surfaces and not inside):
+            elif command in WITHOUT_EFFECT or (self.made.surfaces and not inside):
                 # What follows the surfaces are merit functions, configurations and tolerances.
                 self._without_effect()
             else:
@@ -271,9 +219,9 @@ class _Reader:
 
     def _on_unit(self, words: list[str]) -> None:
         unit = words[0].upper()
-        if unit not in _UNITS_MM:
-            raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_MM)}")
-        self.made.unit_mm = _UNITS_MM[unit]
+        if unit not in UNITS_MM:
+            raise ValueError(f"unit {unit} is unknown; known are {', '.join(UNITS_MM)}")
+        self.made.unit_mm = UNITS_MM[unit]
         self._taken()
 
     def _on_enpd(self, words: list[str]) -> None:
@@ -301,7 +249,7 @@ class _Reader:
         self._taken()
 
     def _on_envd(self, words: list[str]) -> None:
-        if len(words) > 1 and tuple(numbers(words[:2])) != _THERMAL:
+        if len(words) > 1 and tuple(numbers(words[:2])) != THERMAL:
             self._approximated("indices are those of the catalogue, at its own temperature and pressure")
         else:
             self._taken()
@@ -313,11 +261,11 @@ class _Reader:
 
     def _on_ftyp(self, words: list[str]) -> None:
         kind = int(number(words[0]))
-        self.made.field_kind = _FIELD_KINDS.get(kind, "angle")
+        self.made.field_kind = FIELD_KINDS.get(kind, "angle")
         if len(words) > 3:
             self.count = int(number(words[3]))
             self.fields["count"] = [number(words[2])]
-        if kind not in _FIELD_KINDS:
+        if kind not in FIELD_KINDS:
             self._approximated("fields of an unknown kind count as angles, for apertures that the file leaves open")
         else:
             self._taken()
@@ -393,7 +341,7 @@ class _Reader:
             self.report.add(*self.distance_line, Verdict.TAKEN)
             self.distance_line = 0, ""
         if self.break_values:
-            x, y, *tilt, tilts_first = (self.break_values.get(place, 0.0) for place in range(1, _ORDER_OF_BREAK + 1))
+            x, y, *tilt, tilts_first = (self.break_values.get(place, 0.0) for place in range(1, ORDER_OF_BREAK + 1))
             make = Move.tilted_then_shifted if tilts_first else Move.shifted_then_tilted
             self._surface.before = make((x, y, 0.0), tilt)
             self.break_values = {}
@@ -403,17 +351,17 @@ class _Reader:
     def _on_type(self, words: list[str]) -> None:
         self.kind = words[0].upper()
         self._surface.is_break = self.kind == "COORDBRK"
-        if self.kind in ("STANDARD", "COORDBRK", _FORBES, *_ASPHERES):
+        if self.kind in ("STANDARD", "COORDBRK", FORBES, *ASPHERES):
             self._taken()
-        elif self.kind in _SECTIONS:
-            self._surface.section = _SECTIONS[self.kind]
+        elif self.kind in SECTIONS:
+            self._surface.section = SECTIONS[self.kind]
             self._taken()
         elif self.kind == "PARAXIAL":
             self._surface.focal_length = math.nan
             self._taken("a thin lens")
         else:
-            why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, {', '.join((*_ASPHERES, *_SECTIONS, _FORBES))} and PARAXIAL are")
+            why = REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
+            self._refuse(f"{why}; STANDARD, {', '.join((*ASPHERES, *SECTIONS, FORBES))} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -468,21 +416,21 @@ class _Reader:
             self._add_term(2 * place, value)
         elif self.kind == "ODDASPHE" and 1 <= place <= 8:
             self._add_term(place, value)
-        elif self.kind in _SECTIONS and place == 1:
+        elif self.kind in SECTIONS and place == 1:
             self._surface.curvature_x = 1.0 / value
             self._taken()
         elif self.kind == "BICONICX" and place == 2:
             self._surface.conic_x = value
             self._taken()
-        elif self.kind == "TOROIDAL" and 2 <= place <= _LAST_OF_TOROID:
+        elif self.kind == "TOROIDAL" and 2 <= place <= LAST_OF_TOROID:
             self._add_term(2 * place - 2, value)
-        elif self.kind == "TOROIDAL" and place == _ZERNIKE_TERMS:
+        elif self.kind == "TOROIDAL" and place == ZERNIKE_TERMS:
             self._refuse("Zernike terms of a toroid are not supported")
-        elif self.kind == "TOROIDAL" and place in _OF_ZERNIKE_TERMS:
+        elif self.kind == "TOROIDAL" and place in OF_ZERNIKE_TERMS:
             self._without_effect()
-        elif self.kind in (*_ASPHERES, *_SECTIONS, _FORBES):
+        elif self.kind in (*ASPHERES, *SECTIONS, FORBES):
             self._refuse(f"parameter {place} of {self.kind} is unknown")
-        elif self.kind == "COORDBRK" and 1 <= place <= _ORDER_OF_BREAK:
+        elif self.kind == "COORDBRK" and 1 <= place <= ORDER_OF_BREAK:
             self.break_values[place] = value
             self._taken()
         elif self.kind == "PARAXIAL" and place == 1:
@@ -494,7 +442,7 @@ class _Reader:
 
     def _add_term(self, power: int, value: float) -> None:
         """Let the sag have a term in a power of r."""
-        if power == 2 and self.kind in _SECTIONS:
+        if power == 2 and self.kind in SECTIONS:
             self._refuse("a term in y² beside the curvature is not supported; put it into the curvature")
         elif power == 2:
             self._surface.square = value
@@ -512,7 +460,7 @@ class _Reader:
 
     def _on_xdat(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
-        if self.kind in _FIRST_TERM:
+        if self.kind in FIRST_TERM:
             # What it means is known with the number of terms, at the surface's end.
             self.extra[place] = self.at, self.text, value
         elif not value:
@@ -523,16 +471,16 @@ class _Reader:
                 self._refuse("Zernike terms of a toroid are not supported")
             else:
                 self._without_effect()
-        elif self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
+        elif self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *ASPHERES):
             self.report.add(self.at, self.text, Verdict.UNKNOWN)
 
     def _end_extra(self) -> None:
         """Put the values of XDAT into the surface."""
-        first = _FIRST_TERM.get(self.kind, 0)
+        first = FIRST_TERM.get(self.kind, 0)
         values = {place: value for place, (_, _, value) in self.extra.items()}
-        count = values.get(first - 2, float(_MOST_EXTRA))
-        norm_radius = values.get(first - 1, 1.0 if self.kind in _EXTENDED else 0.0)
-        terms = [values.get(first + k, 0.0) for k in range(max(0, min(int(count), _MOST_EXTRA)))]
+        count = values.get(first - 2, float(MOST_EXTRA))
+        norm_radius = values.get(first - 1, 1.0 if self.kind in EXTENDED else 0.0)
+        terms = [values.get(first + k, 0.0) for k in range(max(0, min(int(count), MOST_EXTRA)))]
         line = self.at, self.text
         for place, (at, text, value) in sorted(self.extra.items()):
             self.at, self.text = at, text
@@ -542,15 +490,15 @@ class _Reader:
                 self._taken()
             elif place - first >= count:
                 self.report.add(at, text, Verdict.WITHOUT_EFFECT, f"XDAT {first - 2} counts {count:g} terms")
-            elif self.kind in _EXTENDED:
-                power = _EXTENDED[self.kind] * (place - first + 1)
+            elif self.kind in EXTENDED:
+                power = EXTENDED[self.kind] * (place - first + 1)
                 self._add_term(power, value / norm_radius**power if norm_radius > 0.0 else 0.0)
             elif place - first >= MOST_ASPHERE_TERMS:
                 self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
             else:
                 self._taken()
         self.at, self.text = line
-        if self.kind == _FORBES and any(terms) and norm_radius > 0.0:
+        if self.kind == FORBES and any(terms) and norm_radius > 0.0:
             kind = "qcon" if values.get(1) else "qbfs"
             self._surface.forbes = kind, norm_radius, terms[:MOST_ASPHERE_TERMS]
         self.extra = {}

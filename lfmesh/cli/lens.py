@@ -55,7 +55,7 @@ def convert(
     if configuration is not None and configuration < 1:
         raise LfmeshError(f"--configuration {configuration}: they count from 1")
     lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration))
-    notes = write_lens_file(lens, target)
+    notes = write_lens_file(lens, target, report.conditions)
     for line in (*report.text(every_line), *notes):
         print(wrapped(line))
     print(f"  {target}")

@@ -13,9 +13,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.conditions import FieldPoint
+from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import laurent_glass, private_glass
+from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
+from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
@@ -45,10 +48,12 @@ _REFUSED = {
     **dict.fromkeys(["BEN", "GLB"], "folded and global axes are not supported"),
 }
 
-_MOVES = command_names("ADE BDE CDE XDE YDE ZDE")
+MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
+"""Decentres of a surface: shifts along x, y and z, then turns about its own x and y axes, left-handed, and z axis,
+right-handed, as LightTools' manual gives CODE V's convention."""
 
-_RIGID = command_names("DAR REV RET")
-"""How a decentre works; nothing without one."""
+_RIGID = command_names("REV RET")
+"""Other orders of a decentre; nothing without one."""
 
 _SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
 
@@ -71,7 +76,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    if choices.configuration is not None:
+    if choices.configuration not in (None, 1):
         raise SceneError(f"{path}: configuration = {choices.configuration}: zoom positions of .seq files are not read")
     reader = _Reader(Report(path))
     for at, words in commands(read_lines(path) if lines is None else lines):
@@ -134,6 +139,8 @@ class _Reader:
         self.fields: dict[str, list[float]] = {}
         self.reference: int | None = None
         self.ended = False
+        self.moves: dict[int, dict[str, float]] = {}
+        self.returns: dict[int, list[tuple[int, str]]] = {}
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -145,10 +152,11 @@ class _Reader:
                 self._private_glass(command, words)
             elif _SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
-            elif command in _MOVES:
-                self._moved(rest)
-            elif command in _RIGID:
-                self._without_effect()
+            elif command in MOVES:
+                self._moved(command, rest)
+            elif command == "DAR" or command in _RIGID:
+                surface, _ = self._named(rest)
+                self.returns.setdefault(id(surface), []).append((at, self.text))
             elif command[:1] in "XY" and command[1:] in _FIELDS and len(command) == 3:
                 self._of_fields(command[0].lower(), _FIELDS[command[1:]], rest)
             elif command in ("VUY", "VLY"):
@@ -184,6 +192,8 @@ class _Reader:
             first = made.surfaces[min(1, len(made.surfaces) - 1)]
             how = "no RDM in the file: the first numbers of surfaces count as curvatures, CODE V's old default"
             self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
+        for surface in made.surfaces:
+            self._move(surface)
         lines = made.wavelengths_nm
         middle = len(lines) // 2
         made.primary = max(0, min(self.reference - 1 if self.reference is not None else middle, len(lines) - 1))
@@ -259,11 +269,26 @@ class _Reader:
         else:
             surface.glass = name.strip("'\"")
 
-    def _moved(self, words: list[str]) -> None:
-        _, rest = self._named(words)
-        if any(numbers(rest)):
-            raise ValueError("tilted and decentred surfaces are not supported")
+    def _moved(self, command: str, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        self.moves.setdefault(id(surface), {})[command] = number(rest[0])
         self._taken()
+
+    def _move(self, surface: FileSurface) -> None:
+        """Put the moves of a surface into it."""
+        values, orders = self.moves.get(id(surface), {}), self.returns.get(id(surface), [])
+        moved = any(values.values())
+        if moved:
+            x, y, z, about_x, about_y, about_z = (values.get(name, 0.0) for name in MOVES)
+            surface.before = Move.shifted_then_tilted((x, y, z), (-about_x, -about_y, about_z))
+        for at, text in orders:
+            if not moved:
+                self.report.add(at, text, Verdict.WITHOUT_EFFECT)
+            elif text.split()[0].upper() == "DAR":
+                surface.after = surface.before.inverse if surface.before else None
+                self.report.add(at, text, Verdict.TAKEN)
+            else:
+                self.report.refuse(at, text, "of decentred surfaces, plain ones and those with DAR are supported")
 
     def _coefficient(self, place: int, words: list[str]) -> None:
         surface, rest = self._named(words)

@@ -1,17 +1,21 @@
-"""Writing a lens as a CODE V sequence: object at infinity, image in the paraxial focus of the d line."""
+"""Writing a lens as a CODE V sequence."""
 
 import math
+from collections.abc import Sequence
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.codev import COEFFICIENTS
+from lfmesh.imports.codev import COEFFICIENTS, MOVES
+from lfmesh.imports.conditions import Conditions
+from lfmesh.imports.decentres import START, Move, move_of
 from lfmesh.imports.writing import check_writable, entrance_pupil_mm, maker_and_name, stop_radius_mm, table_of
-from lfmesh.optics.glass import D_LINE_NM, Medium
+from lfmesh.optics.glass import Medium
 from lfmesh.scene.camera.lens import Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.materials.own_glass import OwnGlass
+from lfmesh.scene.pose import Pose
 
 
-def written(lens: Lens) -> tuple[bytes, list[str]]:
+def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
     """Return a lens as the bytes of a `.seq` file, and what it does not hold.
 
     Raises
@@ -25,22 +29,26 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
         lines.append(f"! {' '.join(lens.source.split())}")
         notes.append("the source stands in a comment")
     radius = stop_radius_mm(lens)
-    if lens.f_number is not None:
+    far = math.isinf(conditions.object_mm)
+    primary_nm = conditions.wavelengths_nm[conditions.primary]
+    if lens.f_number is not None and far:
         lines.append(f"FNO {lens.f_number!r}")
+    elif lens.f_number is not None:
+        # FNO counts on the side of the image, however near the object is.
+        lines.append(f"EPD {abs(Paraxial.of(lens, primary_nm).efl_mm) / lens.f_number!r}")
     else:
-        lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0)!r}")
-    lines += ["DIM M", f"WL {D_LINE_NM!r}", "REF 1", "XAN 0.0", "YAN 0.0"]
+        lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0, primary_nm)!r}")
+    lines += ["DIM M", *_conditions(conditions)]
     plain = dict.fromkeys(surface.index for surface in lens.surfaces if isinstance(surface.medium, float))
     private: dict[Medium, str] = {index: f"N{i}" for i, index in enumerate(plain)}
     if private:
         # Of two wavelengths, so that the table is seen to be one index.
         lines += ["PRV", "PWL 1000.0 400.0", *(f"'{name}' {n!r} {n!r}" for n, name in private.items()), "END"]
     lines += _dispersive(lens, private, notes)
-    lines.append("SO 0.0 0.1e14")
-    image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
+    lines.append(f"SO 0.0 {'0.1e14' if far else repr(conditions.object_mm)}")
     for i, surface in enumerate(lens.surfaces):
         last = i == len(lens.surfaces) - 1
-        distance = image_mm if last and math.isfinite(image_mm) else surface.thickness_mm or 0.0
+        distance = conditions.image_mm if last else surface.thickness_mm or 0.0
         glass = ""
         if isinstance(surface.glass, str):
             maker, name = maker_and_name(surface.glass, "CODE V")
@@ -50,7 +58,37 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
         radius_mm = 0.0 if math.isinf(surface.vertex_radius_mm) else surface.vertex_radius_mm
         lines.append(f"S {radius_mm!r} {distance!r}{glass}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
+        lines += _moved(lens, i)
     return "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode(), notes
+
+
+def _conditions(conditions: Conditions) -> list[str]:
+    """Return the lines of wavelengths and fields."""
+    kind = {"angle": "AN", "object": "OB", "image": "IM"}[conditions.field_kind]
+    fields = conditions.fields
+    columns: dict[str, Sequence[float]] = {
+        "WL": list(conditions.wavelengths_nm),
+        "REF": [conditions.primary + 1],
+        f"X{kind}": [point.x for point in fields],
+        f"Y{kind}": [point.y for point in fields],
+        "VUY": [1.0 - point.upper for point in fields],
+        "VLY": [1.0 - point.lower for point in fields],
+    }
+    return [f"{name} {' '.join(map(repr, values))}" for name, values in columns.items()]
+
+
+def _moved(lens: Lens, number: int) -> list[str]:
+    """Return the decentre of a surface of an element off the axis, after which the axis goes on."""
+    which = lens.element_of(number)
+    if which is None or lens.elements[which].pose == Pose():
+        return []
+    element = lens.elements[which]
+    shift, tilt = move_of(element)
+    from_first = lens.vertices_mm[number] - lens.vertices_mm[element.surfaces[0]]
+    place = START.moved(Move.shifted_then_tilted(shift, tilt)).along(from_first)
+    x, y, z = place.vertex - [0.0, 0.0, from_first]
+    values = (x, y, z, -tilt[0], -tilt[1], tilt[2])
+    return [*(f"  {name} {float(value) + 0.0!r}" for name, value in zip(MOVES, values, strict=True)), "  DAR"]
 
 
 def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> list[str]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from lfmesh.errors import SceneError
 from lfmesh.imports import codev, codev_writer, lens_table, zemax, zemax_writer
+from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.report import Report
 from lfmesh.scene import load_lens, toml
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
@@ -50,8 +51,16 @@ def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tup
     return load_lens(name, choices), Report(path)
 
 
-def write_lens_file(lens: Lens, path: str | Path) -> list[str]:
+def write_lens_file(lens: Lens, path: str | Path, conditions: Conditions | None = None) -> list[str]:
     """Write a lens as TOML, Zemax or CODE V file, by the ending of its path.
+
+    Parameters
+    ----------
+    lens : Lens
+    path : str or Path
+    conditions : Conditions, optional
+        Light, fields, object and image that files of other programs hold, such as `Report.conditions` of the file that
+        the lens comes from; if left out, the d line, the axis, the object at infinity and the image in focus.
 
     Returns
     -------
@@ -69,9 +78,9 @@ def write_lens_file(lens: Lens, path: str | Path) -> list[str]:
     if ending == ".toml":
         data = toml.dump(lens).encode()
     elif ending in _WRITERS:
-        data, notes = _WRITERS[ending](lens)
+        data, notes = _WRITERS[ending](lens, conditions or Conditions.usual(lens))
     else:
-        raise SceneError(f"{path}: a lens is written to .toml, {' or '.join(_WRITERS)}")
+        raise SceneError(f"{path}: unknown ending; a lens is written to .toml, {' or '.join(_WRITERS)}")
     try:
         path.write_bytes(data)
     except OSError as error:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import named_glass
+from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number
-from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription, lens_of
+from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens

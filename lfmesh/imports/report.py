@@ -8,6 +8,7 @@ from enum import Enum
 from pathlib import Path
 
 from lfmesh.errors import LensFileWarning, SceneError
+from lfmesh.imports.conditions import Conditions
 
 _MOST_SHOWN = 60
 """Characters of a line that a message quotes."""
@@ -61,12 +62,15 @@ class Report:
         What the file says beside the lens: wavelengths, fields, where the object and the image are.
     focal_length_mm : float
         Of the lens, at the file's primary wavelength; NaN until it is made.
+    conditions : Conditions, optional
+        In which the file uses its lens; None until it is made.
     """
 
     path: Path
     lines: list[Line] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     focal_length_mm: float = math.nan
+    conditions: Conditions | None = None
 
     def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
         """Enter what became of a line.

@@ -6,7 +6,6 @@ from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.scene.materials.own_glass import OwnGlass
-from lfmesh.scene.pose import Pose
 
 ZEMAX = "Zemax"
 
@@ -26,9 +25,6 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"surfaces[{i}].{surface.section_key}: not written to {program} files; write .zmx")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
-    for i, element in enumerate(lens.elements):
-        if element.pose != Pose():
-            raise SceneError(f"elements[{i}]: tilted and decentred elements cannot be written to {program} files yet")
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating != UNCOATED]
     return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
 
@@ -81,9 +77,17 @@ def stop_radius_mm(lens: Lens) -> float | None:
     return None if stop is None else lens.aperture_mm(stop)
 
 
-def entrance_pupil_mm(lens: Lens, radius_mm: float) -> float:
-    """Return the diameter of the entrance pupil that a stop of this radius makes at the d line."""
-    return Paraxial.of(lens, D_LINE_NM).entrance_pupil(radius_mm)[1]
+def entrance_pupil_mm(lens: Lens, radius_mm: float, wavelength_nm: float) -> float:
+    """Return the diameter of the entrance pupil that a stop makes.
+
+    Parameters
+    ----------
+    lens : Lens
+    radius_mm : float
+        Of the stop.
+    wavelength_nm : float
+    """
+    return Paraxial.of(lens, wavelength_nm).entrance_pupil(radius_mm)[1]
 
 
 def curvature(radius_mm: float) -> float:

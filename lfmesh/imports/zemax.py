@@ -16,71 +16,36 @@ from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import SceneError
+from lfmesh.imports.conditions import FieldPoint
+from lfmesh.imports.decentres import Move
+from lfmesh.imports.lens_making import lens_of
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription, lens_of
+from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.imports.text import command_names, read_lines
+from lfmesh.imports.text import read_lines
 from lfmesh.imports.zemax_configurations import Configurations
+from lfmesh.imports.zemax_tables import (
+    APERTURES_REFUSED,
+    ASPHERES,
+    EXTENDED,
+    FIELD_KINDS,
+    FIRST_TERM,
+    FORBES,
+    LAST_OF_TOROID,
+    MOST_EXTRA,
+    OF_ZERNIKE_TERMS,
+    ORDER_OF_BREAK,
+    REFUSED_TYPES,
+    SECTIONS,
+    THERMAL,
+    UNITS_MM,
+    WITHOUT_EFFECT,
+    ZERNIKE_TERMS,
+)
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 MOST_SURFACES = 1000
-
-_UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
-
-_FIELD_KINDS = {0: "angle", 1: "object", 2: "image", 3: "image"}
-
-_WITHOUT_EFFECT = command_names(
-    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD BLNK TOL DBDT FWGN FWGT WWGT "
-    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
-    "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
-)
-"""Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
-
-_EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
-"""Aspheres of terms of r over a radius of their own, in XDAT, and by how much the power grows from term to term."""
-
-_ASPHERES = ("EVENASPH", "ODDASPHE", *_EXTENDED)
-
-_SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
-"""Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
-its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
-
-Held against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
-coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). Of the biconic no vendor's page of
-the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
-prysm takes parameter 1 for a curvature."""
-
-_LAST_OF_TOROID, _ZERNIKE_TERMS = 8, 13
-"""Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
-
-_OF_ZERNIKE_TERMS = 0, 14
-"""Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
-
-_REFUSED_TYPES = {
-    "XODDASPH": "extended odd aspheres are not supported",
-    "QED_TYPE": "Forbes (Q-type) aspheres are not read; a scene's surface has them as qcon and qbfs",
-    "XPOLYNOM": "surfaces without rotational symmetry are not supported",
-    "SZERNSAG": "surfaces without rotational symmetry are not supported",
-    "DGRATING": "gratings are not supported",
-    "BINARY_1": "diffractive surfaces are not supported",
-    "BINARY_2": "diffractive surfaces are not supported",
-    "NONSEQCO": "non-sequential groups are not supported",
-    "FRESNELS": "Fresnel surfaces are not supported",
-    "IRREGULA": "irregular surfaces are not supported",
-}
-
-_APERTURES_REFUSED = {
-    "OBSC": "a central obscuration",
-    "SQOB": "a rectangular obscuration",
-    "ELOB": "an elliptical obscuration",
-    "ELAP": "an elliptical aperture",
-    "SPID": "a spider",
-    "UDAD": "an aperture drawn by the user",
-    "UDOB": "an obscuration drawn by the user",
-}
-
-_THERMAL = 20.0, 1.0
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
@@ -133,10 +98,15 @@ class _Reader:
         self.report = report
         self.made = Prescription()
         self.kind, self.norm_radius = "STANDARD", 1.0
+        self.break_values: dict[int, float] = {}
+        self.drawn: list[tuple[int, str, FileSurface]] = []
+        self.distance_line = 0, ""
+        self.extra: dict[int, tuple[int, str, float]] = {}
         self.catalogues: list[str] = []
         self.notes: list[str] = []
         self.waves: dict[int, float] = {}
         self.count = 0
+        self.primary_line: tuple[int, str] | None = None
         self.configurations = Configurations()
         self.fields: dict[str, list[float]] = {}
         self.at, self.text = 0, ""
@@ -153,11 +123,11 @@ class _Reader:
         try:
             if method is not None:
                 method(rest)
-            elif command in _APERTURES_REFUSED and inside:
-                self._refuse(f"{_APERTURES_REFUSED[command]} is not supported; only circular apertures are")
+            elif command in APERTURES_REFUSED and inside:
+                self._refuse(f"{APERTURES_REFUSED[command]} is not supported; only circular apertures are")
             elif not inside and self.configurations.take(self.at, self.text):
                 pass  # What becomes of it is known with the configuration that is asked for.
-            elif command in _WITHOUT_EFFECT or (self.made.surfaces and not inside):
+            elif command in WITHOUT_EFFECT or (self.made.surfaces and not inside):
                 # What follows the surfaces are merit functions, configurations and tolerances.
                 self._without_effect()
             else:
@@ -170,15 +140,34 @@ class _Reader:
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
+        if self.distance_line[0]:
+            self.report.add(*self.distance_line, Verdict.WITHOUT_EFFECT, "nothing stands behind the image")
+            self.distance_line = 0, ""
+        self._end_surface()
+        self._end_drawn()
         used = [line for number, line in sorted(self.waves.items()) if not self.count or number <= self.count]
         made.wavelengths_nm = list(dict.fromkeys(used))
         if made.wavelengths_nm and self.waves:
+            if self.primary_line and made.primary not in self.waves:
+                how = f"there is no wavelength {made.primary}; the first is the primary one"
+                self.report.add(*self.primary_line, Verdict.APPROXIMATED, how)
+            elif self.primary_line:
+                self.report.add(*self.primary_line, Verdict.TAKEN)
             primary = self.waves.get(made.primary, used[0])
             made.primary = made.wavelengths_nm.index(primary) if primary in made.wavelengths_nm else 0
         made.makers = self.catalogues
         made.source = " ".join(self.notes).strip() or None
         made.fields = self._field_points()
         return made
+
+    def _end_drawn(self) -> None:
+        """Say which semi-diameters are used: where a pupil or a clear aperture decides, they only draw."""
+        for at, text, surface in self.drawn:
+            sized = surface.stop and self.made.pupil[0] != "stop"
+            ends = surface is self.made.surfaces[0] or surface is self.made.surfaces[-1]
+            cut = surface.aperture is not None and surface.aperture != surface.extent
+            unused = sized or ends or cut or surface.is_break
+            self.report.add(at, text, Verdict.WITHOUT_EFFECT if unused else Verdict.TAKEN)
 
     def _field_points(self) -> list[FieldPoint]:
         x, y = self.fields.get("x", []), self.fields.get("y", [])
@@ -230,9 +219,9 @@ class _Reader:
 
     def _on_unit(self, words: list[str]) -> None:
         unit = words[0].upper()
-        if unit not in _UNITS_MM:
-            raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_MM)}")
-        self.made.unit_mm = _UNITS_MM[unit]
+        if unit not in UNITS_MM:
+            raise ValueError(f"unit {unit} is unknown; known are {', '.join(UNITS_MM)}")
+        self.made.unit_mm = UNITS_MM[unit]
         self._taken()
 
     def _on_enpd(self, words: list[str]) -> None:
@@ -260,7 +249,7 @@ class _Reader:
         self._taken()
 
     def _on_envd(self, words: list[str]) -> None:
-        if len(words) > 1 and tuple(numbers(words[:2])) != _THERMAL:
+        if len(words) > 1 and tuple(numbers(words[:2])) != THERMAL:
             self._approximated("indices are those of the catalogue, at its own temperature and pressure")
         else:
             self._taken()
@@ -272,11 +261,11 @@ class _Reader:
 
     def _on_ftyp(self, words: list[str]) -> None:
         kind = int(number(words[0]))
-        self.made.field_kind = _FIELD_KINDS.get(kind, "angle")
+        self.made.field_kind = FIELD_KINDS.get(kind, "angle")
         if len(words) > 3:
             self.count = int(number(words[3]))
             self.fields["count"] = [number(words[2])]
-        if kind not in _FIELD_KINDS:
+        if kind not in FIELD_KINDS:
             self._approximated("fields of an unknown kind count as angles, for apertures that the file leaves open")
         else:
             self._taken()
@@ -319,11 +308,14 @@ class _Reader:
             raise ValueError("a wavelength must be above 0")
         # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
         self.waves[place] = float(f"{micrometres * 1000.0:.10g}")
-        self._taken()
+        if self.count and place > self.count:
+            self._without_effect()
+        else:
+            self._taken()
 
     def _on_pwav(self, words: list[str]) -> None:
         self.made.primary = int(number(words[0]))
-        self._taken()
+        self.primary_line = self.at, self.text
 
     def _on_cofn(self, words: list[str]) -> None:
         names = [word.strip('"') for word in words]
@@ -338,23 +330,38 @@ class _Reader:
     def _on_surf(self, _: list[str]) -> None:
         if len(self.made.surfaces) >= MOST_SURFACES:
             raise SceneError(f"{self.report.path}: line {self.at}: more than {MOST_SURFACES} surfaces")
+        self._end_surface()
         self.made.surfaces.append(FileSurface(self.at, self.text))
         self.kind, self.norm_radius = "STANDARD", 1.0
         self._taken()
 
+    def _end_surface(self) -> None:
+        """Put what only a surface's last line completes into it."""
+        if self.distance_line[0]:
+            self.report.add(*self.distance_line, Verdict.TAKEN)
+            self.distance_line = 0, ""
+        if self.break_values:
+            x, y, *tilt, tilts_first = (self.break_values.get(place, 0.0) for place in range(1, ORDER_OF_BREAK + 1))
+            make = Move.tilted_then_shifted if tilts_first else Move.shifted_then_tilted
+            self._surface.before = make((x, y, 0.0), tilt)
+            self.break_values = {}
+        if self.extra:
+            self._end_extra()
+
     def _on_type(self, words: list[str]) -> None:
         self.kind = words[0].upper()
-        if self.kind in ("STANDARD", "COORDBRK", *_ASPHERES):
+        self._surface.is_break = self.kind == "COORDBRK"
+        if self.kind in ("STANDARD", "COORDBRK", FORBES, *ASPHERES):
             self._taken()
-        elif self.kind in _SECTIONS:
-            self._surface.section = _SECTIONS[self.kind]
+        elif self.kind in SECTIONS:
+            self._surface.section = SECTIONS[self.kind]
             self._taken()
         elif self.kind == "PARAXIAL":
             self._surface.focal_length = math.nan
             self._taken("a thin lens")
         else:
-            why = _REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
-            self._refuse(f"{why}; STANDARD, {', '.join((*_ASPHERES, *_SECTIONS))} and PARAXIAL are")
+            why = REFUSED_TYPES.get(self.kind, f"surfaces of type {self.kind} are not supported")
+            self._refuse(f"{why}; STANDARD, {', '.join((*ASPHERES, *SECTIONS, FORBES))} and PARAXIAL are")
 
     def _on_stop(self, _: list[str]) -> None:
         self._surface.stop = True
@@ -371,7 +378,7 @@ class _Reader:
             self._surface.thickness = math.inf
         else:
             self._surface.thickness = number(words[0])
-        self._taken()
+        self.distance_line = self.at, self.text
 
     @staticmethod
     def _solve(words: list[str]) -> str:
@@ -409,23 +416,23 @@ class _Reader:
             self._add_term(2 * place, value)
         elif self.kind == "ODDASPHE" and 1 <= place <= 8:
             self._add_term(place, value)
-        elif self.kind in _SECTIONS and place == 1:
+        elif self.kind in SECTIONS and place == 1:
             self._surface.curvature_x = 1.0 / value
             self._taken()
         elif self.kind == "BICONICX" and place == 2:
             self._surface.conic_x = value
             self._taken()
-        elif self.kind == "TOROIDAL" and 2 <= place <= _LAST_OF_TOROID:
+        elif self.kind == "TOROIDAL" and 2 <= place <= LAST_OF_TOROID:
             self._add_term(2 * place - 2, value)
-        elif self.kind == "TOROIDAL" and place == _ZERNIKE_TERMS:
+        elif self.kind == "TOROIDAL" and place == ZERNIKE_TERMS:
             self._refuse("Zernike terms of a toroid are not supported")
-        elif self.kind == "TOROIDAL" and place in _OF_ZERNIKE_TERMS:
+        elif self.kind == "TOROIDAL" and place in OF_ZERNIKE_TERMS:
             self._without_effect()
-        elif self.kind in (*_ASPHERES, *_SECTIONS):
+        elif self.kind in (*ASPHERES, *SECTIONS, FORBES):
             self._refuse(f"parameter {place} of {self.kind} is unknown")
-        elif self.kind == "COORDBRK":
-            if place != 6:
-                self._refuse("a coordinate break that moves or tilts: decentred and folded axes are not supported")
+        elif self.kind == "COORDBRK" and 1 <= place <= ORDER_OF_BREAK:
+            self.break_values[place] = value
+            self._taken()
         elif self.kind == "PARAXIAL" and place == 1:
             self._surface.focal_length = value
             self._taken()
@@ -435,7 +442,7 @@ class _Reader:
 
     def _add_term(self, power: int, value: float) -> None:
         """Let the sag have a term in a power of r."""
-        if power == 2 and self.kind in _SECTIONS:
+        if power == 2 and self.kind in SECTIONS:
             self._refuse("a term in y² beside the curvature is not supported; put it into the curvature")
         elif power == 2:
             self._surface.square = value
@@ -452,33 +459,53 @@ class _Reader:
             self._taken()
 
     def _on_xdat(self, words: list[str]) -> None:
-        if len(words) < 2 or not number(words[1]):
-            return
         place, value = int(number(words[0])), number(words[1])
-        if self.kind == "TOROIDAL":
+        if self.kind in FIRST_TERM:
+            # What it means is known with the number of terms, at the surface's end.
+            self.extra[place] = self.at, self.text, value
+        elif not value:
+            self._taken()
+        elif self.kind == "TOROIDAL":
             # The number of terms, and the radius that heights are counted in, come before the coefficients.
             if place > 2:
                 self._refuse("Zernike terms of a toroid are not supported")
             else:
-                self._taken()
-        elif self.kind not in _EXTENDED:
-            if self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *_ASPHERES):
-                self.report.add(self.at, self.text, Verdict.UNKNOWN)
-        elif place == 1:
-            self._taken()
-        elif place == 2:
-            if value > 0.0:
-                self.norm_radius = value
-                self._taken()
-            else:
+                self._without_effect()
+        elif self.kind in ("STANDARD", "COORDBRK", "PARAXIAL", "BICONICX", *ASPHERES):
+            self.report.add(self.at, self.text, Verdict.UNKNOWN)
+
+    def _end_extra(self) -> None:
+        """Put the values of XDAT into the surface."""
+        first = FIRST_TERM.get(self.kind, 0)
+        values = {place: value for place, (_, _, value) in self.extra.items()}
+        count = values.get(first - 2, float(MOST_EXTRA))
+        norm_radius = values.get(first - 1, 1.0 if self.kind in EXTENDED else 0.0)
+        terms = [values.get(first + k, 0.0) for k in range(max(0, min(int(count), MOST_EXTRA)))]
+        line = self.at, self.text
+        for place, (at, text, value) in sorted(self.extra.items()):
+            self.at, self.text = at, text
+            if place == first - 1 and not value > 0.0:
                 self._refuse("the radius in which heights are counted must be above 0")
-        else:
-            power = _EXTENDED[self.kind] * (place - 2)
-            self._add_term(power, value / self.norm_radius**power)
+            elif place < first or not value:
+                self._taken()
+            elif place - first >= count:
+                self.report.add(at, text, Verdict.WITHOUT_EFFECT, f"XDAT {first - 2} counts {count:g} terms")
+            elif self.kind in EXTENDED:
+                power = EXTENDED[self.kind] * (place - first + 1)
+                self._add_term(power, value / norm_radius**power if norm_radius > 0.0 else 0.0)
+            elif place - first >= MOST_ASPHERE_TERMS:
+                self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
+            else:
+                self._taken()
+        self.at, self.text = line
+        if self.kind == FORBES and any(terms) and norm_radius > 0.0:
+            kind = "qcon" if values.get(1) else "qbfs"
+            self._surface.forbes = kind, norm_radius, terms[:MOST_ASPHERE_TERMS]
+        self.extra = {}
 
     def _on_diam(self, words: list[str]) -> None:
         self._surface.extent = abs(number(words[0])) or None
-        self._taken()
+        self.drawn.append((self.at, self.text, self._surface))
 
     def _on_clap(self, words: list[str]) -> None:
         inner, outer = numbers(words[:2])

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from lfmesh.errors import SceneError
+from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.numbers import number
-from lfmesh.imports.prescription import FieldPoint, FileSurface, Prescription
+from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names
 

@@ -1,15 +1,18 @@
-"""Writing a lens as a Zemax file, with the object at infinity and the image in the paraxial focus of the d line."""
+"""Writing a lens as a Zemax file."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.conditions import Conditions
+from lfmesh.imports.decentres import move_of
 from lfmesh.imports.glasses import named_glass
 from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
-from lfmesh.optics.glass import D_LINE_NM, glass_name
+from lfmesh.optics.glass import glass_name
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.materials.own_glass import OwnGlass
+from lfmesh.scene.pose import Pose
 
 _MOST_TERMS = 7
 """Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""
@@ -21,7 +24,7 @@ _LAST_ODD_POWER = 8
 """Odd aspheres have the powers from r to this."""
 
 
-def written(lens: Lens) -> tuple[bytes, list[str]]:
+def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
     """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
 
     Raises
@@ -44,30 +47,81 @@ def written(lens: Lens) -> tuple[bytes, list[str]]:
         lines.append(f"FNUM {lens.f_number!r} 0" if lens.f_number is not None else "FLOA")
     if makers:
         lines.append(f"GCAT {' '.join(makers)}")
-    lines += [
-        "ENVD 20 1 0",
-        "FTYP 0 0 1 1 0 0 0",
-        "XFLN 0",
-        "YFLN 0",
-        "FWGN 1",
-        f"WAVM 1 {D_LINE_NM / 1000!r} 1",
-        "PWAV 1",
-    ]
-    lines += ["SURF 0", "  TYPE STANDARD", "  CURV 0.0", "  DISZ INFINITY"]
-    image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
-    for i, surface in enumerate(lens.surfaces):
-        lines += _surface(i, surface, radius if surface.stop else surface.semi_diameter_mm)
-        last = i == len(lens.surfaces) - 1
-        distance = image_mm if last and math.isfinite(image_mm) else surface.thickness_mm or 0.0
-        lines.append(f"  DISZ {distance!r}")
-    lines += [f"SURF {len(lens.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0"]
+    lines += ["ENVD 20 1 0", *_conditions(conditions)]
+    far = math.isinf(conditions.object_mm)
+    rows = [_Row(["  TYPE STANDARD", "  CURV 0.0"], math.inf if far else conditions.object_mm), *_rows(lens, radius)]
+    # What follows a group that is turned back stands in the row of the way back.
+    rows[-1].distance += conditions.image_mm
+    rows.append(_Row(["  TYPE STANDARD", "  CURV 0.0"], 0.0))
+    for number, row in enumerate(rows):
+        distance = "INFINITY" if math.isinf(row.distance) else repr(row.distance)
+        lines += [f"SURF {number}", *row.lines, f"  DISZ {distance}"]
     return ("\ufeff" + "\r\n".join([*lines, "MNUM 1 1", ""])).encode("utf-16-le"), notes
 
 
+@dataclass
+class _Row:
+    """A surface of the file: its lines, and the distance to the next, mm."""
+
+    lines: list[str]
+    distance: float
+
+
+_KINDS_OF_FIELD = {"angle": 0, "object": 1, "image": 3}
+
+
+def _conditions(conditions: Conditions) -> list[str]:
+    """Return the lines of fields and wavelengths."""
+    fields = conditions.fields
+    waves = conditions.wavelengths_nm
+
+    def listed(values: Iterable[float]) -> str:
+        return " ".join(map(repr, values))
+
+    return [
+        f"FTYP {_KINDS_OF_FIELD[conditions.field_kind]} 0 {len(fields)} {len(waves)} 0 0 0",
+        f"XFLN {listed(point.x for point in fields)}",
+        f"YFLN {listed(point.y for point in fields)}",
+        f"FWGN {' '.join(['1'] * len(fields))}",
+        f"VDYN {listed(0.5 * (point.upper - point.lower) for point in fields)}",
+        f"VCYN {listed(1.0 - 0.5 * (point.upper + point.lower) for point in fields)}",
+        *(f"WAVM {place} {nm / 1000.0!r} 1" for place, nm in enumerate(waves, 1)),
+        f"PWAV {conditions.primary + 1}",
+    ]
+
+
+def _rows(lens: Lens, stop_mm: float | None) -> list[_Row]:
+    """Return the surfaces, with coordinate breaks round the elements that stand off the axis."""
+    rows: list[_Row] = []
+    for i, surface in enumerate(lens.surfaces):
+        which = lens.element_of(i)
+        element = lens.elements[which] if which is not None and lens.elements[which].pose != Pose() else None
+        if element is not None and element.surfaces[0] == i:
+            shift, tilt = move_of(element)
+            if shift[2] and not rows:
+                rows.append(_Row(["  TYPE STANDARD", "  CURV 0.0"], 0.0))
+            if shift[2]:
+                rows[-1].distance += shift[2]
+            rows.append(_Row(_break((*shift[:2], *tilt, 0.0)), 0.0))
+        row = _Row(_surface(i, surface, stop_mm if surface.stop else surface.semi_diameter_mm), 0.0)
+        rows.append(row)
+        row.distance = surface.thickness_mm or 0.0
+        if element is not None and element.surfaces[-1] == i:
+            shift, tilt = move_of(element)
+            length = lens.vertices_mm[i] - lens.vertices_mm[element.surfaces[0]]
+            back = _break((*(-value for value in (*shift[:2], *tilt)), 1.0))
+            rows.append(_Row(back, length - shift[2] + row.distance))
+            row.distance = -length
+    return rows
+
+
+def _break(values: Iterable[float]) -> list[str]:
+    """Return a coordinate break: shifts, tilts, and which of them come first."""
+    return ["  TYPE COORDBRK", *(f"  PARM {place} {value + 0.0!r}" for place, value in enumerate(values, 1))]
+
+
 def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
-    lines = [f"SURF {number + 1}"]
-    if surface.stop:
-        lines.append("  STOP")
+    lines = ["  STOP"] if surface.stop else []
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:

@@ -5,7 +5,7 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.optics.glass import glass_name
-from lfmesh.scene import Element, Lens, Pose, Surface, load_lens
+from lfmesh.scene import Lens, Surface, load_lens
 from lfmesh.scene.files import library
 from lfmesh.scene.materials.own_glass import OwnGlass
 
@@ -87,13 +87,6 @@ def test_glasses_of_no_catalogue_come_back_or_are_refused(tmp_path, ending, glas
         # A table of a formula gives its values between the lines again to some digits.
         for wavelength_nm in (410.0, 520.0, 620.0, 900.0):
             assert again.index_at(wavelength_nm) == pytest.approx(glass.index_at(wavelength_nm), abs=2e-5)
-
-
-def test_tilted_elements_are_not_written():
-    surfaces = load_lens("lib:ball_10mm").surfaces
-    lens = Lens(surfaces=surfaces, elements=(Element(surfaces=(0, 1), pose=Pose(tilt_deg=(1.0, 0.0, 0.0))),))
-    with pytest.raises(SceneError, match="tilted and decentred elements cannot be written"):
-        write_lens_file(lens, "never.zmx")
 
 
 def test_an_unknown_ending_is_refused():

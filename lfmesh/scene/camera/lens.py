@@ -93,8 +93,9 @@ class Surface(Model):
     """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
     { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
     qbfs: Qbfs | None = None
-    """Forbes' mild asphere, with the same keys, without `conic`, `asphere_mm` and `qcon`: a deviation along the normal
-    of the sphere of `radius_mm`, which is then the best-fit sphere; at the vertex the surface has another radius."""
+    """Forbes' mild asphere, with the same keys, without `asphere_mm` and `qcon`: a deviation along the normal of the
+    sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`; at the vertex the surface has another
+    radius."""
 
     biconic: Biconic | None = None
     """Another section in x: `radius_mm` and `conic` are then those of the section y–z, and this gives those of the
@@ -141,7 +142,9 @@ class Surface(Model):
 
     @property
     def _qbfs_form(self) -> EvenForm | None:
-        return None if self.qbfs is None else self.qbfs.even_form(1.0 / self.radius_mm)
+        if self.qbfs is None:
+            return None
+        return self.qbfs.even_form(1.0 / self.radius_mm, self.conic, self.semi_diameter_mm)
 
     @property
     def terms_mm(self) -> tuple[float, ...]:
@@ -274,8 +277,8 @@ class Surface(Model):
 
     def _qbfs_faults(self, qbfs: Qbfs) -> Iterator[Fault]:
         """Yield what Forbes' mild asphere does not go with, and why it has no even form."""
-        rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a sphere, by all its terms"
-        own = {"conic": self.conic, "asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
+        rho, omit = qbfs.norm_radius_mm, "omit it: qbfs deviates from a conic, by all its terms"
+        own = {"asphere_mm": self.asphere_mm, "odd_asphere_mm": self.odd_asphere_mm}
         for key, value in own.items():
             if value:
                 yield Fault((key,), value, omit)
@@ -289,8 +292,8 @@ class Surface(Model):
         if form is None:
             yield Fault(
                 ("qbfs",), None,
-                f"with radius_mm = {self.radius_mm:g} its sphere, or that at its vertex, ends inside norm_radius_mm = "
-                f"{rho:g}; give a longer radius or smaller coefficients",
+                f"with {self._shape_in_words()} its conic, or that at its vertex, ends inside semi_diameter_mm = "
+                f"{min(self.semi_diameter_mm or rho, rho):g}; give a longer radius or smaller coefficients",
             )  # fmt: skip
         elif not form.error_mm <= (most := qbfs.largest_error_mm):
             yield Fault(

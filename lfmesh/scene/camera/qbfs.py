@@ -1,9 +1,10 @@
-"""Forbes' mild aspheres, "Q-bfs": a deviation along the normal of a sphere, in terms whose slopes are orthogonal.
+"""Forbes' mild aspheres, "Q-bfs": a deviation along the normal of a conic, in terms whose slopes are orthogonal.
 
 G. W. Forbes, "Shape specification for axially symmetric optical surfaces", Opt. Express 15 (2007) 5218-5226: with
-u = r / ρ, the sag beside the sphere of curvature c is u² (1 − u²) / √(1 − c² ρ² u²) Σ a_m Q_m(u²). The Q_m follow from
-the recurrence of "Robust, efficient computational methods for axially symmetric optical aspheres", Opt. Express 18
-(2010) 19700-19712. The surface is traced as an even asphere about the curvature that it has at its vertex.
+u = r / ρ, the sag beside the sphere of curvature c is u² (1 − u²) / √(1 − c² r²) Σ a_m Q_m(u²). The root is the cosine
+of the sphere's normal; that of a conic is √(1 − (1 + k) c² r²) / √(1 − k c² r²). The Q_m follow from the recurrence of
+"Robust, efficient computational methods for axially symmetric optical aspheres", Opt. Express 18 (2010) 19700-19712.
+The surface is traced as an even asphere about the curvature that it has at its vertex.
 """
 
 import math
@@ -28,10 +29,10 @@ _CHECKED = 64
 
 
 class Qbfs(Model):
-    """Deviation from the sphere by Forbes' coefficients."""
+    """Deviation from the sphere, or conic, by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Height at which the surface meets its sphere again, in mm: the radius of the clear aperture, or a little more."""
+    """Height at which the surface meets its conic again, in mm: the radius of the clear aperture, or a little more."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
     """a₀, a₁, ..., in mm."""
 
@@ -40,10 +41,23 @@ class Qbfs(Model):
         """Bound of the difference between the sag of the even form and the formula's."""
         return _LARGEST_ERROR * min(1.0, self.norm_radius_mm)
 
-    def even_form(self, curvature_per_mm: float) -> "EvenForm | None":
-        """Return the even asphere that is this deviation from a sphere; None where a sphere ends below ρ."""
+    def even_form(
+        self, curvature_per_mm: float, conic: float = 0.0, semi_diameter_mm: float | None = None
+    ) -> "EvenForm | None":
+        """Return the even asphere that is this deviation from a conic; None where a conic ends inside the aperture.
+
+        Parameters
+        ----------
+        curvature_per_mm : float
+            Of the conic at its vertex.
+        conic : float
+            Its conic constant.
+        semi_diameter_mm : float, optional
+            Radius of the clear aperture; that of the polynomials if left out.
+        """
+        reach = min(semi_diameter_mm or self.norm_radius_mm, self.norm_radius_mm)
         wanted = _WANTED * self.largest_error_mm
-        return _even_form(curvature_per_mm, self.norm_radius_mm, self.coefficients_mm, wanted)
+        return _even_form((curvature_per_mm, conic), self.norm_radius_mm, self.coefficients_mm, reach, wanted)
 
 
 @dataclass(frozen=True)
@@ -74,42 +88,44 @@ def _q(x: Decimal, coefficients: tuple[Decimal, ...]) -> Decimal:
     return total
 
 
-def _sphere(curvature: Decimal, conic: int, r2: Decimal) -> Decimal:
+def _conic(curvature: Decimal, conic: Decimal, r2: Decimal) -> Decimal:
     return curvature * r2 / (1 + (1 - (1 + conic) * curvature * curvature * r2).sqrt())
 
 
 @lru_cache(maxsize=256)
 def _even_form(
-    curvature: float, norm_radius: float, coefficients: tuple[float, ...], wanted_mm: float
+    base: tuple[float, float], norm_radius: float, coefficients: tuple[float, ...], reach: float, wanted_mm: float
 ) -> EvenForm | None:
     """Return the even form with the fewest terms that reach the wanted error, or with the least error."""
     with localcontext() as context:
         context.prec = _DIGITS
-        c, rho = Decimal(curvature), Decimal(norm_radius)
+        c, k, rho, rim = *map(Decimal, base), Decimal(norm_radius), Decimal(reach)
+        outside = (rim / rho) ** 2
         a = tuple(Decimal(value) for value in coefficients)
         at_vertex = c + 2 * _q(Decimal(0), a) / rho**2
         radius = float(1 / at_vertex) if at_vertex else math.inf
-        if radius == 0.0 or max(abs(c), abs(at_vertex)) * rho >= 1:
+        if radius == 0.0 or (1 + k) * (max(abs(c), abs(at_vertex)) * rim) ** 2 >= 1:
             return None
-        vertex, conic = (Decimal(0) if math.isinf(radius) else 1 / Decimal(radius)), (0 if curvature else -1)
+        vertex, of_form = (Decimal(0) if math.isinf(radius) else 1 / Decimal(radius)), (k if c else Decimal(-1))
 
         def beyond(x: Decimal) -> Decimal:
             r2 = x * rho * rho
-            forbes = x * (1 - x) / (1 - c * c * r2).sqrt() * _q(x, a)
-            return _sphere(c, 0, r2) + forbes - _sphere(vertex, conic, r2)
+            cosine = ((1 - (1 + k) * c * c * r2) / (1 - k * c * c * r2)).sqrt()
+            forbes = x * (1 - x) / cosine * _q(x, a)
+            return _conic(c, k, r2) + forbes - _conic(vertex, of_form, r2)
 
-        places = [Decimal(k) / _CHECKED for k in range(1, _CHECKED + 1)]
+        places = [outside * i / _CHECKED for i in range(1, _CHECKED + 1)]
         true = [float(beyond(x)) for x in places]
         best: EvenForm | None = None
         for count in range(1, MOST_ASPHERE_TERMS + 1):
-            nodes = [Decimal(0.5 - 0.5 * math.cos((k + 0.5) * math.pi / count)) for k in range(count)]
+            nodes = [outside * Decimal(0.5 - 0.5 * math.cos((i + 0.5) * math.pi / count)) for i in range(count)]
             terms = _interpolated(nodes, [beyond(x) / x**2 for x in nodes])
-            found = tuple(float(term / rho ** (2 * k + 4)) for k, term in enumerate(terms))
+            found = tuple(float(term / rho ** (2 * i + 4)) for i, term in enumerate(terms))
             error = max(abs(_float_sum(terms, x) - z) for x, z in zip(places, true, strict=True))
             if not within_floats(found, norm_radius):
                 error = math.inf
             if best is None or not error >= best.error_mm:
-                best = EvenForm(radius, conic, found, error)
+                best = EvenForm(radius, float(of_form), found, error)
             if error <= wanted_mm:
                 break
         return best

@@ -1,0 +1,194 @@
+"""Clear apertures of an imported lens: what the file gives, or what its pupil and fields need, by paraxial rays."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.prescription import KeptSurfaces, Prescription
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.scene.camera.lens import Surface
+from lfmesh.scene.camera.sections import AZIMUTHS
+from lfmesh.scene.first_order.paraxial import Paraxial, Ray
+
+MARGIN = 0.05
+"""Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
+
+
+def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> float:
+    """Return the radius of the stop that the file's pupil makes, by paraxial rays at its primary wavelength.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    made : KeptSurfaces
+    paraxial : Paraxial
+        Of the kept surfaces.
+    report : Report
+        Names the file in errors.
+
+    Raises
+    ------
+    SceneError
+        The pupil makes no stop of finite size.
+    """
+    kind, value = prescription.pupil
+    unit = prescription.unit_mm
+    stop = made.kept[paraxial.stop]
+    object_mm = made.object_mm
+    ray = paraxial.axial_ray(object_mm)
+    at_stop = abs(paraxial.to_stop(ray).height_mm)
+    angle = abs(paraxial.whole(ray).angle)
+    if kind == "epd":
+        radius = 0.5 * value * unit * abs(paraxial.to_stop.a)
+    elif kind == "f_number":
+        radius = 0.5 * abs(paraxial.efl_mm) / value * abs(paraxial.to_stop.a)
+    elif kind == "working_f_number":
+        radius = at_stop / angle / (2.0 * value) if angle else math.inf
+    elif kind == "image_na":
+        radius = at_stop / angle * math.tan(math.asin(min(value, 0.999))) if angle else math.inf
+    elif kind == "object_na":
+        if math.isinf(object_mm):
+            raise SceneError(f"{report.path}: an aperture of the object's side needs an object at a finite distance")
+        radius = abs(paraxial.to_stop(Ray(object_mm, 1.0)).height_mm) * math.tan(math.asin(min(value, 0.999)))
+    else:
+        size = stop.aperture or stop.extent
+        if not size:
+            raise SceneError(f"{report.path}: line {stop.line}: neither a pupil nor the stop's own size is given")
+        radius = size * unit
+    if not 0 < radius < math.inf:
+        raise SceneError(f"{report.path}: its {kind.replace('_', ' ')} of {value:g} makes no stop of finite size")
+    if stop.aperture is not None:
+        radius = min(radius, stop.aperture * unit)
+    return radius
+
+
+def apertures_mm(
+    prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, stop_mm: float, report: Report
+) -> list[float]:
+    """Return the clear radius of every surface: the file's, or what its fields need.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    made : KeptSurfaces
+    paraxial : Paraxial
+        Of the kept surfaces.
+    stop_mm : float
+        Radius of the stop.
+    report : Report
+        Gets what was computed.
+    """
+    unit = prescription.unit_mm
+    given = [surface.aperture or surface.extent for surface in made.kept]
+    needed = _needed_mm(prescription, made, paraxial, stop_mm)
+    if any(surface.section for surface in made.kept):
+        curvatures = tuple((s.curvature_x if s.section else s.vertex_curvature) / unit for s in made.kept)
+        across = _needed_mm(prescription, made, replace(paraxial, curvatures=curvatures), stop_mm)
+        needed = [max(sizes) for sizes in zip(needed, across, strict=True)]
+    apertures, computed = [], []
+    for i, (surface, size) in enumerate(zip(made.kept, given, strict=True)):
+        if i == paraxial.stop:
+            apertures.append(stop_mm)
+        elif size:
+            apertures.append(size * unit)
+        else:
+            reach = unit * min(_reach(surface.curvature, surface.conic), _reach(surface.curvature_x, surface.conic_x))
+            apertures.append(min(needed[i] * (1 + MARGIN), 0.999 * reach))
+            computed.append(str(i))
+        end = surface.forbes[1] * unit if surface.forbes and surface.forbes[0] == "qbfs" else math.inf
+        if apertures[-1] > end:
+            how = f"clear aperture of surface {i}: {end:.6g} mm, where its terms end, not {apertures[-1]:.6g} mm"
+            report.add(surface.line, surface.text, Verdict.APPROXIMATED, how)
+            apertures[-1] = end
+    if computed:
+        report.notes.append(
+            f"clear aperture of surface{'s' if len(computed) > 1 else ''} {', '.join(computed)}: from the fields by "
+            f"paraxial marginal and chief rays, with {MARGIN:.0%} to spare"
+        )
+    return apertures
+
+
+def _reach(curvature: float, conic: float) -> float:
+    """Return the height at which a conic ends."""
+    return 1.0 / abs(curvature) / math.sqrt(1 + conic) if curvature and conic > -1 else math.inf
+
+
+def _needed_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, stop_mm: float) -> list[float]:
+    """Return the height up to which the beams of all fields fill each surface."""
+    object_mm = made.object_mm
+    marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, stop_mm))
+    pupil_mm, _ = paraxial.entrance_pupil(stop_mm)
+    most = [abs(height) for height in marginal]
+    for point in prescription.fields:
+        size = math.hypot(point.x, point.y)
+        chief = paraxial.heights_mm(_chief_ray(prescription, paraxial, size, object_mm, pupil_mm))
+        for i, (axis, edge) in enumerate(zip(chief, marginal, strict=True)):
+            most[i] = max(most[i], abs(axis + point.upper * edge), abs(axis - point.lower * edge))
+    return most
+
+
+def _chief_ray(prescription: Prescription, paraxial: Paraxial, size: float, object_mm: float, pupil_mm: float) -> Ray:
+    """Return the ray of a field point through the middle of the entrance pupil, at the first vertex."""
+    unit = prescription.unit_mm
+    if prescription.field_kind == "angle":
+        slope = math.tan(math.radians(min(size, 89.0)))
+        return Ray(0.0, slope) if math.isinf(pupil_mm) else Ray(-slope * pupil_mm, slope)
+    height = size * unit
+    if prescription.field_kind == "image":
+        scale = paraxial.efl_mm if math.isinf(object_mm) else paraxial.magnification(object_mm)
+        if math.isinf(object_mm):
+            slope = height / scale if scale else 0.0
+            return Ray(0.0, slope) if math.isinf(pupil_mm) else Ray(-slope * pupil_mm, slope)
+        height = height / scale if scale else 0.0
+    if math.isinf(object_mm) or math.isinf(pupil_mm) or object_mm + pupil_mm == 0:
+        return Ray(height, 0.0)
+    # The object stands below the axis, so that the ray climbs through the pupil, as a positive field angle does.
+    slope = height / (object_mm + pupil_mm)
+    return Ray(-slope * pupil_mm, slope)
+
+
+def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, report: Report) -> list[dict[str, object]]:
+    """Shrink apertures that are drawn or followed from the fields where neighbours would cross inside them.
+
+    Parameters
+    ----------
+    surfaces : list of dict
+        Keys of each surface of a scene.
+    made : KeptSurfaces
+    report : Report
+        Gets what was shrunk.
+    """
+    shaped = [Surface(**values) for values in surfaces]
+    for i, (front, back) in enumerate(pairwise(shaped)):
+        # What the file's program draws stops no light, and neither does what follows from the fields.
+        free = [k for k in (i, i + 1) if not (made.kept[k].aperture or shaped[k].stop)]
+        sizes = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
+        if not free or not sizes:
+            continue
+        radius = _radius_of_contact(front, back, min(sizes))
+        if radius < min(sizes):
+            for k in free:
+                surfaces[k] = {**surfaces[k], "semi_diameter_mm": min(radius, shaped[k].semi_diameter_mm or radius)}
+            how = (
+                f"clear aperture of surfaces {', '.join(map(str, free))}: {radius:.6g} mm, where surfaces {i} and "
+                f"{i + 1} meet"
+            )
+            drawn = [made.kept[k] for k in free if made.kept[k].extent]
+            for surface in drawn:
+                report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"{how}, within what the file draws")
+            if not drawn:
+                report.notes.append(how)
+    return surfaces
+
+
+def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
+    """Return the height, at most `most`, up to which two neighbours do not cross."""
+    most = min(most, front.reach_mm, back.reach_mm)
+    for k in range(1, 257):
+        height = most * k / 256
+        if max(a - b for a, b in zip(*(s.sags_mm(height, AZIMUTHS) for s in (front, back)), strict=True)) > (
+            front.thickness_mm or 0.0
+        ):
+            return most * (k - 1) / 256
+    return math.inf

@@ -1,0 +1,317 @@
+"""The lens that a prescription of a lens file makes.
+
+Files of other programs describe more than glass: planes without effect, apertures that follow from the fields, a pupil
+in place of a stop. Here that becomes surfaces with clear apertures and a stop, by paraxial optics where the file leaves
+a size open.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import accumulate
+
+import numpy as np
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.clear_apertures import apertures_mm, stop_radius_mm, without_crossings
+from lfmesh.imports.coatings import lens_coatings
+from lfmesh.imports.conditions import Conditions, FieldPoint
+from lfmesh.imports.decentres import START, Place, gaps, straightened
+from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
+from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
+from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.first_order.paraxial import Paraxial
+
+OFF_MM = 1e-9
+"""How far a surface may lie off after its term in r² was rewritten."""
+
+_MOST_DIGITS = 17
+
+
+def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, str | float] | None = None) -> Lens:
+    """Return the lens of a file.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    report : Report
+        Gets what was approximated, and notes.
+    glasses : mapping, optional
+        Catalogue glass or index by the name that the file uses, in place of looking the name up.
+
+    Raises
+    ------
+    SceneError
+        The file has lines that change the image and cannot be taken; all of them are named.
+    """
+    if len(prescription.surfaces) < 3:
+        report.raise_refusals()
+        raise SceneError(f"{report.path}: holds no lens: {_count(prescription)} between the object and the image")
+    for surface in prescription.surfaces:
+        surface.take_square()
+    media = _media(prescription, report, glasses or {})
+    made = _merged(prescription, media, report)
+    report.raise_refusals()
+    if not made.kept:
+        raise SceneError(f"{report.path}: holds no lens: all of its surfaces have the same medium on both sides")
+    stop = _stop_of(made.kept)
+    unit = prescription.unit_mm
+    try:
+        paraxial = Paraxial(
+            curvatures=tuple(surface.vertex_curvature / unit for surface in made.kept),
+            gaps_mm=tuple(made.gaps_mm),
+            indices=(AIR, *(refractive_index(medium, prescription.primary_nm) for medium in made.media)),
+            stop=stop,
+            thin_powers=tuple(_thin_power(surface) / unit for surface in made.kept),
+        )
+    except GlassError as error:
+        raise SceneError(f"{report.path}: {error}") from None
+    kind, value = prescription.pupil
+    # Both f-numbers are the same for an object at infinity.
+    of_infinity = kind == "f_number" or (kind == "working_f_number" and math.isinf(made.object_mm))
+    f_number = value if of_infinity else None
+    stop_mm = stop_radius_mm(prescription, made, paraxial, report)
+    apertures = apertures_mm(prescription, made, paraxial, stop_mm, report)
+    for surface, aperture in zip(made.kept, apertures, strict=True):
+        if surface.rewritten is None:
+            continue
+        # A scene may open the stop as far as the file draws the surface.
+        aperture = max(aperture, unit * (surface.extent or 0.0))
+        if not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
+            raise SceneError(
+                f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
+                f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
+            )
+    coatings, names = lens_coatings(made.kept, made.media, prescription.primary_nm, prescription.coating_file, report)
+    # Forbes' mild terms end at their radius, so that no f-number may size them.
+    f_number = None if made.kept[stop].forbes else f_number
+    surfaces = []
+    for i, surface in enumerate(made.kept):
+        given: dict[str, object] = {
+            "thickness_mm": made.gaps_mm[i] if i < len(made.gaps_mm) else None,
+            "semi_diameter_mm": None if i == stop and f_number is not None else apertures[i],
+            "stop": i == stop,
+            "coating": names[i],
+        }
+        values = given | _shape(surface, unit) | _medium_keys(made.media[i])
+        surfaces.append({key: value for key, value in values.items() if value is not None})
+    try:
+        surfaces = without_crossings(surfaces, made, report)
+        lens = Lens(
+            name=prescription.name or None,
+            source=prescription.source or None,
+            surfaces=tuple(Surface(**values) for values in surfaces),
+            f_number=f_number,
+            coatings=coatings,
+            elements=tuple(made.elements),
+        )
+    except SceneError as error:
+        raise SceneError(f"{report.path}: as a lens of this program: {error}") from None
+    _note(prescription, made, paraxial, report)
+    return lens
+
+
+def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
+    """Return the keys of a scene's surface that give its shape."""
+    coefficients = [a * unit ** (-2 * j - 3) for j, a in enumerate(surface.asphere)]
+    odd = [a * unit ** (-2 * j - 2) for j, a in enumerate(surface.odd)]
+    for terms in (coefficients, odd):
+        while terms and terms[-1] == 0.0:
+            terms.pop()
+    values: dict[str, object] = {
+        "radius_mm": shortest_radius(surface.curvature / unit),
+        "paraxial": surface.focal_length is not None,
+        "focal_length_mm": None if surface.focal_length is None else surface.focal_length * unit,
+        "conic": surface.conic,
+        "asphere_mm": tuple(coefficients),
+        "odd_asphere_mm": tuple(odd),
+    }
+    if surface.section is not None:
+        across: dict[str, float] = {"radius_x_mm": shortest_radius(surface.curvature_x / unit)}
+        values[surface.section] = across | ({"conic_x": surface.conic_x} if surface.section == "biconic" else {})
+    if surface.forbes is not None:
+        kind, norm_radius, terms = surface.forbes
+        scaled = tuple(term * unit for term in terms)
+        values[kind] = {"norm_radius_mm": norm_radius * unit, "coefficients_mm": scaled}
+    return values
+
+
+def _medium_keys(medium: Medium | None) -> dict[str, object]:
+    return {"index" if isinstance(medium, float) else "glass": medium}
+
+
+def shortest_radius(curvature: float) -> float:
+    """Return the radius of a curvature with the fewest digits that has exactly this curvature; inf for 0."""
+    if curvature == 0 or abs(curvature) < 1e-300:
+        return math.inf
+    radius = 1.0 / curvature
+    for digits in range(1, _MOST_DIGITS):
+        rounded = float(f"{radius:.{digits}g}")
+        if rounded and 1.0 / rounded == curvature:
+            return rounded
+    return radius
+
+
+def _thin_power(surface: FileSurface) -> float:
+    """Return the power of a thin lens, in the reciprocal of the file's unit; 0 for other surfaces."""
+    return 0.0 if surface.focal_length is None else 1.0 / surface.focal_length
+
+
+def _count(prescription: Prescription) -> str:
+    number = max(0, len(prescription.surfaces) - 2)
+    return f"{number} surface{'' if number == 1 else 's'}"
+
+
+def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str | float]) -> list[Medium | None]:
+    """Return what follows each surface; None is air."""
+    media: list[Medium | None] = []
+    for surface in prescription.surfaces:
+        if surface.is_break:
+            media.append(media[-1] if media else None)
+            continue
+        medium: Medium | None = None
+        at, text = surface.glass_line or (surface.line, surface.text)
+        try:
+            if surface.glass is not None and surface.glass in glasses:
+                given = glasses[surface.glass]
+                medium = given if isinstance(given, str) else float(given)
+                report.add(at, text, Verdict.APPROXIMATED, f"{surface.glass}: {given} as asked for")
+            elif surface.glass in prescription.indices:
+                medium = prescription.indices[surface.glass]
+            elif surface.glass is not None:
+                found, doubt = named_glass(surface.glass, prescription.makers)
+                medium = glass_name(found)
+                doubts = [doubt, unlike(found, surface.stated_index) if surface.stated_index is not None else ""]
+                for how in filter(None, doubts):
+                    report.add(at, text, Verdict.APPROXIMATED, how)
+            elif surface.model is not None:
+                medium = model_glass(*surface.model, prescription.wavelengths_nm)
+                if surface.model[1]:
+                    how = "the normal glass of its nd and Vd"
+                    report.add(at, text, Verdict.APPROXIMATED, how)
+        except GlassError as error:
+            report.refuse(at, text, str(error))
+        media.append(None if medium == AIR else medium)
+    return media
+
+
+def _merged(prescription: Prescription, media: list[Medium | None], report: Report) -> KeptSurfaces:
+    """Leave out surfaces that neither bend nor stop light, and join the distances beside them."""
+    unit = prescription.unit_mm
+    distances = [surface.thickness * unit for surface in prescription.surfaces]
+    made = KeptSurfaces([], [], [], distances[0], 0.0)
+    if media[0] is not None:
+        report.refuse(prescription.surfaces[0].line, "object", "it stands in a medium; the lens must start in air")
+    for surface, name in ((prescription.surfaces[0], "object"), (prescription.surfaces[-1], "image")):
+        if surface.curvature or any(surface.asphere) or any(surface.odd) or surface.forbes:
+            how = f"the {name} is curved in the file; here it is flat"
+            report.add(surface.line, surface.text or name, Verdict.APPROXIMATED, how)
+    inner = prescription.surfaces[1:-1]
+    for surface in inner:
+        if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
+            report.refuse(surface.line, surface.text, "a paraxial lens without its focal length, PARM 1")
+    if inner and not any(surface.stop for surface in inner):
+        inner[0].stop = True
+    before: Medium | None = None
+    left_out = []
+    numbers = []
+    for i, surface in enumerate(inner, 1):
+        kept = surface.stop or surface.aperture is not None or media[i] != before or surface.focal_length is not None
+        if kept:
+            numbers.append(i)
+            made.kept.append(surface)
+            made.media.append(media[i])
+            made.gaps_mm.append(distances[i])
+        else:
+            if not surface.is_break:
+                left_out.append(str(i))
+            if made.gaps_mm:
+                made.gaps_mm[-1] += distances[i]
+            else:
+                made.object_mm += distances[i]
+        before = media[i]
+    if left_out:
+        report.notes.append(
+            f"surface{'s' if len(left_out) > 1 else ''} {', '.join(left_out)} of the file: the same medium on both "
+            "sides and no aperture; left out"
+        )
+    if made.kept:
+        made.image_mm = made.gaps_mm.pop()
+        _stand_off_axis(prescription, made, numbers, report)
+    if abs(made.object_mm) >= FAR_MM:
+        made.object_mm = math.inf
+    # Behind a mirror, which is refused already, light goes back.
+    forward = not report.of(Verdict.REFUSED)
+    for surface, distance in zip(made.kept, made.gaps_mm, strict=False):
+        if forward and distance < -1e-12 * unit:
+            report.refuse(
+                surface.line,
+                surface.text,
+                f"the next surface stands {-distance:.6g} mm before this one; light must go on",
+            )
+    made.gaps_mm = [max(0.0, distance) for distance in made.gaps_mm]
+    return made
+
+
+def _stop_of(kept: list[FileSurface]) -> int:
+    return next(i for i, surface in enumerate(kept) if surface.stop)
+
+
+def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: list[int], report: Report) -> None:
+    """Lay the kept surfaces out along the axis, and put those that moves of the frame take off it into elements."""
+    moved = [surface for surface in prescription.surfaces if surface.before or surface.after]
+    if not moved:
+        return
+    place, places = START, list[Place]()
+    sums = [0.0, *accumulate(surface.thickness * prescription.unit_mm for surface in prescription.surfaces[1:])]
+    for surface in prescription.surfaces[1:]:
+        place = place.moved(surface.before) if surface.before else place
+        places.append(Place(place.vertex * prescription.unit_mm, place.turn))
+        place = place.moved(surface.after) if surface.after else place
+        place = place.along(surface.thickness)
+    image = places[-1]
+    if not image.on_axis(float(np.linalg.norm(image.vertex))):
+        aside, tilt = np.hypot(*image.vertex[:2]), math.degrees(image.turn.magnitude())
+        report.refuse(
+            moved[-1].line,
+            moved[-1].text,
+            f"the axis is not turned back: the image stands {aside:.4g} mm aside, tilted by {tilt:.4g} degrees; tilted "
+            "and decentred groups must be followed by the axis of the object",
+        )
+        return
+    vertices, made.elements = straightened(
+        [places[number - 1] for number in numbers], [sums[number - 1] for number in numbers]
+    )
+    made.gaps_mm = gaps(vertices)
+    made.object_mm = prescription.surfaces[0].thickness * prescription.unit_mm + vertices[0]
+    made.image_mm = float(image.vertex[2]) - vertices[-1]
+
+
+def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> None:
+    """Note what the file says beside the lens."""
+    scale = 1.0 if prescription.field_kind == "angle" else prescription.unit_mm
+    report.conditions = Conditions(
+        wavelengths_nm=tuple(prescription.wavelengths_nm) or (D_LINE_NM,),
+        primary=min(prescription.primary, max(0, len(prescription.wavelengths_nm) - 1)),
+        field_kind=prescription.field_kind,
+        fields=tuple(replace(point, x=point.x * scale, y=point.y * scale) for point in prescription.fields)
+        or (FieldPoint(),),
+        object_mm=made.object_mm,
+        image_mm=made.image_mm,
+    )
+    lines = ", ".join(f"{line:.10g}" for line in prescription.wavelengths_nm)
+    if lines:
+        report.notes.append(
+            f"transport.wavelengths_nm = [{lines}]; first-order figures at {prescription.primary_nm:.10g}"
+        )
+    far = "inf" if math.isinf(made.object_mm) else f"{made.object_mm:.10g}"
+    report.notes.append(f"object: {far} mm before the first surface (camera.focus_mm)")
+    report.notes.append(f"image: {made.image_mm:.10g} mm behind the last surface (camera.sensor.distance_mm)")
+    points = ", ".join(f"{math.hypot(point.x, point.y):g}" for point in prescription.fields)
+    if points:
+        unit = "degrees" if prescription.field_kind == "angle" else f"file units on the {prescription.field_kind}"
+        report.notes.append(f"fields: {points} {unit}")
+    report.focal_length_mm = paraxial.efl_mm
+    report.notes.append(f"focal length {paraxial.efl_mm:.10g} mm, back focal length {paraxial.bfl_mm:.10g} mm")

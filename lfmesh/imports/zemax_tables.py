@@ -1,0 +1,73 @@
+"""Names, numbers of parameters and units of Zemax lens files, as the reader looks them up."""
+
+from lfmesh.imports.text import command_names
+
+UNITS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
+
+FIELD_KINDS = {0: "angle", 1: "object", 2: "image", 3: "image"}
+
+WITHOUT_EFFECT = command_names(
+    "VERS AUTH PFIL LANG MOFF RAIM PUSH SDMA OMMA ROPD HYPR PICB POLS GLRS GSTD NSCD BLNK TOL DBDT FWGN FWGT WWGT "
+    "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
+    "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
+)
+"""Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
+
+EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
+"""Aspheres of terms of r over a radius of their own, in XDAT, and by how much the power grows from term to term."""
+
+ASPHERES = ("EVENASPH", "ODDASPHE", *EXTENDED)
+
+FORBES = "QED_TYPE"
+"""Forbes' aspheres: XDAT 1 is 0 for mild ones and 1 for strong ones, 2 the number of terms, 3 the radius that heights
+are counted in, the rest the coefficients from a₀, as a catalogue lens has them (ASL5040-UV of Thorlabs, whose focus is
+sharp at 405 nm with the deviation along the normal of its conic)."""
+
+FIRST_TERM = {FORBES: 4, **dict.fromkeys(EXTENDED, 3)}
+"""Place of the first coefficient in XDAT, behind the number of terms and the radius."""
+
+SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
+"""Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
+its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
+
+Held against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
+coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). Of the biconic no vendor's page of
+the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
+prysm takes parameter 1 for a curvature."""
+
+MOST_EXTRA = 1000
+
+LAST_OF_TOROID, ZERNIKE_TERMS = 8, 13
+"""Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
+
+OF_ZERNIKE_TERMS = 0, 14
+"""Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
+
+ORDER_OF_BREAK = 6
+"""Parameter of a coordinate break: 0 shifts and then tilts about x, y and z, others tilt about z, y and x first. It
+follows the shifts in x and y and the three angles, right-handed, each about the axes that the last one left (Zemax's
+"Rotation Matrix and Tilt About X/Y/Z in OpticStudio")."""
+
+REFUSED_TYPES = {
+    "XODDASPH": "extended odd aspheres are not supported",
+    "XPOLYNOM": "surfaces without rotational symmetry are not supported",
+    "SZERNSAG": "surfaces without rotational symmetry are not supported",
+    "DGRATING": "gratings are not supported",
+    "BINARY_1": "diffractive surfaces are not supported",
+    "BINARY_2": "diffractive surfaces are not supported",
+    "NONSEQCO": "non-sequential groups are not supported",
+    "FRESNELS": "Fresnel surfaces are not supported",
+    "IRREGULA": "irregular surfaces are not supported",
+}
+
+APERTURES_REFUSED = {
+    "OBSC": "a central obscuration",
+    "SQOB": "a rectangular obscuration",
+    "ELOB": "an elliptical obscuration",
+    "ELAP": "an elliptical aperture",
+    "SPID": "a spider",
+    "UDAD": "an aperture drawn by the user",
+    "UDOB": "an obscuration drawn by the user",
+}
+
+THERMAL = 20.0, 1.0

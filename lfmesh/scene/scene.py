@@ -499,8 +499,6 @@ class Scene(Model, Shown):
             return
         if mla is None:
             yield Fault(where, chosen, 'needs camera.mla; a lens\'s own diffraction is not there yet: take "none"')
-        elif mla.has_back:
-            yield Fault(where, chosen, 'follows arrays with lenslets on one face; take "none" with camera.mla.back')
         elif mla.curved_finish.is_rough or mla.flat_finish.is_rough:
             yield Fault(where, chosen, 'needs an array that is polished; take "none" with a rough finish')
         if self.transport.polarisation:

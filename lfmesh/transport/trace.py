@@ -47,7 +47,7 @@ from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
-from lfmesh.transport.tables.lens import apertures_of
+from lfmesh.transport.tables.lens import with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
@@ -392,8 +392,8 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
         lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
-        mla=with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla)._replace(
-            apertures=apertures_of(world.scene, (wavelength_nm,))
+        mla=with_diffraction(
+            world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)
         ),
         objects=objects,
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),

@@ -87,9 +87,14 @@ class LensTables(NamedTuple):
 class Apertures(NamedTuple):
     """Apertures of the lenslets, as diffraction needs them (see `events.kick`)."""
 
-    hexagonal: bool
+    shape: int  # RECTANGLE, HEXAGON or ROUND
     spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
     quantiles: Array  # see `diffraction.sinc2_quantiles`
+    row: int  # of the face that has them among the array's interfaces
+    to_lens: bool  # that face looks to the lens
+    # Shift of a point of the sensor that turns a ray through a given point of the lenslets aimed at, by one radian
+    # behind the array, over the point's distance from them.
+    lever: float
 
 
 @by_address
@@ -120,6 +125,13 @@ class MlaTables(NamedTuple):
     back: Any = None
     # Apertures where they diffract, else None, likewise.
     apertures: Any = None
+
+
+def undiffracted(mla: MlaTables) -> MlaTables:
+    """Return the tables of the array, of both its faces, without diffraction."""
+    if mla.apertures is None:
+        return mla
+    return mla._replace(apertures=None, back=None if mla.back is None else mla.back._replace(apertures=None))
 
 
 @by_address
@@ -321,8 +333,7 @@ class Tables(NamedTuple):
     @property
     def camera(self) -> Camera:
         """The parts of the camera, without diffraction: for rays, which have no random numbers."""
-        mla = self.mla if self.mla.apertures is None else self.mla._replace(apertures=None)
-        return Camera(self.lens, mla, self.sensor, self.frames, self.cover)
+        return Camera(self.lens, undiffracted(self.mla), self.sensor, self.frames, self.cover)
 
     @property
     def camera_of_packets(self) -> Camera:

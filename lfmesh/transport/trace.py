@@ -391,7 +391,7 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
-        lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
+        lens=tables.lens._replace(aperture=None, media=media(tables.lens.medium), interfaces=interfaces.lens),
         mla=with_diffraction(
             world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)
         ),

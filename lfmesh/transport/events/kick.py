@@ -1,4 +1,4 @@
-"""Diffraction at a lenslet's aperture: a packet that passes it changes its direction by chance.
+"""Diffraction at a lenslet's aperture, or the stop: a packet that passes it changes its direction by chance.
 
 The change is taken in air, at the lenslet's face: before a packet from the air meets it, and after one has left it. Of
 two faces with lenslets, light is diffracted at the one that limits it (`tables.lens.apertures_of`).
@@ -129,6 +129,32 @@ def turned(
         return False, dx, dy, dz
     uz = np.sqrt(uz2) if dz > 0.0 else -np.sqrt(uz2)
     return ux * nx + uy * ny + uz * nz > 0.0, ux, uy, uz
+
+
+@inlined
+def turned_along(
+    kick: tuple[float, float], d: tuple[float, float, float], n: tuple[float, float, float]
+) -> tuple[bool, float, float, float]:
+    """Return whether a direction's components along a face can be changed, and the new direction.
+
+    Parameters
+    ----------
+    kick : (2,) float
+        In the directions of x along the face, and square to that.
+    d, n : (3,) float
+        Unit direction, and unit normal of either side.
+    """
+    over, along = 1.0 / np.sqrt(1.0 - n[0] * n[0]), d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
+    a, b = kick[0] * over, kick[1] * over
+    # x less its part along the normal, and the vector product of the normal with that.
+    tx = d[0] - along * n[0] + a * (1.0 - n[0] * n[0])
+    ty = d[1] - along * n[1] - a * n[0] * n[1] + b * n[2]
+    tz = d[2] - along * n[2] - a * n[0] * n[2] - b * n[1]
+    left = 1.0 - tx * tx - ty * ty - tz * tz
+    if not left > 0.0:
+        return False, d[0], d[1], d[2]
+    onto = np.sqrt(left) if along > 0.0 else -np.sqrt(left)
+    return True, tx + onto * n[0], ty + onto * n[1], tz + onto * n[2]
 
 
 @inlined

@@ -325,6 +325,24 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
     return with_media(mla, mla.media, apertures=apertures)
 
 
+def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[float, ...]) -> LensTables:
+    """Return the tables of the lens with the aperture of its stop, where the scene asks for its diffraction.
+
+    Parameters
+    ----------
+    scene : Scene
+    lens : LensTables
+    wavelengths_nm : (wavelengths,) tuple of float
+    """
+    if scene.transport.diffraction != "stop":
+        return lens
+    radius = lens.stop_radius
+    if lens.stop_space < 0:
+        radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
+    spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
+    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), -1, False, 0.0))
+
+
 def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:
     """Return the face whose apertures limit light, where it is diffracted, and the lever of `Apertures`.
 

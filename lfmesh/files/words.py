@@ -109,6 +109,8 @@ def _diffraction(scene: Scene) -> list[str]:
     width = f"{facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"
     if scene.transport.diffraction == "lenslets":
         return [f"Diffraction is traced at the lenslets, and not at the lens, whose Airy disk is {width}."]
+    if scene.transport.diffraction == "stop":
+        return [f"Diffraction is traced at the stop: the lens's Airy disk is {width}."]
     widths = [f"the lens's Airy disk is {width}"]
     largest = facts.airy_disk_samples
     if facts.microlens_airy_disk_px is not None:

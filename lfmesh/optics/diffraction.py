@@ -1,4 +1,4 @@
-"""Fraunhofer diffraction at the aperture of a lenslet, as a random change of direction.
+"""Fraunhofer diffraction at an aperture, as a random change of direction.
 
 Behind an aperture of area A, light of wavelength λ in air changes its direction cosines by k with the density
 |∫ exp(−2πi k·r/λ) d²r|² / (λ² A), the power spectrum of the aperture (Goodman, Introduction to Fourier Optics, 4.2, in
@@ -6,8 +6,11 @@ direction cosines as in Harvey, Appl. Opt. 18, 1979). It depends on the differen
 is the same both ways. In q = k/λ, cycles a mm:
 
 - A rectangle: the product over its sides of w sinc²(w q), with sinc x = sin πx / πx.
+- A circle of diameter D: Airy's pattern, within x = D |q| of which lies 1 − J₀²(πx) − J₁²(πx) of the light (Rayleigh).
 - A hexagon is made of three rhombi. Its spectrum is at most three times the sum of theirs (Cauchy-Schwarz inequality),
   each a product of sinc² along the rhombus's sides: rejection from that is exact.
+
+So distances of two densities are drawn, sinc² and Airy's: from a table up to `_BODY`, by rejection beyond.
 """
 
 from functools import cache
@@ -17,17 +20,17 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 
+RECTANGLE, HEXAGON, ROUND = range(3)
+"""Shapes of apertures."""
+
 PARTS = 4096
-"""Equal parts of the chances of a number of density sinc², see `sinc2_quantiles`."""
+"""Equal parts of the chances of a distance, see `sinc2_quantiles`."""
 
 _BODY = 4.0
 """Distance from 0 up to which numbers come from the table."""
 
 _SIDE_X, _SIDE_Y = (0.0, -0.5, 0.5), (1.0 / np.sqrt(3.0), -0.5 / np.sqrt(3.0), -0.5 / np.sqrt(3.0))
 """Every second corner of a hexagon whose sides stand 1 apart, two of them across x: the sides of its three rhombi."""
-
-_RHOMBUS = 1.0 / (2.0 * np.sqrt(3.0))
-"""Area of each."""
 
 
 @cache
@@ -39,50 +42,73 @@ def sinc2_quantiles() -> NDArray[np.float64]:
     """
     from scipy.special import sici
 
-    x = np.linspace(0.0, _BODY, 100 * PARTS + 1)
-    within = 2.0 / np.pi * (sici(2.0 * np.pi * x)[0] - np.sinc(x) ** 2 * np.pi * x)
-    return np.interp(np.arange(int(PARTS * within[-1]) + 1) / PARTS, within, x)
+    x = _distances()
+    return _quantiles(2.0 / np.pi * (sici(2.0 * np.pi * x)[0] - np.sinc(x) ** 2 * np.pi * x))
+
+
+@cache
+def airy_quantiles() -> NDArray[np.float64]:
+    """Return the same of the distance from the middle of Airy's pattern, in λ over the diameter."""
+    from scipy.special import j0, j1
+
+    x = np.pi * _distances()
+    return _quantiles(1.0 - j0(x) ** 2 - j1(x) ** 2)
+
+
+def _distances() -> NDArray[np.float64]:
+    return np.linspace(0.0, _BODY, 100 * PARTS + 1)
+
+
+def _quantiles(within: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quantiles of a distance by the shares within `_distances`."""
+    return np.interp(np.arange(int(PARTS * within[-1]) + 1) / PARTS, within, _distances())
 
 
 @inlined
-def sinc2_in_body(quantiles: NDArray[np.float64], u: float) -> tuple[bool, float]:
-    """Return whether a number of density sinc² lies in the table, and the number; else the end of the table there.
+def distance_in_body(quantiles: NDArray[np.float64], share: float) -> tuple[bool, float]:
+    """Return whether the distance within which a share of the light lies is in the table, and it; else the table's end.
 
     Between two quantiles the density is taken to be even.
 
     Parameters
     ----------
     quantiles : (n,) float64
-        From `sinc2_quantiles`.
-    u : float
+        From `sinc2_quantiles` or `airy_quantiles`.
+    share : float
         Random number, uniform in [0, 1).
     """
-    side = 2.0 * u - 1.0
-    place, last = PARTS * abs(side), len(quantiles) - 1
+    place, last = PARTS * share, len(quantiles) - 1
     part = int(place)
-    inside = part < last
-    x = quantiles[last]
-    if inside:
-        x = quantiles[part] + (place - part) * (quantiles[part + 1] - quantiles[part])
-    return inside, x if side > 0.0 else -x
+    if part < last:
+        return True, quantiles[part] + (place - part) * (quantiles[part + 1] - quantiles[part])
+    return False, quantiles[last]
 
 
 @kernel
-def proposed_in_tail(end: float, u: float, v: float) -> tuple[bool, float]:
-    """Return whether a number proposed for the density sinc² beyond the table is accepted, and the number.
+def proposed_in_tail(shape: int, end: float, u: float, v: float) -> tuple[bool, float]:
+    """Return whether a distance proposed beyond the table is accepted, and the distance.
 
-    Proposals have the density of 1/x², of which sin²(πx) is the share that is accepted.
+    Proposals have the density of 1/x². Of it sinc² is the share sin²(πx), and Airy's radial density, 2 J₁²(πx) / x, the
+    share J₁² has of its envelope, by Hankel's expansion of modulus and phase (Abramowitz & Stegun, 9.2.28 and 9.2.29),
+    which is right to 10⁻⁶ there.
 
     Parameters
     ----------
+    shape : int
+        Of the aperture.
     end : float
-        Where the tail begins, with the sign of its side.
+        Where the tail begins.
     u, v : float
         Random numbers, uniform in [0, 1).
     """
     x = end / (1.0 - u)
-    share = np.sin(np.pi * x)
-    return bool(v < share * share), x
+    if shape != ROUND:
+        wave = np.sin(np.pi * x)
+        return bool(v < wave * wave), x
+    over = 1.0 / (np.pi * x)
+    wave = np.cos(np.pi * (x - 0.75) + over * (0.375 - 0.1640625 * over * over))
+    most = 1.0 + 0.375 / (np.pi * end) ** 2
+    return bool(v * most < wave * wave * (1.0 + 0.375 * over * over)), x
 
 
 @inlined

@@ -254,14 +254,20 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
 
 def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
     """Say where diffraction that is not traced blurs more than what samples the image, or is traced for points."""
-    traced = scene.transport.diffraction == "lenslets"
+    chosen = scene.transport.diffraction
+    traced = chosen == "lenslets"
     if traced and scene.particles:
         yield DiffractionWarning(
             'particles are points, whose waves interfere behind the lenslets: diffraction = "lenslets" adds no waves, '
             "and their images on the sensor may be wrong by more than without it"
         )
     sample = "lenslets" if facts.microlens_f_number is not None and not facts.focused else "pixels"
-    disks = [("lens's", facts.working_f_number, facts.airy_disk_samples, sample, "")]
+    disks = []
+    if chosen != "stop":
+        advice = (
+            "" if scene.camera.mla is not None else '; take transport.diffraction = "stop", with split = "transmit"'
+        )
+        disks.append(("lens's", facts.working_f_number, facts.airy_disk_samples, sample, advice))
     if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None and not traced:
         advice = '; take transport.diffraction = "lenslets", which is right to 2 % for extended light'
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))

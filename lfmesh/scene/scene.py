@@ -493,14 +493,19 @@ class Scene(Model, Shown):
             )
 
     def _diffraction_faults(self) -> Iterator[Fault]:
-        """Yield what keeps the lenslets' diffraction from being followed."""
+        """Yield what keeps the diffraction of lenslets or stop from being followed."""
         where, chosen, mla = ("transport", "diffraction"), self.transport.diffraction, self.camera.mla
         if chosen == "none":
             return
-        if mla is None:
-            yield Fault(where, chosen, 'needs camera.mla; a lens\'s own diffraction is not there yet: take "none"')
-        elif mla.has_back:
-            yield Fault(where, chosen, 'follows arrays with lenslets on one face; take "none" with camera.mla.back')
+        if chosen == "stop":
+            if mla is not None:
+                why = 'makes pictures behind an array worse, where light is spread at the lenslets: take "lenslets"'
+                yield Fault(where, chosen, why)
+            elif self.transport.split != "transmit" or self.transport.engine == "mesh":
+                why = 'is followed along the image path alone: take split = "transmit", and another engine than "mesh"'
+                yield Fault(where, chosen, why)
+        elif mla is None:
+            yield Fault(where, chosen, 'needs camera.mla; without an array take "stop"')
         elif mla.curved_finish.is_rough or mla.flat_finish.is_rough:
             yield Fault(where, chosen, 'needs an array that is polished; take "none" with a rough finish')
         if self.transport.polarisation:

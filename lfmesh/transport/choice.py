@@ -19,6 +19,8 @@ def engine_of(scene: Scene) -> tuple[str, str]:
     """
     transport = scene.transport
     obstacle = obstacle_of(scene, transport.surface, transport.max_events)
+    if transport.diffraction == "stop" and obstacle is not None:
+        raise SceneError(f'transport.diffraction = "stop" follows exact surfaces in their order: {obstacle}')
     if transport.engine == "mesh":
         return "mesh", "as the scene asks; every lens surface, lenslet and target is a mesh in Embree"
     if transport.engine == "sequential":

@@ -49,7 +49,7 @@ from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.interfaces import interface_tables
-from lfmesh.transport.tables.lens import apertures_of
+from lfmesh.transport.tables.lens import with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
@@ -393,9 +393,9 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
         volumes, own = volumes_at(objects.volumes, world.scene, tables.frames, line, hosts)
         objects = objects._replace(volumes=volumes, media=own)
     return tables._replace(
-        lens=tables.lens._replace(media=media(tables.lens.medium), interfaces=interfaces.lens),
-        mla=with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla)._replace(
-            apertures=apertures_of(world.scene, (wavelength_nm,))
+        lens=tables.lens._replace(aperture=None, media=media(tables.lens.medium), interfaces=interfaces.lens),
+        mla=with_diffraction(
+            world.scene, with_media(tables.mla, media(tables.mla.medium), interfaces=interfaces.mla), (wavelength_nm,)
         ),
         objects=objects,
         polarised=polarisation_tables(world.scene, (wavelength_nm,), tables.frames, world.book),

@@ -48,7 +48,7 @@ from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book, interface_tables
-from lfmesh.transport.tables.lens import apertures_of, lens_tables, mla_tables
+from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
@@ -364,7 +364,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    diffracting = mla._replace(apertures=apertures_of(scene, wavelengths_nm))
+    diffracting = with_diffraction(scene, mla, wavelengths_nm)
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 
@@ -382,7 +382,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(
-        lens=lens,
+        lens=with_diffracting_stop(scene, lens, wavelengths_nm),
         mla=diffracting,
         sensor=sensor,
         objects=objects,

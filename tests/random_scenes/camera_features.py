@@ -301,7 +301,9 @@ def polarisation(draft: Draft, dice: Dice) -> bool | None:
 def lenslet_diffraction(draft: Draft, dice: Dice) -> bool | None:
     mla = array_of(draft)
     rough = {"curved_finish", "flat_finish"} & (mla or {}).keys()
-    if mla is None or mla.get("back") or rough or draft.transport.get("polarisation"):
+    if mla is None or rough or draft.transport.get("polarisation"):
         return False
+    if "cylinder_axis" not in mla and dice.chance(0.3):
+        mla["clear_diameter_mm"] = rounded(mla["pitch_mm"] * dice.between(0.7, 0.99))
     draft.transport["diffraction"] = "lenslets"
     return None

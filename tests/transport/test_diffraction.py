@@ -58,18 +58,27 @@ def camera(
     )  # fmt: skip
 
 
-def white_picture(focal_mm: float, pitch_mm: float, pixels: int, pupil: float) -> Array:
-    """Share of a lenslet's light by pixel, (n, n), behind many squares that all show a round pupil.
+def white_picture(
+    focal_mm: float, pitch_mm: float, pixels: int, pupil: float, *, clear_mm: float | None = None, nm: float = NM
+) -> Array:
+    """Share of a lenslet's light by pixel, (n, n), behind many squares, or circles, that all show a round pupil.
 
-    The pupil's image, a disk of `pupil` pitches, convolved with sinc² in both axes, summed over all lenslets. That is a
-    Fourier series over the pitch, which ends where the aperture's transfer function, a triangle, does.
+    The pupil's image, a disk of `pupil` pitches, convolved with the aperture's pattern, summed over all lenslets. That
+    is a Fourier series over the pitch, which ends where the aperture's overlap with itself does.
     """
     m = np.arange(-60, 61)
-    transfer = np.clip(1.0 - np.abs(m) * NM * 1e-6 * focal_mm / pitch_mm**2, 0.0, None) * np.sinc(m / pixels)
+    shift = np.abs(m) * nm * 1e-6 * focal_mm / (pitch_mm * (clear_mm or pitch_mm))
+    if clear_mm is None:
+        triangle = np.clip(1.0 - shift, 0.0, None)
+        overlap = triangle[:, None] * triangle
+    else:
+        part = np.minimum(np.hypot(shift[:, None], shift), 1.0)
+        overlap = 2.0 / np.pi * (np.arccos(part) - part * np.sqrt(1.0 - part**2))
     x = np.pi * pupil * np.hypot(m[:, None], m)
     disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)
     wave = np.exp(2j * np.pi * np.outer((np.arange(pixels) - 0.5 * (pixels - 1)) / pixels, m))
-    return (wave @ (disk * transfer[:, None] * transfer) @ wave.T).real / pixels**2
+    box = np.sinc(m / pixels)
+    return (wave @ (disk * overlap * box[:, None] * box) @ wave.T).real / pixels**2
 
 
 CASES = {
@@ -110,14 +119,54 @@ def test_a_white_picture_is_the_pupil_blurred_by_the_apertures_pattern(case: str
     row = 1e3 * truth[pixels // 2, : pixels // 2]
     assert np.all((row - printed > 0.0) & (row - printed < FAR))
     assert 0.0 < 1e3 * truth[0, 0] - corner < FAR
-    mean, error = image.mean.reshape(pixels, pixels), image.error.reshape(pixels, pixels)
-    scale = (mean * truth / error**2).sum() / (truth**2 / error**2).sum()
-    t = np.abs(mean - scale * truth) / error
-    assert 2.0 * stats.t.sf(t.max(), image.replicates - 1) * t.size > LEVEL
+    assert shows(image, truth)
     # The light itself: that of a geometric camera, but for what runs beyond a right angle.
     plain = lf.render(scene.changed({"transport.diffraction": "none"}))
-    assert mean.sum() == pytest.approx(plain.mean.sum(), rel=3e-3)
+    assert image.mean.sum() == pytest.approx(plain.mean.sum(), rel=3e-3)
     assert abs(image.ledger.imbalance) < 1e-12
+
+
+@pytest.mark.parametrize("engine", ["sequential", "mesh"])
+def test_round_apertures_show_the_pupil_blurred_by_airys_pattern(engine: str) -> None:
+    given, _, _ = CASES["D"]
+    mla = {"clear_diameter_mm": 0.126}
+    scene = camera(**given, mla=mla, engine=engine, samples=3200, replicates=64)
+    image = lf.render(scene)
+    assert shows(image, white_picture(5.6, 0.14, 14, 1.0, clear_mm=0.126))
+    assert not shows(image, white_picture(5.6, 0.14, 14, 1.0))
+    # Circles pass π/4 (D/p)² of what squares do.
+    whole = lf.render(camera(**given, samples=800, replicates=64))
+    share, error = image.mean.sum() / whole.mean.sum(), 4.5 * np.hypot(image.error, whole.error).max() * 14 * 2
+    assert share == pytest.approx(0.25 * np.pi * 0.9**2, abs=error / whole.mean.sum() + 1e-3)
+    assert abs(image.ledger.imbalance) < 1e-12
+
+
+TWO_FACES = {"focal_length_mm": None, "radius_mm": 1.2564, "back": {"radius_mm": 50.0}, "thickness_mm": 3.0}
+"""A thick lens of f = 2.5 mm, whose focus is 0.51 mm behind it."""
+
+
+def test_thick_lenslets_diffract_at_their_front_by_their_focal_length() -> None:
+    """Light narrows in the plate, so that the first face limits it; a change there moves it by f on the sensor."""
+    image = lf.render(camera(f_number=30.0, pixel_mm=0.01, mla=TWO_FACES, samples=25_600, replicates=32))
+    # In sums over columns, as corners are dark.
+    mean, error = image.mean.reshape(14, 14).sum(axis=0), np.sqrt((image.error.reshape(14, 14) ** 2).sum(axis=0))
+
+    def worst(lever_mm: float) -> float:
+        truth = white_picture(lever_mm, 0.14, 14, 2.5 / 30.0 / 0.14).sum(axis=0)
+        return float((np.abs(mean - mean.sum() * truth) / error).max())
+
+    assert 2.0 * stats.norm.sf(worst(2.5)) * len(mean) > LEVEL
+    # At the second face it would be moved by the distance from there alone.
+    assert worst(0.51) > 15.0
+    assert abs(image.ledger.imbalance) < 1e-12
+
+
+def shows(image: lf.Image, truth: Array) -> bool:
+    """Compare an image with the truth up to a factor by t-tests of all pixels with a bound for the worst."""
+    mean, error = image.mean.reshape(truth.shape), image.error.reshape(truth.shape)
+    scale = (mean * truth / error**2).sum() / (truth**2 / error**2).sum()
+    t = np.abs(mean - scale * truth) / error
+    return bool(2.0 * stats.t.sf(t.max(), image.replicates - 1) * t.size > LEVEL)
 
 
 def test_geometric_optics_is_far_from_that() -> None:
@@ -140,7 +189,14 @@ SMALL = {
     "hexagonal": {"layout": "hexagonal"},
     "towards the sensor": {"curved_side": "sensor"},
     "cylinders": {"cylinder_axis": "y"},
-}
+    "round": {"clear_diameter_mm": 0.013},
+    "round, on the sensor's side": {"clear_diameter_mm": 0.012, "curved_side": "sensor", "layout": "hexagonal"},
+    "two faces": {"focal_length_mm": None, "radius_mm": 0.025, "back": {"radius_mm": 0.025}},
+    "two faces, the second one round": {
+        "focal_length_mm": None, "radius_mm": 0.025, "curved_side": "sensor", "back": {"radius_mm": 0.025},
+        "clear_diameter_mm": 0.009,
+    },
+}  # fmt: skip
 
 
 def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
@@ -194,9 +250,20 @@ def test_what_is_not_followed_is_refused(changed: dict[str, Any], words: str) ->
         scene.changed({**changed, "transport.diffraction": "lenslets"})
 
 
-def test_two_faced_arrays_are_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="lenslets on one face"):
-        camera(mla={"focal_length_mm": None, "radius_mm": 1.0, "back": {"radius_mm": 1.0}})
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [({"clear_diameter_mm": 0.141}, "at most pitch_mm = 0.14"), ({"cylinder_axis": "x"}, "cylinders have no round")],
+)
+def test_apertures_that_are_no_circles_are_refused(changed: dict[str, Any], words: str) -> None:
+    with pytest.raises(lf.LfmeshError, match=words):
+        camera(across=3, mla={"clear_diameter_mm": 0.1, **changed})
+
+
+def test_round_apertures_widen_airy_disks() -> None:
+    whole, narrow = (lf.first_order(camera(across=3, mla=mla)) for mla in ({}, {"clear_diameter_mm": 0.07}))
+    assert narrow.microlens_airy_disk_px == pytest.approx(2.0 * (whole.microlens_airy_disk_px or 0.0))
+    assert narrow.microlens_fresnel_number == pytest.approx((whole.microlens_fresnel_number or 0.0) / 4.0)
+    assert narrow.microlens_f_number == whole.microlens_f_number
 
 
 def test_the_sequential_engine_refuses_given_rays_that_diffract() -> None:

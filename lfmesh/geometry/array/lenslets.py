@@ -58,6 +58,8 @@ class Lenslets(NamedTuple):
         The layer between the smallest and the largest z of the curved face.
     profile : Profile
         None where all are spheres: code for other faces is then not even compiled.
+    clear_radius : float, mm
+        Of the clear circle about each cell's centre, beside which a mask is; None, likewise, where cells are clear.
     """
 
     lattice: Lattice
@@ -68,6 +70,7 @@ class Lenslets(NamedTuple):
     top: float
     valley: float
     profile: Any = None
+    clear_radius: Any = None
 
     @property
     def alike(self) -> bool:

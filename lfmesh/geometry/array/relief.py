@@ -1,5 +1,7 @@
 """The relief of lenslets over a plane: height and slope at points; at the borders of cells means of a small box."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +26,8 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
     box : float, mm
         Side of the square about each point that is averaged over, where it is not all of one cell.
     relief : (4, n) float64
-        Sag in mm, dz/dx, dz/dy, and share of the box that lies on the array; sag and slopes are 0 beside it.
+        Sag in mm, dz/dx, dz/dy, and share of the box that lies on the array, on no mask; sag and slopes are 0 beside
+        the array.
     """
     half = 0.5 * box
     for i in range(len(x)):
@@ -34,6 +37,7 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
             sx, sy = half if corner & 1 else -half, half if corner & 2 else -half
             other_column, other_row = cell_of(mla.lattice, x[i] + sx, y[i] + sy)
             whole = whole and other_column == column and other_row == row
+        whole = whole and not _near_mask(mla.clear_radius, mla, column, row, x[i], y[i], box)
         parts = 1 if whole else PARTS
         for part in range(parts * parts):
             px = x[i] + box * ((part % parts + 0.5) / parts - 0.5)
@@ -55,4 +59,21 @@ def _add(mla: Lenslets, x: float, y: float, share: float, relief: Array, i: int)
     relief[0, i] += share * sag
     relief[1, i] -= share * nx / nz
     relief[2, i] -= share * ny / nz
-    relief[3, i] += share
+    relief[3, i] += share if _is_clear(mla.clear_radius, x - cx, y - cy) else 0.0
+
+
+@inlined
+def _near_mask(clear_radius: Any, mla: Lenslets, column: int, row: int, x: float, y: float, box: float) -> bool:
+    """Tell whether the border of a cell's clear aperture may cross the box about a point."""
+    if clear_radius is None:
+        return False
+    cx, cy = centre(mla.lattice, column, row)
+    return bool(abs(np.hypot(x - cx, y - cy) - clear_radius) < box)
+
+
+@inlined
+def _is_clear(clear_radius: Any, x: float, y: float) -> bool:
+    """Tell whether a lenslet is clear at a point, from the centre of its cell."""
+    if clear_radius is None:
+        return True
+    return bool(x * x + y * y <= clear_radius * clear_radius)

@@ -63,6 +63,9 @@ class MicrolensArray(Model):
     cylinder_axis: Literal["x", "y"] | None = None
     """The axis along which the lenslets are cylinders, over a whole column ("y") or row ("x") of a square layout, as on
     a lenticular sheet. Omitted: surfaces of revolution."""
+    clear_diameter_mm: Positive | None = None
+    """Diameter of the clear aperture of each lenslet, a circle about the centre of its cell in an opaque mask on the
+    curved face, in mm, at most the pitch. Omitted: the whole cell is clear."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None
@@ -194,6 +197,14 @@ class MicrolensArray(Model):
         if self.cylinder_axis is not None and self.layout != "square":
             yield Fault(("cylinder_axis",), self.cylinder_axis, 'cylinders need layout = "square"')
 
+    def _mask_faults(self) -> Iterator[Fault]:
+        """Yield what is wrong with the clear apertures."""
+        clear = self.clear_diameter_mm
+        if clear is not None and self.cylinder_axis is not None:
+            yield Fault(("clear_diameter_mm",), clear, "cylinders have no round apertures: leave it out")
+        elif clear is not None and clear > self.pitch_mm:
+            yield Fault(("clear_diameter_mm",), clear, f"at most pitch_mm = {self.pitch_mm:g}: wider circles overlap")
+
     def _least(self, radius_mm: float, scale: float) -> str:
         """Return in words the smallest radius of this sign, or what it follows from by `scale`, that a face can have.
 
@@ -218,6 +229,7 @@ class MicrolensArray(Model):
             if why := self.cap_fault(radius, kind=kind):
                 shapes.append(Fault(("radius_mm",), radius, why))
         yield from shapes
+        yield from self._mask_faults()
         if self.back is not None:
             yield from self._back_faults(self.back, sound=not shapes)
         yield from self._medium_faults()

@@ -92,7 +92,7 @@ class FirstOrder(Shown):
     microlens_airy_disk_px: float | None
     """Diameter of a lenslet's Airy disk on the sensor, in pixels."""
     microlens_fresnel_number: float | None
-    """Square of half a lenslet's pitch over wavelength and distance from the sensor (no unit): below some ten,
+    """Square of half a lenslet's width over wavelength and distance from the sensor (no unit): below some ten,
     diffraction blurs much of the micro-image."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
@@ -242,8 +242,9 @@ def first_order(scene: Scene) -> FirstOrder:
 
     The Airy disks are what diffraction at a circular aperture makes of a point, `airy_disk_mm`: the lens's at its
     working f-number, which holds the actual conjugates and the exit pupil; a lenslet's at its own, the distance to the
-    sensor over the pitch. (A square lenslet's pattern has its first dark lines 2 λ N apart, and its corners reach less
-    far: the circle as wide as the pitch stands for it.) They are given for the scene's longest wavelength.
+    sensor over the pitch, or over its clear diameter. (A square lenslet's pattern has its first dark lines 2 λ N apart,
+    and its corners reach less far: the circle as wide as the pitch stands for it.) They are given for the scene's
+    longest wavelength.
 
     Raises
     ------
@@ -301,6 +302,9 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     seen = quotient(pupil_to_plane + image - plane, pupil_to_plane) if math.isfinite(pupil_to_plane) else 1.0
     longest = scene.reach_nm[1]
     airy = airy_disk_mm(longest, cone(distance))
+    # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
+    clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
+    own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -326,8 +330,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_wavelength_nm=longest,
         airy_disk_mm=airy,
         airy_disk_samples=airy / sample,
-        microlens_airy_disk_px=airy_disk_mm(longest, micro[0]) / camera.sensor.pixel_mm if micro else None,
-        microlens_fresnel_number=camera.mla.pitch_mm / (4e-6 * longest * micro[0]) if micro and camera.mla else None,
+        microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
+        microlens_fresnel_number=clear / (4e-6 * longest * own) if own else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,

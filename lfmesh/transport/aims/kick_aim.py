@@ -49,7 +49,7 @@ def first_kick(apertures: Any, array: ArraySeen, colour: int, key: np.uint64, ha
     if apertures is None:
         return 0.0, 0.0
     events = EVENTS_OF_COVER if has_cover else 0
-    return drawn_kick(apertures, colour, key, events + (EVENTS_BEHIND_FACES if array.mla.curved_to_lens else 0))
+    return drawn_kick(apertures, colour, key, events + (EVENTS_BEHIND_FACES if apertures.to_lens else 0))
 
 
 @kernel
@@ -131,7 +131,8 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
     across, before = _shift(cx, cy, air, plate, array.glass), _shift(bx, by, air, plate, array.glass)
     ratio = after2 / before2
     growth = (1.0 + np.sqrt(kick[0] * kick[0] + kick[1] * kick[1])) * max(1.0, ratio * np.sqrt(ratio))
-    return growth, (p[0] + bx * before - cx * across, p[1] + by * before - cy * across, p[2])
+    lever = array.mla.apertures.lever
+    return growth, (p[0] + lever * (bx * before - cx * across), p[1] + lever * (by * before - cy * across), p[2])
 
 
 @inlined

@@ -20,6 +20,7 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
 from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
 from lfmesh.transport.aims.kick_aim import SEARCH_AFTER_KICK
+from lfmesh.transport.aims.lenslet_view import unmeasured_light
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK
 from lfmesh.transport.aims.near_points import NearViewpoints
 from lfmesh.transport.aims.pupil import Viewpoints, unknown_like
@@ -29,6 +30,7 @@ from lfmesh.transport.tables.tables import (
     AimTables,
     Camera,
     LensAim,
+    undiffracted,
 )
 
 Array = NDArray[np.float64]
@@ -53,6 +55,9 @@ FEW_CELLS = 6.5
 ALLOWED_DIFFRACTED = 1e-3
 """Share that the aim from the sensor may miss after diffraction, of whose long tails views hold all but the furthest.
 Rays that go anywhere find it."""
+
+GROWTH_OF_VIEWS = (1.0, 2.0, 3.0)
+"""Factors on the radii of lenslets' views with which the aim after diffraction is tried."""
 
 KEPT = 8
 """Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
@@ -163,7 +168,7 @@ def proven_aim(
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-    plain = camera._replace(mla=camera.mla._replace(apertures=None))
+    plain = camera._replace(mla=undiffracted(camera.mla))
     found = aim_table(scene, report, plain, shapes, analytic=analytic)
     aim, proof = proven(found.aim, found.through, found.seen, found.near) if found.fits else (found.aim, None)
     if camera.mla.apertures is not None:
@@ -178,7 +183,8 @@ def proven_aim(
 def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -> tuple[AimTables, AimProof | None]:
     """Return the aim of a camera whose lenslets diffract, and its proof, by those without diffraction.
 
-    Where the aim misses more than is allowed, half of the rays go anywhere.
+    Lenslets' views grow until they hold the light that crosses to neighbours in the plate, and where they are needed.
+    Where the aim still misses more than is allowed, half of the rays go anywhere.
 
     Parameters
     ----------
@@ -191,11 +197,19 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
     if proof is None:
         return aim, None
     random = np.random.default_rng(0x6B1C)
-    reach = reach_of(through._replace(mla=through.mla._replace(apertures=None)), random)
+    reach = reach_of(through._replace(mla=undiffracted(through.mla)), random)
     rays = rays_from_stop(through, reach, random)
     if not len(rays.throughput):
         return aim, proof
-    missed = _missed(beyond_sensor_aim(aim, through, rays), rays.throughput)
+    narrow, missed = aim.lenslets, Missed(1.0, 1.0)
+    for growth in GROWTH_OF_VIEWS:
+        wide = narrow._replace(slope_radius2=growth * growth * narrow.slope_radius2, search=growth * narrow.search)
+        if growth > 1.0:
+            wide = wide._replace(shown=unmeasured_light())
+        aim = aim._replace(lenslets=wide)
+        missed = _missed(beyond_sensor_aim(aim, through, rays), rays.throughput)
+        if missed.share <= ALLOWED_DIFFRACTED:
+            break
     proof = proof._replace(diffracted=missed)
     if missed.share > ALLOWED_DIFFRACTED:
         aim = aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))

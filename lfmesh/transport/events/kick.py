@@ -1,6 +1,7 @@
-"""Diffraction at a lenslet's aperture: a packet that passes it changes its direction by chance.
+"""Diffraction at a lenslet's aperture, or the stop: a packet that passes it changes its direction by chance.
 
-The change is taken in air, at the lenslet's face: before a packet from the air meets it, and after one has left it.
+The change is taken in air, at the lenslet's face: before a packet from the air meets it, and after one has left it. Of
+two faces with lenslets, light is diffracted at the one that limits it (`tables.lens.apertures_of`).
 Drawn from the aperture's Fraunhofer pattern (`optics.diffraction`), it is added to the direction cosines along the
 array, and does not depend on them. So a path and its reverse have the same density, and weights stay as they are.
 Changes beyond a right angle are drawn again. What would run along the array or into the face all the same, as
@@ -13,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.optics.diffraction import hexagon_share, proposed_in_tail, rhombus_frequency, sinc2_in_body
+from lfmesh.optics.diffraction import (
+    HEXAGON,
+    ROUND,
+    distance_in_body,
+    hexagon_share,
+    proposed_in_tail,
+    rhombus_frequency,
+)
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.tables import Apertures
 
@@ -28,7 +36,7 @@ _DIMENSIONS = 1 << 10
 
 @kernel
 def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -> tuple[float, float]:
-    """Return the change of a packet's direction cosines along the array, in air.
+    """Return the change of a packet's direction cosines along the aperture, in air.
 
     Parameters
     ----------
@@ -41,36 +49,60 @@ def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -
         Number of interfaces that it has met.
     """
     own = derived(key, IN_KICK + events)
-    width_x, width_y = apertures.spread[colour, 0], apertures.spread[colour, 1]
     trial = 0
     # Each of a hexagon's trials succeeds with a chance of 1/3.
     while True:
-        first = _DIMENSIONS * trial
-        a = _drawn_sinc2(apertures.quantiles, own, first)
-        b = _drawn_sinc2(apertures.quantiles, own, first + _DIMENSIONS // 2)
+        accepted, a, b = _drawn_frequency(apertures, own, _DIMENSIONS * trial)
         trial += 1
-        if apertures.hexagonal:
-            number = int(3.0 * uniform(own, first + _DIMENSIONS - 1))
-            a, b = rhombus_frequency(number, a, b)
-            if uniform(own, first + _DIMENSIONS - 2) >= hexagon_share(a, b):
-                continue
-        kx, ky = width_x * a, width_y * b
-        if kx * kx + ky * ky < 1.0:
+        kx, ky = apertures.spread[colour, 0] * a, apertures.spread[colour, 1] * b
+        if accepted and kx * kx + ky * ky < 1.0:
             return kx, ky
 
 
 @inlined
-def _drawn_sinc2(quantiles: Array, key: np.uint64, first: int) -> float:
+def _drawn_frequency(apertures: Apertures, key: np.uint64, first: int) -> tuple[bool, float, float]:
+    """Return whether a frequency drawn for an aperture is accepted, and it, in cycles over the aperture's widths.
+
+    Parameters
+    ----------
+    apertures : Apertures
+    key : uint64
+    first : int
+        First of the random numbers.
+    """
+    second = first + _DIMENSIONS // 2
+    if apertures.shape == ROUND:
+        radius = _drawn_distance(apertures, uniform(key, first), key, first + 1)
+        angle = 2.0 * np.pi * uniform(key, second)
+        return True, radius * np.cos(angle), radius * np.sin(angle)
+    a = _drawn_on_line(apertures, key, first)
+    b = _drawn_on_line(apertures, key, second)
+    if apertures.shape == HEXAGON:
+        a, b = rhombus_frequency(int(3.0 * uniform(key, first + _DIMENSIONS - 1)), a, b)
+        return uniform(key, first + _DIMENSIONS - 2) < hexagon_share(a, b), a, b
+    return True, a, b
+
+
+@inlined
+def _drawn_on_line(apertures: Apertures, key: np.uint64, first: int) -> float:
     """Return a number with the density sinc², by random numbers from the given one on."""
-    inside, x = sinc2_in_body(quantiles, uniform(key, first))
-    return x if inside else _drawn_in_tail(x, key, first + 1)
+    side = 2.0 * uniform(key, first) - 1.0
+    distance = _drawn_distance(apertures, abs(side), key, first + 1)
+    return distance if side > 0.0 else -distance
+
+
+@inlined
+def _drawn_distance(apertures: Apertures, share: float, key: np.uint64, first: int) -> float:
+    """Return the distance within which a share of the light lies, beyond the table by further random numbers."""
+    inside, x = distance_in_body(apertures.quantiles, share)
+    return x if inside else _drawn_in_tail(apertures.shape, x, key, first)
 
 
 @kernel
-def _drawn_in_tail(end: float, key: np.uint64, first: int) -> float:
-    """Return a number with the density sinc² beyond the end of the table."""
+def _drawn_in_tail(shape: int, end: float, key: np.uint64, first: int) -> float:
+    """Return a distance beyond the end of the table."""
     while True:
-        accepted, x = proposed_in_tail(end, uniform(key, first), uniform(key, first + 1))
+        accepted, x = proposed_in_tail(shape, end, uniform(key, first), uniform(key, first + 1))
         first += 2
         if accepted:
             return x
@@ -100,21 +132,51 @@ def turned(
 
 
 @inlined
+def turned_along(
+    kick: tuple[float, float], d: tuple[float, float, float], n: tuple[float, float, float]
+) -> tuple[bool, float, float, float]:
+    """Return whether a direction's components along a face can be changed, and the new direction.
+
+    Parameters
+    ----------
+    kick : (2,) float
+        In the directions of x along the face, and square to that.
+    d, n : (3,) float
+        Unit direction, and unit normal of either side.
+    """
+    over, along = 1.0 / np.sqrt(1.0 - n[0] * n[0]), d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
+    a, b = kick[0] * over, kick[1] * over
+    # x less its part along the normal, and the vector product of the normal with that.
+    tx = d[0] - along * n[0] + a * (1.0 - n[0] * n[0])
+    ty = d[1] - along * n[1] - a * n[0] * n[1] + b * n[2]
+    tz = d[2] - along * n[2] - a * n[0] * n[2] - b * n[1]
+    left = 1.0 - tx * tx - ty * ty - tz * tz
+    if not left > 0.0:
+        return False, d[0], d[1], d[2]
+    onto = np.sqrt(left) if along > 0.0 else -np.sqrt(left)
+    return True, tx + onto * n[0], ty + onto * n[1], tz + onto * n[2]
+
+
+@inlined
 def kicked(
-    apertures: Any, colour: int, key: np.uint64, events: int, d: tuple[float, float, float],
+    apertures: Any, row: int, colour: int, key: np.uint64, events: int, d: tuple[float, float, float],
     n: tuple[float, float, float],
 ) -> tuple[bool, float, float, float]:  # fmt: skip
-    """Return whether a packet goes on past a lenslet's aperture, and its direction there.
+    """Return whether a packet goes on past a lenslet's face, and its direction there.
 
     Parameters
     ----------
     apertures : Apertures or None
         None: there is no diffraction.
+    row : int
+        Of the face among the array's interfaces: only one of two diffracts.
     colour, key, events
         As for `drawn_kick`.
     d, n : (3,) float
         As for `turned`.
     """
     if apertures is None:
+        return True, d[0], d[1], d[2]
+    if apertures.row != row:
         return True, d[0], d[1], d[2]
     return turned(drawn_kick(apertures, colour, key, events), d[0], d[1], d[2], n[0], n[1], n[2])

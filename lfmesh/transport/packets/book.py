@@ -73,6 +73,7 @@ MOUNT = _slot("mount")
 MLA_MOUNT = _slot("mla mount")
 MLA_EDGE = _slot("mla edge")
 MLA_WALL = _slot("mla wall")
+MLA_MASK = _slot("mla mask")
 LENS_FRONT = _slot("lens front")
 EVANESCENT = _slot("diffracted beyond a right angle")
 

@@ -47,7 +47,7 @@ from lfmesh.transport.events.interface import divided, is_rough, scattered, scat
 from lfmesh.transport.events.kick import kicked
 from lfmesh.transport.events.polarisation import IN_ARRAY, shares_by_state
 from lfmesh.transport.events.travel import arrive, transmitted, travel
-from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
     FLAT_FACE,
@@ -538,7 +538,9 @@ def _meets_face(
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
             block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
             _set_sides(block, i, packet, mla, not inward, mla.row)
-        if inward and _ends_by_diffraction(mla.apertures, block, i, packet, mla.frame, frames, options, flow):
+        if _ends_on_mask(lenslets.clear_radius, block, i, packet, mla, frames, options, flow):
+            return NO_SURFACE
+        if inward and _ends_by_diffraction(mla.apertures, block, i, packet, mla, frames, options, flow):
             return NO_SURFACE
         return mla.row
     if options.surface != EXACT and prim >= 0 and not met and at_facet < min(sideways, layer):
@@ -562,29 +564,52 @@ def _meets_face(
 
 
 @inlined
+def _ends_on_mask(
+    clear_radius: Any, block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
+) -> bool:
+    """End a packet of a block that meets its lenslet outside the clear aperture; return True if it does.
+
+    Parameters
+    ----------
+    clear_radius : float or None
+        That of `mla.lenslets`; None: the whole cell is clear.
+    """
+    if clear_radius is None:
+        return False
+    cx, cy = centre(mla.lenslets.lattice, packet.column, packet.row)
+    px, py = block[rows.PX + i], block[rows.PY + i]
+    x, y = px - cx, py - cy
+    hidden = not x * x + y * y <= clear_radius * clear_radius
+    if hidden:
+        end(
+            options, flow, frames, packet, mla.frame, px, py, block[rows.PZ + i],
+            packet.dx, packet.dy, packet.dz, packet.weight, MLA_MASK, S_ABSORBED,
+        )  # fmt: skip
+    return hidden
+
+
+@inlined
 def _ends_by_diffraction(
-    apertures: Any, block: Array, i: int, packet: Any, frame: int, frames: Array, options: Options, flow: Flow
+    apertures: Any, block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> bool:
     """Change the direction in which a packet of a block comes to a lenslet from the air; return True if that ends it.
 
     Parameters
     ----------
     apertures : Apertures or None
-        None: there is no diffraction.
-    frame : int
-        Of the lenslets.
+        Those of `mla`; None: there is no diffraction.
     """
     if apertures is None:
         return False
     goes_on, dx, dy, dz = kicked(
-        apertures, packet.colour, packet.key, packet.events,
+        apertures, mla.row, packet.colour, packet.key, packet.events,
         (block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i]),
         (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]),
     )  # fmt: skip
     block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
     if not goes_on:
         end(
-            options, flow, frames, packet, frame, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
+            options, flow, frames, packet, mla.frame, block[rows.PX + i], block[rows.PY + i], block[rows.PZ + i],
             dx, dy, dz, packet.weight, EVANESCENT, S_ABSORBED,
         )  # fmt: skip
     return not goes_on
@@ -638,7 +663,7 @@ def _send_from_curved_face(
     if packet.space == BEFORE:
         sense = 1.0 if refracts else -1.0
         goes_on, dx, dy, dz = kicked(
-            mla.apertures, packet.colour, key, packet.events, (dx, dy, dz),
+            mla.apertures, mla.row, packet.colour, key, packet.events, (dx, dy, dz),
             (sense * normal[0], sense * normal[1], sense * normal[2]),
         )  # fmt: skip
         if not goes_on:

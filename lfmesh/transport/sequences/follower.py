@@ -15,11 +15,10 @@ from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.packets.book import HOUSING, STOP
+from lfmesh.transport.packets.book import HOUSING
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.bundle import (
     AGAIN,
-    AT_Z,
     BESIDE,
     BLOCK,
     DROPPED,
@@ -34,19 +33,17 @@ from lfmesh.transport.sequences.bundle import (
     X,
     Y,
     Z,
-    absorb,
     drop,
-    end_by_fate,
     load,
     move_bundle,
     pad,
-    set_fate,
 )
 from lfmesh.transport.sequences.division import begin_etendue
 from lfmesh.transport.sequences.lens_surfaces import at_surface, find_return
 from lfmesh.transport.sequences.lenslets import at_lenslets, at_other_face
 from lfmesh.transport.sequences.planes import at_plane
 from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Leg
+from lfmesh.transport.sequences.stop import through_stop, turn_behind_stop
 from lfmesh.transport.tables.tables import Camera, LensTables, MlaTables, Tables
 
 Array = NDArray[np.float64]
@@ -146,7 +143,7 @@ def _along_lens(
         ends = step == len(steps)
         k = last if ends else steps[step, 0]
         if lens.stop_space == space and (ends or k != last):
-            _through_stop(bundle, lens, colour, book)
+            through_stop(bundle, lens, colour, book)
         if checked:
             find_return(bundle, lens, last if ends or k != last else -1, 1.0 if space == last else -1.0)
         if ends:
@@ -158,35 +155,13 @@ def _along_lens(
         fates = (lens.surfaces[k].semi_diameter * (1.0 + OVERREACH), lens.mount_slot[k] + 1.0, beyond)
         at_surface(bundle, lens, k, mirrors, colour, sense, fates, checked, book)
         if not mirrors:
+            turn_behind_stop(lens.aperture, bundle, lens, k, colour, sense)
             space = k + 1 if sense > 0.0 else k
         last = k
     if checked:
         for i in range(BLOCK):
             if bundle[ENDED_ON + i] == 0.0 and bundle[AGAIN + i] < np.inf:
                 drop(bundle, i)
-
-
-@kernel
-def _through_stop(bundle: Array, lens: LensTables, colour: int, book: Array) -> None:
-    """End the rays that pass the plane of the stop outside its aperture."""
-    if lens.stop_posed:
-        move_bundle(bundle, lens.stop_unpose)
-    _meet_stop(bundle, lens.stop_z, lens.stop_radius * lens.stop_radius)
-    absorb(bundle, lens.media.absorption, lens.medium[lens.stop_space], colour, book)
-    end_by_fate(bundle)
-    if lens.stop_posed:
-        move_bundle(bundle, lens.stop_pose)
-
-
-@kernel
-def _meet_stop(bundle: Array, stop_z: float, limit: float) -> None:
-    for i in range(BLOCK):
-        t = (stop_z - bundle[Z + i]) / bundle[DZ + i]
-        x, y = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
-        passes = x * x + y * y <= limit
-        # A ray that passes stays where it is.
-        set_fate(bundle, i, select(passes, 0.0, t), select(passes, 0.0, STOP + 1.0))
-        bundle[AT_Z + i] = select(passes, bundle[Z + i], stop_z)
 
 
 @kernel

@@ -123,6 +123,7 @@ def follow_block(
     """
     colour, through_lens = wave[numbers[0]].colour, station != PLATE or not to_sensor
     _give_keys(camera.mla.apertures, wave, count, bundle, numbers)
+    _give_keys(camera.lens.aperture, wave, count, bundle, numbers)
     if not to_sensor and station == PLATE:
         follow_legs(bundle, camera, route, ARRAY_AGAIN, LENS_AGAIN, colour, flow.book)
     if through_lens:

@@ -21,12 +21,20 @@ from lfmesh.geometry.array.lattice import (
     neighbour,
     stays_inside,
 )
-from lfmesh.geometry.array.lenslets import are_alike, face_normal, face_sag, is_spherical, meets_profile, shape_of
+from lfmesh.geometry.array.lenslets import (
+    Lenslets,
+    are_alike,
+    face_normal,
+    face_sag,
+    is_spherical,
+    meets_profile,
+    shape_of,
+)
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.events.kick import kicked
-from lfmesh.transport.packets.book import EVANESCENT, MLA_EDGE, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.book import EVANESCENT, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequences.bundle import (
     AT_X,
@@ -100,13 +108,14 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
             _meet_singly(bundle, i, mla, inward)
+    _end_on_mask(mla.lenslets.clear_radius, bundle, mla.lenslets)
     absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
     in_air = inward == mirrors
     if inward:
-        _diffract(mla.apertures, bundle, colour, 1.0)
+        _diffract(mla.apertures, mla.row, bundle, colour, 1.0)
     divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
     if in_air:
-        _diffract(mla.apertures, bundle, colour, -1.0 if mirrors else 1.0)
+        _diffract(mla.apertures, mla.row, bundle, colour, -1.0 if mirrors else 1.0)
     _find_ways_out(bundle, mla.lenslets, inward != mirrors)
     walked = 0
     for i in range(BLOCK):
@@ -119,12 +128,27 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
 
 
 @inlined
-def _diffract(apertures: Any, bundle: Array, colour: int, sense: float) -> None:
+def _end_on_mask(clear_radius: Any, bundle: Array, lenslets: Lenslets) -> None:
+    """End rays that meet a lenslet outside its clear aperture, if that is smaller than its cell."""
+    if clear_radius is None:
+        return
+    for i in range(BLOCK):
+        if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:
+            cx, cy = centre(lenslets.lattice, int(bundle[_COLUMN + i]), int(bundle[_ROW + i]))
+            x, y = bundle[AT_X + i] - cx, bundle[AT_Y + i] - cy
+            if not x * x + y * y <= clear_radius * clear_radius:
+                bundle[FATE + i] = MLA_MASK + 1.0
+
+
+@inlined
+def _diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float) -> None:
     """Change the directions of rays in air at the lenslets that they have met, where there is diffraction.
 
     Parameters
     ----------
     apertures : Apertures or None
+    row : int
+        Of the face among the array's interfaces.
     sense : float
         1: the rays run along the normals in the bundle; −1: against them.
     """
@@ -135,7 +159,7 @@ def _diffract(apertures: Any, bundle: Array, colour: int, sense: float) -> None:
         if bundle[ENDED_ON + i] != 0.0 or bundle[FATE + i] != 0.0:
             continue
         goes_on, dx, dy, dz = kicked(
-            apertures, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]),
+            apertures, row, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]),
             (bundle[DX + i], bundle[DY + i], bundle[DZ + i]),
             (sense * bundle[NX + i], sense * bundle[NY + i], sense * bundle[NZ + i]),
         )  # fmt: skip

@@ -182,7 +182,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
             x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, own,
             one_way, other_way,
         )  # fmt: skip
-        _find_kicks(through.mla.apertures, through.mla.curved_to_lens, colour, own, changes)
+        _find_kicks(through.mla.apertures, colour, own, changes)
         kick[mine] = changes
         if through.cover is not None:
             _land_behind(one_way, through.cover, colour)
@@ -299,12 +299,12 @@ def _give_keys(apertures: Any, bundle: Array, key: np.uint64, first: int) -> Non
 
 
 @kernel
-def _find_kicks(apertures: Any, curved_to_lens: bool, colour: int, key: np.uint64, kicks: Array) -> None:
+def _find_kicks(apertures: Any, colour: int, key: np.uint64, kicks: Array) -> None:
     """Fill in the rays' changes of direction, (n, 2), before or behind the array's two faces."""
     if apertures is None:
         return
     for i in range(len(kicks)):
-        events = 0 if curved_to_lens else FACES_OF_ARRAY
+        events = 0 if apertures.to_lens else FACES_OF_ARRAY
         kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, colour, derived(key, i), events)
 
 

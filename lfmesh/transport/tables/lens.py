@@ -17,7 +17,7 @@ from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
-from lfmesh.optics.diffraction import sinc2_quantiles
+from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (
@@ -30,7 +30,7 @@ from lfmesh.transport.packets.packet import (
     CURVED_FACE,
     MLA_FRAME,
 )
-from lfmesh.transport.tables.media import MediumList
+from lfmesh.transport.tables.media import MediumList, with_media
 from lfmesh.transport.tables.tables import (
     AIR,
     CURVED_ROW,
@@ -44,6 +44,9 @@ from lfmesh.transport.tables.tables import (
 
 SLOPE_INTERVALS = 1024
 """Intervals of the radius, on each of which the slope of a surface is bounded."""
+
+LEAST_LEVER = 0.2
+"""Least slope behind an array with two faces, over that before it, from which `Apertures.lever` is computed."""
 
 STEEPER = 1e-9
 """Margin, in dz, of rays that are steeper than a surface."""
@@ -279,6 +282,8 @@ def mla_tables(
         asphere_mm=mla.asphere_mm,
         cylinder_axis=mla.cylinder_axis,
     )
+    if mla.clear_diameter_mm is not None:
+        shapes = shapes._replace(clear_radius=0.5 * float(mla.clear_diameter_mm))
     is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
     shift, mesh = OFFSET * lattice.pitch, _cells_side_by_side(shapes)
     tables = _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
@@ -294,21 +299,75 @@ def mla_tables(
     return {CELLS: mesh, BACK_CELLS: other_mesh}, tables._replace(back=back)
 
 
-def apertures_of(scene: Scene, wavelengths_nm: tuple[float, ...]) -> Apertures | None:
-    """Return the lenslets' apertures where the scene asks for their diffraction, else None.
+def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, ...]) -> MlaTables:
+    """Return the tables of the array with its apertures, where the scene asks for the lenslets' diffraction.
 
     Parameters
     ----------
     scene : Scene
+    mla : MlaTables
     wavelengths_nm : (wavelengths,) tuple of float
     """
-    mla = scene.camera.mla
-    if mla is None or scene.transport.diffraction != "lenslets":
-        return None
-    over = 1e-6 / (mla.pitch_mm * (1.0 + mla.form.pitch_error))
+    given = scene.camera.mla
+    if given is None or scene.transport.diffraction != "lenslets":
+        return mla
+    face, lever = _limiting_face(given, mla, len(wavelengths_nm) // 2)
+    clear = mla.lenslets.clear_radius if mla.row == CURVED_ROW else mla.back.lenslets.clear_radius
+    if face.row == CURVED_ROW and clear is not None:
+        shape, width, quantiles = ROUND, 2.0 * float(clear), airy_quantiles()
+    else:
+        shape, quantiles = (HEXAGON if given.layout == "hexagonal" else RECTANGLE), sinc2_quantiles()
+        width = given.pitch_mm * (1.0 + given.form.pitch_error)
     # A cylinder ends with the array along its axis.
-    has_width = [float(mla.cylinder_axis != axis) for axis in "xy"]
-    return Apertures(mla.layout == "hexagonal", np.outer(wavelengths_nm, has_width) * over, sinc2_quantiles())
+    axis = given.cylinder_axis if face.row == CURVED_ROW or given.back is None else given.back.cylinder_axis
+    spread = np.outer(np.array(wavelengths_nm) * 1e-6, [float(axis != each) for each in "xy"]) / width
+    apertures = Apertures(shape, spread, quantiles, int(face.row), bool(face.curved_to_lens), lever)
+    return with_media(mla, mla.media, apertures=apertures)
+
+
+def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[float, ...]) -> LensTables:
+    """Return the tables of the lens with the aperture of its stop, where the scene asks for its diffraction.
+
+    Parameters
+    ----------
+    scene : Scene
+    lens : LensTables
+    wavelengths_nm : (wavelengths,) tuple of float
+    """
+    if scene.transport.diffraction != "stop":
+        return lens
+    radius = lens.stop_radius
+    if lens.stop_space < 0:
+        radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
+    spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
+    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), -1, False, 0.0))
+
+
+def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:
+    """Return the face whose apertures limit light, where it is diffracted, and the lever of `Apertures`.
+
+    Of two faces with lenslets it is the one that is the smaller as light along the axis meets it: paraxial, with the
+    mean curvature of each.
+
+    Parameters
+    ----------
+    given : MicrolensArray
+    mla : MlaTables
+    colour : int
+        Number of the wavelength.
+    """
+    if mla.back is None:
+        return mla, 1.0
+    index, pitch = float(mla.media.indices[mla.medium, colour]), given.pitch_mm
+    reduced = mla.lenslets.thickness / index
+    at_lens, at_sensor = (
+        1.0 - reduced * (index - 1.0) * float(each.lenslets.curvature.mean()) for each in (mla.back, mla)
+    )
+    curved, flat = given.clear_diameter_mm or pitch, pitch
+    first, second = (curved, flat) if mla.back.row == CURVED_ROW else (flat, curved)
+    if second < first * abs(at_lens):
+        return mla, 1.0
+    return mla.back, float(np.copysign(1.0 / max(abs(at_sensor), LEAST_LEVER), at_sensor))
 
 
 def _back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:

@@ -81,15 +81,21 @@ class LensTables(NamedTuple):
     order: Array  # (K + 1, 12) the conics of each space and what rays it holds for, see `tables.lens.surface_order`
     ordered: NDArray[np.bool_]  # (K + 1,) whether there are rays in a space whose surface is known without a mesh
     by_roots: NDArray[np.bool_]  # (K + 1,) whether all surfaces of a space are exact conics without a pose
+    aperture: Any = None  # Apertures where the stop diffracts: code for that is not even compiled otherwise
 
 
 @by_address
 class Apertures(NamedTuple):
-    """Apertures of the lenslets, as diffraction needs them (see `events.kick`)."""
+    """Apertures of the lenslets, or the stop, as diffraction needs them (see `events.kick`)."""
 
-    hexagonal: bool
+    shape: int  # RECTANGLE, HEXAGON or ROUND
     spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
     quantiles: Array  # see `diffraction.sinc2_quantiles`
+    row: int  # of the face that has them among the array's interfaces; of the stop −1
+    to_lens: bool  # that face looks to the lens
+    # Shift of a point of the sensor that turns a ray through a given point of the lenslets aimed at, by one radian
+    # behind the array, over the point's distance from them.
+    lever: float
 
 
 @by_address
@@ -120,6 +126,13 @@ class MlaTables(NamedTuple):
     back: Any = None
     # Apertures where they diffract, else None, likewise.
     apertures: Any = None
+
+
+def undiffracted(mla: MlaTables) -> MlaTables:
+    """Return the tables of the array, of both its faces, without diffraction."""
+    if mla.apertures is None:
+        return mla
+    return mla._replace(apertures=None, back=None if mla.back is None else mla.back._replace(apertures=None))
 
 
 @by_address
@@ -321,8 +334,7 @@ class Tables(NamedTuple):
     @property
     def camera(self) -> Camera:
         """The parts of the camera, without diffraction: for rays, which have no random numbers."""
-        mla = self.mla if self.mla.apertures is None else self.mla._replace(apertures=None)
-        return Camera(self.lens, mla, self.sensor, self.frames, self.cover)
+        return Camera(self.lens._replace(aperture=None), undiffracted(self.mla), self.sensor, self.frames, self.cover)
 
     @property
     def camera_of_packets(self) -> Camera:

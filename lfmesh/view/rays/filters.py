@@ -90,7 +90,7 @@ NO_PLACE = {
 }  # fmt: skip
 """Names of the books that no path ends on."""
 
-OF_ARRAY = {CURVED, FLAT, BACK, "mla edge", "mla wall", "mla mount"}
+OF_ARRAY = {CURVED, FLAT, BACK, "mla edge", "mla wall", "mla mask", "mla mount"}
 OF_COVER = {FRONT, REAR}
 
 LONGEST = 20_000

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.special import j0, j1
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.optics.diffraction import PARTS, sinc2_quantiles
+from lfmesh.optics.diffraction import HEXAGON, PARTS, RECTANGLE, ROUND, airy_quantiles, sinc2_quantiles
 from lfmesh.transport.events.kick import drawn_kick
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables.tables import Apertures
@@ -21,12 +22,16 @@ def _fill(apertures: Apertures, key: np.uint64, kicks: np.ndarray) -> None:
         kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, 0, derived(key, i), 3)
 
 
-def kicks_of(hexagonal: bool, spread: float) -> np.ndarray:
-    """Draw changes of direction over the spread, (n, 2): frequencies in cycles over the pitch."""
+def apertures(shape: int, spread: tuple[float, float]) -> Apertures:
+    """Apertures of a shape, with wavelengths over their widths."""
+    quantiles = airy_quantiles() if shape == ROUND else sinc2_quantiles()
+    return Apertures(shape, np.array([spread]), quantiles, row=0, to_lens=True, lever=1.0)
+
+
+def kicks_of(shape: int, spread: float) -> np.ndarray:
+    """Draw changes of direction over the spread, (n, 2): frequencies in cycles over the pitch or diameter."""
     kicks = np.empty((DRAWS, 2))
-    _fill(
-        Apertures(hexagonal, np.array([[spread, spread]]), sinc2_quantiles()), descendant(0x6B69636B, hexagonal), kicks
-    )
+    _fill(apertures(shape, (spread, spread)), descendant(0x6B69636B, shape), kicks)
     return kicks / spread
 
 
@@ -36,7 +41,7 @@ def near(found: np.ndarray, expected: float) -> bool:
     return bool(abs(found.mean() - expected) < LEVEL_SIGMA * error)
 
 
-SQUARE, HEXAGONAL = kicks_of(False, 1e-4), kicks_of(True, 1e-4)
+SQUARE, HEXAGONAL, CIRCULAR = (kicks_of(shape, 1e-4) for shape in (RECTANGLE, HEXAGON, ROUND))
 CASES = {"A": (14.0, 25.0, 1.4), "D": (14.0, 56.0, 1.0), "B": (125.0, 500.0, 12.5), "C": (38.5, 154.0, 5.5)}
 """Pitch, distance from the sensor (of a focused camera 1.25 focal lengths) and pixel, µm, at 0.55 µm."""
 
@@ -76,6 +81,37 @@ def test_hexagons_transfer_contrast_as_their_overlap_with_themselves(shift: floa
     assert near(np.cos(2.0 * np.pi * shift * HEXAGONAL[:, 1]), across)
 
 
+@pytest.mark.parametrize(("within_um", "printed"), [(0.7, 0.6170), (1.4, 0.8379)])
+def test_light_within_a_distance_behind_a_round_lenslet_is_rayleighs(within_um: float, printed: float) -> None:
+    """At f/2: 1 − J₀² − J₁², v = π r / λN."""
+    v = np.pi * within_um / (0.55 * 2.0)
+    expected = 1.0 - j0(v) ** 2 - j1(v) ** 2
+    assert expected == pytest.approx(printed, abs=1e-4)
+    distance = np.hypot(CIRCULAR[:, 0], CIRCULAR[:, 1]) * 0.55 * 2.0
+    assert near((distance < within_um).astype(float), expected)
+
+
+@pytest.mark.parametrize(("case", "printed"), [("A", 0.7778), ("D", 0.3368), ("B", 0.944), ("C", 0.8729)])
+def test_circles_transfer_contrast_as_their_overlap_with_themselves(case: str, printed: float) -> None:
+    """At half of Nyquist's frequency, along three directions: 2/π (arccos ν − ν √(1 − ν²))."""
+    pitch, focal, pixel = CASES[case]
+    shift = 0.55 * focal / (4.0 * pixel * pitch)
+    overlap = 2.0 / np.pi * (np.arccos(shift) - shift * np.sqrt(1.0 - shift**2))
+    assert overlap == pytest.approx(printed, abs=1e-4)
+    for turn in (0.0, 1.0, 0.5 * np.pi):
+        along = CIRCULAR @ (np.cos(turn), np.sin(turn))
+        assert near(np.cos(2.0 * np.pi * shift * along), overlap)
+
+
+def test_airys_tail_falls_as_its_integral() -> None:
+    """Beyond x diameters over λ lie J₀² + J₁² of the light, 2/(π² x) in the mean."""
+    distance = np.hypot(CIRCULAR[:, 0], CIRCULAR[:, 1])
+    for beyond in (3.9, 4.3, 5.0, 10.0, 100.0, 1000.0):
+        expected = j0(np.pi * beyond) ** 2 + j1(np.pi * beyond) ** 2
+        assert expected == pytest.approx(2.0 / (np.pi**2 * beyond), rel=0.1)
+        assert near((distance > beyond).astype(float), expected)
+
+
 def test_tails_fall_as_their_integral() -> None:
     """Beyond X on one axis lie 1/(π² X) of a square's light, to the second order."""
     for beyond in (10.0, 100.0, 1000.0):
@@ -85,23 +121,27 @@ def test_tails_fall_as_their_integral() -> None:
 
 
 def test_shares_within_any_distance_are_those_of_the_density_to_their_stated_error() -> None:
-    """The table's chances against sinc² by quadrature over each part; the tail goes on at its end."""
-    quantiles = sinc2_quantiles()
-    x = np.linspace(0.0, quantiles[-1], 200_001)
-    density = np.sinc(x) ** 2
-    within = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) * np.diff(x))])
-    chances = np.interp(x, quantiles, np.arange(len(quantiles)) / PARTS)
-    assert np.abs(chances - within).max() < 1.2e-4
-    assert chances[-1] == pytest.approx(within[-1], abs=1e-8)
+    """The table's chances against quadrature of the densities over each part; the tail goes on at its end."""
+    for quantiles, density_of in (
+        (sinc2_quantiles(), lambda x: 2.0 * np.sinc(x) ** 2),
+        (airy_quantiles(), lambda x: 2.0 * np.divide(j1(np.pi * x) ** 2, x, out=np.zeros_like(x), where=x > 0.0)),
+    ):
+        x = np.linspace(0.0, quantiles[-1], 200_001)
+        density = density_of(x)
+        within = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(x))])
+        chances = np.interp(x, quantiles, np.arange(len(quantiles)) / PARTS)
+        assert np.abs(chances - within).max() < 1.2e-4
+        assert chances[-1] == pytest.approx(within[-1], abs=1e-8)
 
 
 def test_no_change_is_beyond_a_right_angle() -> None:
-    wide = kicks_of(False, 0.3) * 0.3
-    assert np.hypot(wide[:, 0], wide[:, 1]).max() < 1.0
+    for shape in (RECTANGLE, ROUND):
+        wide = kicks_of(shape, 0.3) * 0.3
+        assert np.hypot(wide[:, 0], wide[:, 1]).max() < 1.0
 
 
 def test_an_aperture_without_ends_does_not_diffract() -> None:
     kicks = np.empty((1000, 2))
-    _fill(Apertures(False, np.array([[0.04, 0.0]]), sinc2_quantiles()), descendant(1, 2), kicks)
+    _fill(apertures(RECTANGLE, (0.04, 0.0)), descendant(1, 2), kicks)
     assert (kicks[:, 1] == 0.0).all()
     assert kicks[:, 0].std() > 0.0

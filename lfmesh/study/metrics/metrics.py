@@ -203,7 +203,16 @@ class Comparison:
     found: Found = field(default_factory=dict)
 
     def of_reference(self, name: str, use: Numbers, compute: Callable[[Numbers], Any]) -> Any:
-        """Return what follows from some replicates of the reference alone; computed once for all cameras."""
+        """Return what follows from some replicates of the reference alone; computed once for all cameras.
+
+        Parameters
+        ----------
+        name : str
+            Of the result.
+        use : (n,) int64
+        compute : callable
+            Given the numbers of the replicates, returns the result.
+        """
         key = name, tuple(use.tolist())
         if key not in self.found:
             self.found[key] = compute(use)
@@ -531,9 +540,17 @@ METRICS: Mapping[str, Metric] = {
     "chief_rays": Metric(_movement("chief_rays", "chief rays"), (), _chief_rays, needs_mla=True),
     "mtf50": Metric(
         (
-            Column("mtf50_lp_per_height", "MTF50, decoded as built to plan / lp per height", worse="low"),
             Column(
-                "mtf50_calibrated_lp_per_height", "MTF50, calibrated by its white image / lp per height", worse="low"
+                "mtf50_lp_per_height",
+                "MTF50, decoded as built to plan / lp per height",
+                worse="low",
+                possible=POSITIVE,
+            ),
+            Column(
+                "mtf50_calibrated_lp_per_height",
+                "MTF50, calibrated by its white image / lp per height",
+                worse="low",
+                possible=POSITIVE,
             ),
         ),
         ("edge", "white"),

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 
+Found = dict[tuple[str, tuple[int, ...]], Any]
+"""Results by their name and the numbers of the replicates behind them."""
 
 RESOLVED = 2.0
 """Standard errors by which a value has to differ from the border of what is possible, such as 0, to have an error."""
@@ -188,6 +190,8 @@ class Comparison:
         Number of them.
     maps : dict of (rows, columns, 2) float64
         Fields over the array, which metrics leave here.
+    found : dict
+        Results of the reference alone, by name and replicates; comparisons with the same films share them.
     """
 
     camera: Camera
@@ -196,6 +200,23 @@ class Comparison:
     reference_films: Films
     replicates: int
     maps: dict[str, Array] = field(default_factory=dict)
+    found: Found = field(default_factory=dict)
+
+    def of_reference(self, name: str, use: Numbers, compute: Callable[[Numbers], Any]) -> Any:
+        """Return what follows from some replicates of the reference alone; computed once for all cameras.
+
+        Parameters
+        ----------
+        name : str
+            Of the result.
+        use : (n,) int64
+        compute : callable
+            Given the numbers of the replicates, returns the result.
+        """
+        key = name, tuple(use.tolist())
+        if key not in self.found:
+            self.found[key] = compute(use)
+        return self.found[key]
 
     @cached_property
     def chief_rays(self) -> Calibration:
@@ -205,7 +226,8 @@ class Comparison:
     @cached_property
     def reference_chief_rays(self) -> Calibration:
         """The same of the reference."""
-        return calibrate(self.reference.scene)
+        found: Calibration = self.of_reference("chief rays", self.every, lambda _: calibrate(self.reference.scene))
+        return found
 
     @cached_property
     def products(self) -> Array:
@@ -330,12 +352,19 @@ def _centres(pair: Comparison) -> Array:
 
     def estimate(use: Numbers) -> Array:
         own = estimate_centres(image_of(scene, pair.films["white"][use]), nominal)
-        other = estimate_centres(image_of(nominal, pair.reference_films["white"][use]), nominal)
-        return _moved(own, other)
+        return _moved(own, _reference_centres(pair, use))
 
     values = _from_replicates(estimate, pair)
     pair.maps["centres"] = _displacements(values, pair.reference_chief_rays)
     return _movements(values)
+
+
+def _reference_centres(pair: Comparison, use: Numbers) -> Calibration:
+    nominal, white = pair.reference.scene, pair.reference_films["white"]
+    found: Calibration = pair.of_reference(
+        "centres", use, lambda use: estimate_centres(image_of(nominal, white[use]), nominal)
+    )
+    return found
 
 
 def _chief_rays(pair: Comparison) -> Array:
@@ -398,15 +427,16 @@ def _sharpness(image: Image, nominal: Scene, pair: Comparison, centres: Calibrat
 def _refocus(pair: Comparison) -> Array:
     """Compare the distances at which an edge is refocused, with the nominal geometry and with centres found anew."""
     nominal = pair.reference.scene
-    cameras = (pair.films, pair.reference_films)
+
+    def distances(films: Films, use: Numbers, seen: Calibration) -> Array:
+        return np.array([_refocused_mm(films, use, nominal, each) for each in (pair.reference_chief_rays, seen)])
+
+    def of_reference(use: Numbers) -> Array:
+        return distances(pair.reference_films, use, _reference_centres(pair, use))
 
     def estimate(use: Numbers) -> Array:
-        traced, found = [], []
-        for films in cameras:
-            seen = estimate_centres(image_of(nominal, films["white"][use]), nominal)
-            traced.append(_refocused_mm(films, use, nominal, pair.reference_chief_rays))
-            found.append(_refocused_mm(films, use, nominal, seen))
-        return np.array([traced[0], traced[0] - traced[1], found[0] - found[1]])
+        own = distances(pair.films, use, estimate_centres(image_of(nominal, pair.films["white"][use]), nominal))
+        return np.array([own[0], *(own - pair.of_reference("refocus", use, of_reference))])
 
     distance, *shifts = _from_replicates(estimate, pair).T
     return np.column_stack([distance, *(column for shift in shifts for column in (shift, mean_square(shift)))])
@@ -424,7 +454,11 @@ def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibrati
 def _depth(pair: Comparison) -> Array:
     """Compare the depth that the picture shows with the truth, decoded to plan and with centres found anew."""
     nominal = pair.reference.scene
-    where = textured(_divided(pair.reference_films, pair.every, nominal, pair.reference_chief_rays))
+    where = pair.of_reference(
+        "textured",
+        pair.every,
+        lambda use: textured(_divided(pair.reference_films, use, nominal, pair.reference_chief_rays)),
+    )
     truth = true_depth_mm(pair.camera.scene)
 
     def estimate(use: Numbers) -> Array:
@@ -506,9 +540,17 @@ METRICS: Mapping[str, Metric] = {
     "chief_rays": Metric(_movement("chief_rays", "chief rays"), (), _chief_rays, needs_mla=True),
     "mtf50": Metric(
         (
-            Column("mtf50_lp_per_height", "MTF50, decoded as built to plan / lp per height", worse="low"),
             Column(
-                "mtf50_calibrated_lp_per_height", "MTF50, calibrated by its white image / lp per height", worse="low"
+                "mtf50_lp_per_height",
+                "MTF50, decoded as built to plan / lp per height",
+                worse="low",
+                possible=POSITIVE,
+            ),
+            Column(
+                "mtf50_calibrated_lp_per_height",
+                "MTF50, calibrated by its white image / lp per height",
+                worse="low",
+                possible=POSITIVE,
             ),
         ),
         ("edge", "white"),

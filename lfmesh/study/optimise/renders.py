@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
-from lfmesh.study.metrics.metrics import METRICS, Comparison, metric_of, pictures_of
+from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, metric_of, pictures_of
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, Films, films
 from lfmesh.study.sweeps.statistics import combined
 
@@ -31,6 +31,7 @@ class Renders:
         self.metrics = tuple(dict.fromkeys(metric_of(column) for column in columns))
         edge_mm = min(solved_camera(scene).report.object_distance_mm, FARTHEST_MM)
         self._reference = Camera(scene, edge_mm)
+        self._found: Found = {}
 
     @cached_property
     def _reference_films(self) -> Films:
@@ -48,9 +49,8 @@ class Renders:
             It cannot be traced.
         """
         camera = Camera(scene, self._reference.edge_distance_mm)
-        pair = Comparison(
-            camera, self._reference, self._traced(camera), self._reference_films, scene.transport.replicates
-        )
+        own, count = self._traced(camera), scene.transport.replicates
+        pair = Comparison(camera, self._reference, own, self._reference_films, count, found=self._found)
         found = {}
         with np.errstate(invalid="ignore", divide="ignore"):
             for name in self.metrics:

@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,17 @@ from lfmesh.study.sweeps.table import Row, Table
 Array = NDArray[np.float64]
 
 BLUE, ORANGE = "#1f4e8c", "#b4541a"
-PANEL_IN = (3.3, 2.5)
 PANELS = 3
 """Side by side in a figure."""
+
+PANEL_IN = (2.45, 1.6)
+"""Of a panel without its labels."""
+
+LEFT_IN, RIGHT_IN, NUMBERS_IN = 0.72, 0.13, 0.24
+"""Room beside a panel, for numbers of eight letters on its left, and for the numbers below it."""
+
+LINE_IN, GAP_IN = 0.17, 0.09
+"""Height of a line of text, and the room above and below it."""
 
 TITLE_LETTERS = 34
 """In a line of a panel's title: no more fit above it."""
@@ -74,7 +82,6 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
             short = [name if len(name) <= NAME_LETTERS else f"value {n}" for n, name in enumerate(names, start=1)]
             panel.set_xticks(range(len(names)), short)
             panel.margins(x=0.2)
-        panel.set_xlabel(textwrap.fill(table.plan.axes[axis].title, TITLE_LETTERS))
 
     title = table.plan.axes[axis].title
     return _panels([(column.title, partial(draw, column=column)) for column in columns], title)
@@ -84,7 +91,8 @@ def efficiency_figure(table: Table) -> str:
     """Return a figure of the efficiency of every point, the best on top."""
     known = sorted(table.efficiency(), key=lambda each: each[1])
 
-    def draw(panel: Any) -> None:
+    def draw(figure: Any) -> None:
+        panel = figure.add_subplot()
         places = range(len(known))
         panel.barh(places, [value for _, value, _ in known], color=BLUE, height=0.6)
         panel.errorbar(
@@ -93,9 +101,10 @@ def efficiency_figure(table: Table) -> str:
         )  # fmt: skip
         panel.set_yticks(places, [textwrap.fill(words_of(table, row), TITLE_LETTERS) for row, _, _ in known])
         panel.set_xlabel("1/(noise² · time) / 1/s")
+        finish(panel, "efficiency: more is better")
+        panel.title.set_color(GREY)
 
-    size = (8.2, 1.0 + 0.28 * len(known))
-    return _figure(lambda figure: _one(figure, draw, "efficiency: more is better"), "efficiency", size)
+    return _figure(draw, "efficiency", (8.2, 1.0 + 0.28 * len(known)), layout="constrained")
 
 
 def field_figure(row: Row, name: str, title: str) -> str:
@@ -114,14 +123,20 @@ def field_figure(row: Row, name: str, title: str) -> str:
     y, x = np.indices(some.shape[:2]) * step + step // 2
     size = np.hypot(some[..., 0], some[..., 1])
 
-    def draw(panel: Any) -> None:
+    def draw(figure: Any) -> None:
+        panel = figure.add_axes((0.13, 0.14, 0.66, 0.76))
         arrows = panel.quiver(x, y, some[..., 0], some[..., 1], size, cmap="viridis", angles="xy", pivot="mid")
-        panel.set_aspect("equal")
+        panel.set_aspect("equal", anchor="W")
         panel.set(xlabel="lenslet column", ylabel="lenslet row")
         panel.margins(0.06)
-        panel.figure.colorbar(arrows, ax=panel, shrink=0.8, label="pixels")
+        panel.apply_aspect()
+        place = panel.get_position()
+        beside = figure.add_axes((place.x1 + 0.03, place.y0, 0.035, place.height))
+        figure.colorbar(arrows, cax=beside, label="pixels")
+        finish(panel, title)
+        panel.title.set_color(GREY)
 
-    return _figure(lambda figure: _one(figure, draw, title), title, (4.1, 3.3))
+    return _figure(draw, title, (4.1, 3.3))
 
 
 def picture(preview: NDArray[np.uint8]) -> str:
@@ -141,20 +156,42 @@ def _values(rows: Sequence[Row], column: Column) -> tuple[Array, Array]:
 
 
 def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> str:
+    """Return a figure of panels, each with its words above it and the title below.
+
+    The room for all labels is known from their lines; matplotlib's own layout takes as long as drawing does.
+
+    Parameters
+    ----------
+    draws : sequence of (str, callable)
+        Words above each panel, and what draws it.
+    title : str
+        Of the horizontal axis.
+    """
     rows = -(-len(draws) // PANELS)
     columns = min(len(draws), PANELS)
+    wrapped = [textwrap.fill(words, TITLE_LETTERS) for words, _ in draws]
+    below = textwrap.fill(title, TITLE_LETTERS)
+    above_in = GAP_IN + LINE_IN * max(_lines(words) for words in wrapped)
+    below_in = NUMBERS_IN + LINE_IN * _lines(below) + GAP_IN
+    each_in = (LEFT_IN + PANEL_IN[0] + RIGHT_IN, above_in + PANEL_IN[1] + below_in)
+    size = (each_in[0] * columns, each_in[1] * rows)
 
     def draw(figure: Any) -> None:
-        for number, (words, one) in enumerate(draws):
-            panel = figure.add_subplot(rows, columns, number + 1)
+        for number, (words, (_, one)) in enumerate(zip(wrapped, draws, strict=True)):
+            row, column = divmod(number, PANELS)
+            left, low = each_in[0] * column + LEFT_IN, each_in[1] * (rows - 1 - row) + below_in
+            panel = figure.add_axes((left / size[0], low / size[1], PANEL_IN[0] / size[0], PANEL_IN[1] / size[1]))
             one(panel)
+            panel.set_xlabel(below)
             panel.tick_params(labelsize=8)
             panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel) else None
-            finish(panel, textwrap.fill(words, TITLE_LETTERS))
-        # Titles of two lines stay clear of the panel above.
-        figure.get_layout_engine().set(h_pad=0.08, w_pad=0.08)
+            finish(panel, words)
 
-    return _figure(draw, title, (PANEL_IN[0] * columns, PANEL_IN[1] * rows))
+    return _figure(draw, title, size)
+
+
+def _lines(words: str) -> int:
+    return words.count("\n") + 1
 
 
 def _is_plain(panel: Any) -> bool:
@@ -163,21 +200,16 @@ def _is_plain(panel: Any) -> bool:
     return isinstance(panel.yaxis.get_major_formatter(), ScalarFormatter)
 
 
-def _one(figure: Any, draw: Callable[[Any], None], title: str) -> None:
-    panel = figure.add_subplot()
-    draw(panel)
-    finish(panel, title)
-    panel.title.set_color(GREY)
-
-
-def _figure(draw: Callable[[Any], None], title: str, size: tuple[float, float]) -> str:
+def _figure(
+    draw: Callable[[Any], None], title: str, size: tuple[float, float], layout: Literal["constrained"] | None = None
+) -> str:
     """Return a figure as an SVG element that loads nothing."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}):
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout=layout)
         FigureCanvasSVG(figure)
         draw(figure)
         stream = io.StringIO()

@@ -104,12 +104,9 @@ def _progress(table: Table) -> str:
 def _limits(table: Table) -> Iterator[str]:
     """Yield for every limit how many cameras keep it; one that nothing breaks is held."""
     rows = [row for row in table.drawn if row.means]
-    reference = table.rows[0]
+    yield from () if table.plan.scenes else beyond_limits(table)
     for column in table.limited:
         limit = _limit(table, column)
-        if not table.plan.scenes and reference.means and not table.keeps(reference, column):
-            value = column_value(reference, column)
-            yield f"The reference camera itself is beyond the limit {limit}: its value is {value}{column.unit}."
         bad = [row for row in rows if not table.keeps(row, column)]
         unsure = sum(table.keeps(row, column, 1.96) != table.keeps(row, column, -1.96) for row in rows)
         doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
@@ -119,6 +116,16 @@ def _limits(table: Table) -> Iterator[str]:
             yield f"The limit {limit} is held at all {len(rows)} cameras{doubt}."
         else:
             yield f"The limit {limit} is broken at {len(bad)} of {len(rows)} cameras{doubt}."
+
+
+def beyond_limits(table: Table) -> Iterator[str]:
+    """Yield the limits that the reference camera itself is beyond."""
+    reference = table.rows[0]
+    for column in table.limited if reference.means else ():
+        if not table.keeps(reference, column):
+            value = column_value(reference, column)
+            limit = _limit(table, column)
+            yield f"The reference camera itself is beyond the limit {limit}: its value is {value}{column.unit}."
 
 
 def _limit(table: Table, column: Column) -> str:

@@ -3,6 +3,7 @@
 import inspect
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from lfmesh.study.metrics.metrics import columns_of, pictures_of
 from lfmesh.study.sweeps.cluster import in_dask
 from lfmesh.study.sweeps.plan import Plan, Point, load_scenes, plan_of
 from lfmesh.study.sweeps.pool import Result, here, in_pool
+from lfmesh.study.sweeps.sentences import beyond_limits
 from lfmesh.study.sweeps.study_file import StudyFile, read_study
 from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
 from lfmesh.study.sweeps.table import Table, table_of
@@ -328,6 +330,8 @@ class Run:
             outcome = unpacked(result.content, self.plan.digest, point, batch, self.plan.metrics)
             self.outcomes[point, batch] = outcome
             reason = outcome.fault or ""
+            if point == 0:
+                self._warn_of_limits()
             try:
                 self.folder.keep(point, batch, result.content)
             except OSError as error:
@@ -339,6 +343,11 @@ class Run:
             self.faults[point] = reason
             label = self.plan.label(self.plan.points[point])
             self.folder.log("failed", point=point, batch=batch, label=label, reason=reason)
+
+    def _warn_of_limits(self) -> None:
+        """Warn, before other cameras are traced, of limits that the reference itself is beyond."""
+        for words in () if self.plan.scenes else beyond_limits(table_of(self.plan, self.outcomes, {})):
+            warnings.warn(words, UserWarning, stacklevel=2)
 
     def _say(self, total: int) -> None:
         if self.progress is None:

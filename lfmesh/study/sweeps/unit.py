@@ -19,7 +19,8 @@ from lfmesh.files.sealed import read_sealed, unsealed, write_sealed
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.provenance import program, refuse_other
 from lfmesh.scene import Scene
-from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, metric_of, pictures_of
+from lfmesh.scene.inputs import file_stamp
+from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, columns_of, metric_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, films
 from lfmesh.study.sweeps.statistics import Estimate, combined
 from lfmesh.study.tolerances.compensators import Compensator, compensated
@@ -123,11 +124,15 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Traced:
-    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures."""
+    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures.
+
+    What metrics find of them alone is kept in `found` for the next unit.
+    """
 
     films: Films
     seconds: float
     warnings: tuple[PictureWarning, ...] = ()
+    found: Found = field(default_factory=dict)
 
 
 Reference = bytes | Path
@@ -175,7 +180,7 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
 
 
 def _outcome(unit: Unit, reference: Traced) -> Outcome:
-    bench = _Bench(unit, reference.films)
+    bench = _Bench(unit, reference)
     camera, own, seconds = unit.reference, reference.films, reference.seconds
     allowed: Allowed | None = None
     adjusted: tuple[float, ...] = ()
@@ -200,7 +205,7 @@ class _Bench:
     """A place where cameras are adjusted, traced and compared with the reference of a unit."""
 
     unit: Unit
-    reference: Films
+    reference: Traced
 
     def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Films:
         """Trace what some metrics need."""
@@ -208,7 +213,9 @@ class _Bench:
 
     def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> tuple[Comparison, dict[str, Array]]:
         """Return a camera beside the reference, and the pseudo-values of some metrics by their columns."""
-        pair = Comparison(camera, self.unit.reference, own, self.reference, len(self.unit.replicates))
+        known = self.reference
+        count = len(self.unit.replicates)
+        pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)
         columns: dict[str, Array] = {}
         with np.errstate(invalid="ignore", divide="ignore"):
             for name in metrics:
@@ -220,7 +227,7 @@ class _Bench:
     def means(self, scene: Scene | None, metrics: tuple[str, ...]) -> dict[str, Estimate]:
         """Trace a camera, or take the reference for None, and return the means of the pseudo-values."""
         camera = self.unit.reference if scene is None else Camera(scene, self.unit.camera.edge_distance_mm)
-        own = self.reference if scene is None else self.traced(camera, metrics)
+        own = self.reference.films if scene is None else self.traced(camera, metrics)
         return {name: combined(values) for name, values in self.compared(camera, own, metrics)[1].items()}
 
     def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
@@ -332,12 +339,13 @@ def opened_reference(reference: Reference) -> Traced:
         They cannot be read, are damaged, or another program traced them.
     """
     if isinstance(reference, Path):
-        return _opened_file(reference)
+        # Another study may have begun in the folder since.
+        return _opened_file(reference, file_stamp(reference))
     return _films_in(*unsealed(io.BytesIO(reference), FORMAT, "the reference"))
 
 
 @lru_cache(maxsize=2)
-def _opened_file(path: Path) -> Traced:
+def _opened_file(path: Path, stamp: tuple[object, ...]) -> Traced:
     try:
         return _films_in(*read_sealed(path, FORMAT))
     except FileNotFoundError as error:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.metrics import ROUNDING, Column
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.statistics import Estimate
 
@@ -161,9 +161,13 @@ def _fitted(table: "Table", column: Column, axes: list[int], rows: "list[Row]") 
         return None
     solve = np.linalg.pinv(design)
     fit = solve @ y
+    # What is so much smaller than the values is rounding, and no effect.
+    rounding = ROUNDING * float(np.abs(y).max())
+    fit = np.where(np.abs(fit) > rounding, fit, 0.0)
     # Where no point is left over to show how far they lie beside it, their own errors are all that is known.
     scatter = float(((y - design @ fit) ** 2).sum()) / degrees if degrees else 0.0
-    covariance = solve @ np.diag(np.maximum(scatter, noise**2)) @ solve.T
+    spread = np.maximum(scatter, noise**2)
+    covariance = solve @ np.diag(np.where(spread > rounding**2, spread, 0.0)) @ solve.T
     quantile = float(student.ppf(LEVEL, degrees or table.plan.base.transport.replicates - 1))
     effects = []
     for k, axis in enumerate(axes):

@@ -3,6 +3,7 @@
 import json
 import multiprocessing as mp
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import lfmesh as lf
 from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.files import sealed
+from lfmesh.study.metrics import metrics
 from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
 from lfmesh.study.sweeps.pool import Result, in_pool
@@ -443,3 +445,32 @@ def test_scenes_are_compared_with_the_first(tmp_path: Path) -> None:
     table = lf.Study(scenes, metrics=["light"]).run(tmp_path, workers=0)
     assert table.rows[1].estimates["light_ratio"].value == pytest.approx(0.5, rel=1e-12)
     assert "dim" in (tmp_path / "table.csv").read_text()
+
+
+def test_a_folder_that_was_emptied_serves_another_study_in_the_same_process(tmp_path: Path) -> None:
+    """Its films of the reference are its own, not those that were read from the same place before."""
+    shifted(2).run(tmp_path / "one", workers=0)
+    shutil.rmtree(tmp_path / "one")
+    tables = []
+    for name in ("one", "other"):
+        scene = small_scene(seed=9)
+        axes = [{"path": SHIFT, "values": [0.1]}]
+        tables.append(lf.Study(scene, axes=axes, metrics=["psnr"]).run(tmp_path / name, workers=0).to_csv())
+    assert tables[0] == tables[1]
+
+
+def test_what_metrics_find_of_the_reference_alone_is_found_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of each of four cameras the centres of all replicates, and without one of four; of the reference no more."""
+    of_cameras: Counter[float] = Counter()
+    plain = metrics.estimate_centres
+
+    def counted(white: lf.Image, scene: lf.Scene) -> lf.Calibration:
+        of_cameras[white.scene.camera.mla.pose.shift_mm[0]] += 1
+        return plain(white, scene)
+
+    monkeypatch.setattr(metrics, "estimate_centres", counted)
+    shifted(4, ("centres",)).run(tmp_path, workers=0)
+    # The reference is also a camera of the study, which is compared with itself.
+    assert sorted(of_cameras.values()) == [5, 5, 5, 5, 10]

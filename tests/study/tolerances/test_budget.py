@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 import lfmesh as lf
+from lfmesh.study.sweeps.sentences import budget_rows
 from lfmesh.study.sweeps.table import Table
 from lfmesh.study.tolerances.budget import Budget, budget_of
 from tests.study.studies import SHIFT, small_scene
@@ -57,6 +58,16 @@ def test_an_error_without_effect_is_named_as_not_resolved(tmp_path: Path) -> Non
     found = budget(table, "psnr_db")
     assert [effect.is_resolved for effect in found.effects] == [True, False]
     assert f"not resolved: {ASIDE}" in (tmp_path / "report.html").read_text()
+
+
+def test_rounding_of_metrics_without_noise_is_no_effect(tmp_path: Path) -> None:
+    """Decentres to either side: no linear part of the square; of what no chief ray meets, no effect."""
+    axes = [{"path": SHIFT, "values": [-0.05, 0.05]}, {"path": ASIDE, "values": [-0.5, 0.5]}]
+    table = run(tmp_path, axes)
+    moved, aside = budget(table).effects
+    assert moved.linear == aside.linear == aside.quadratic == (0.0, 0.0)
+    assert not aside.is_resolved
+    assert "e-2" not in " ".join(cell for row in budget_rows(table, budget(table)) for cell in row)
 
 
 def test_too_few_points_are_said_to_be_so(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,19 @@ def test_a_reference_beyond_a_limit_allows_no_change() -> None:
 def test_a_reference_beyond_a_limit_is_said_first(tmp_path: Path) -> None:
     axes = [{"path": SHIFT, "values": [0.05], "label": "array: decentre / mm"}]
     study = lf.Study(small_scene(), axes=axes, metrics=["noise"], limits={"noise": 1e-6})
-    study.run(tmp_path, workers=0)
+    progress: list[int] = []
+
+    def heed(message: Warning | str, *_: object, **__: object) -> None:
+        # Only the reference is done by then.
+        assert progress[-1] == 0
+        said.append(str(message))
+
+    said: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = heed
+        study.run(tmp_path, workers=0, progress=lambda now: progress.append(now.done))
+    assert [each for each in said if "beyond the limit noise" in each]
     page = (tmp_path / "report.html").read_text()
     assert "The reference camera itself is beyond the limit noise" in page
     assert "array: decentre may not change at all: the reference itself is beyond a limit." in page
@@ -113,11 +126,12 @@ def test_a_reference_beyond_a_limit_is_said_first(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("column", "limit", "valid"), [
     ("chief_rays_rms_px", -0.3, "must be from 0 to inf"), ("ncc", 1.5, "must be from -1 to 1"),
+    ("mtf50_lp_per_height", -1.0, "must be from 0 to inf"),
 ])  # fmt: skip
 def test_a_limit_that_no_camera_can_have_is_refused(column: str, limit: float, valid: str) -> None:
     axes = [{"path": SHIFT, "values": [0.05]}]
     with pytest.raises(lf.LfmeshError, match=valid):
-        lf.Study(small_scene(), axes=axes, metrics=["chief_rays", "ncc"], limits={column: limit})
+        lf.Study(small_scene(), axes=axes, metrics=["chief_rays", "ncc", "mtf50"], limits={column: limit})
 
 
 def test_a_whole_number_is_no_compensator() -> None:

@@ -131,6 +131,7 @@ def test_the_promised_scenes_are_there() -> None:
         "coated",
         "color_checker",
         "cover_glass",
+        "diffraction",
         "glossy",
         "ground_glass",
         "hot_metal",

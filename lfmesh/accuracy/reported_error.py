@@ -26,6 +26,7 @@ CROPS = {
     "conventional": (-1.0, 0.5),
     "cover_glass": (-1.0, 0.5),
     "crossed_cylinders": (-1.0, 0.5),
+    "diffraction": (0.0, 0.0),
     "emitting_plane": (-0.5, 0.5),
     "first_light": (-1.0, 0.5),
     "flame": (0.0, 0.5),

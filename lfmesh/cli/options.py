@@ -69,6 +69,10 @@ class Overrides:
         Literal["both", "roulette", "transmit"] | None,
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
+    diffraction: Annotated[
+        Literal["none", "lenslets"] | None,
+        Parameter(help="lenslets: light spreads behind each lenslet as behind its aperture; none: it does not."),
+    ] = None
     replicates: Annotated[
         Whole | None,
         Parameter(

@@ -13,7 +13,7 @@ import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -21,7 +21,8 @@ import pytest
 import lfmesh
 import lfmesh as lf
 from lfmesh.cli import main
-from lfmesh.scene import Scene, solved
+from lfmesh.cli.options import Overrides
+from lfmesh.scene import Scene, Transport, solved
 from tests.cameras import bench_camera
 from tests.processor_time import HANGS_S
 
@@ -117,15 +118,34 @@ def test_render_writes_a_run_and_says_where(
 
 def test_options_override_the_transport_table(renderer: Renderer, scene_file: Path) -> None:
     options = "--samples 32 --method forward --engine mesh --surface flat --split roulette --seed 5 --threads 2"
-    more = "--replicates 4 --wavelengths-nm 486.1 587.6 656.3"
+    more = "--replicates 4 --diffraction lenslets --wavelengths-nm 486.1 587.6 656.3"
     assert main(["render", "scene.toml", "-o", "run", *options.split(), *more.split()]) == 0
     assert renderer.scene is not None
     transport = renderer.scene.transport
     assert (transport.samples, transport.method, transport.engine) == (32, "forward", "mesh")
     assert (transport.surface, transport.split, transport.seed) == ("flat", "roulette", 5)
-    assert (transport.threads, transport.replicates) == (2, 4)
+    assert (transport.threads, transport.replicates, transport.diffraction) == (2, 4, "lenslets")
     assert transport.wavelengths_nm == (486.1, 587.6, 656.3)
     assert lfmesh.open_run("run").mean.shape == (40, 40, 3)
+
+
+def test_white_takes_the_diffraction_that_is_asked_for(
+    renderer: Renderer, scene_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["render", "scene.toml", "-o", "run"]) == 0
+    monkeypatch.setattr("lfmesh.lightfield.calibration.white.render", renderer)
+    for asked, wanted in ((["--diffraction", "lenslets"], "lenslets"), ([], "none")):
+        main(["white", "run", *asked])
+        assert renderer.scene is not None
+        assert (renderer.scene.name, renderer.scene.transport.diffraction) == ("white", wanted)
+
+
+def test_options_offer_the_choices_of_the_transport_table() -> None:
+    offered = get_type_hints(Overrides)
+    for name, field in Transport.model_fields.items():
+        if get_origin(field.annotation) is Literal:
+            choice, none = get_args(offered[name])
+            assert (set(get_args(choice)), none) == (set(get_args(field.annotation)), type(None))
 
 
 WRONG_ARGUMENTS = {
@@ -135,6 +155,7 @@ WRONG_ARGUMENTS = {
     "missing folder": ("render scene.toml", "--out"),
     "too many": ("render scene.toml more.toml -o run", "more.toml"),
     "bad choice": ("render scene.toml -o run --method fw", '"adjoint", "forward"'),
+    "bad diffraction": ("render scene.toml -o run --diffraction lens", '"none", "lenslets"'),
     "fraction": ("render scene.toml -o run --samples 4.5", '"4.5" is no whole number'),
     "negative": ("render scene.toml -o run --samples -8", "--samples = -8"),
     "zero replicates": ("render scene.toml -o run --replicates 0", "--replicates = 0"),

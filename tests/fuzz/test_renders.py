@@ -156,6 +156,7 @@ transports = some(
         "method": st.sampled_from(["adjoint", "forward"]),
         "split": st.sampled_from(["both", "transmit", "roulette"]),
         "polarisation": st.booleans(),
+        "diffraction": st.sampled_from(["none", "lenslets"]),
         "wavelengths_nm": st.sampled_from([[550.0], [450.0, 650.0]]),
         "engine": st.sampled_from(["mesh", "sequential"]),
         "weight_cutoff": st.sampled_from([1e-2, 1e-4]),

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.analysis.diffraction import FieldWaves, diffraction_limit, field_waves
 from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_scale, zone_foci
 from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.report import airy_disk_mm
@@ -48,7 +49,11 @@ DEFINITIONS = (
     "lateral colour: chief rays from the primary wavelength's",
     "illumination: irradiance of a Lambertian plane's image over that on the axis, primary wavelength",
     "pass: share of the stop's points, unweighted; Airy radius (circle): 1.22 λ N, primary wavelength, N at work",
-    "MTF: geometric, modulus of the spot's transform, all wavelengths; no diffraction",
+    "path differences: + ahead of the sphere about the primary chief ray's image, from the same colour's chief ray",
+    "wavefront: primary wavelength; rms without the mean, tilt included; Strehl ratio from it, weighted as spots",
+    "point spread: by diffraction, all wavelengths, over the peak of the same light in phase; circle: Airy",
+    "MTF: by waves (thick), and by rays, the modulus of the spot's transform (thin); all wavelengths, equal weights",
+    "diffraction limit (dotted): a round perfect pupil on the axis of the f-number at work, all wavelengths",
 )
 """Of the figures, for comparison with other programs."""
 
@@ -99,6 +104,10 @@ class LensAnalysis(Shown):
     frequencies_per_mm : (f,) float64
     mtf : (fields, 2, f) float64
         Tangential, sagittal.
+    diffraction_limit : (f,) float64
+        MTF of a perfect lens on the axis.
+    waves : list of FieldWaves or str
+        One a field, or why waves cannot be followed there.
     airy_radius_mm : float
         1.22 λ N at the primary wavelength.
     light_field : LightFieldAnalysis or None
@@ -120,6 +129,8 @@ class LensAnalysis(Shown):
     zone_foci_mm: Array
     frequencies_per_mm: Array
     mtf: Array
+    diffraction_limit: Array
+    waves: list[FieldWaves | str]
     airy_radius_mm: float
     light_field: LightFieldAnalysis | None = None
     no_light_field: str = ""
@@ -157,6 +168,13 @@ class LensAnalysis(Shown):
                 f"{height:9.3f}{spot.chief_mm[1]:11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
                 f"{spot.passed:9.1%}{t:12.4f}{s:12.4f}{d:9.3f}{light:8.1%}"
             )
+        lines.append(f"{'field/mm':>9}{'rms/waves':>11}{'P-V/waves':>11}{'Strehl':>9}")
+        for height, waves in zip(self.heights_mm, self.waves, strict=True):
+            if isinstance(waves, str):
+                lines.append(f"{height:9.3f}  no waves: {waves}")
+            else:
+                front = waves.wavefront
+                lines.append(f"{height:9.3f}{front.rms_waves:11.4f}{front.pv_waves:11.4f}{front.strehl:9.4f}")
         if self.light_field is not None:
             lines += self.light_field.lines()
         if self.no_light_field:
@@ -185,7 +203,8 @@ class LensAnalysis(Shown):
                     "geo_mm": spot.geo_mm,
                     "passed": spot.passed,
                 }
-                for height, spot in zip(self.heights_mm, self.spots, strict=True)
+                | _wave_figures(waves)
+                for height, spot, waves in zip(self.heights_mm, self.spots, self.waves, strict=True)
             ],
             "definitions": list(DEFINITIONS),
             "light_field": None if self.light_field is None else self.light_field.as_dict(),
@@ -264,10 +283,28 @@ def analyse(
         zone_foci_mm=zone_foci(rays, waves, zones),
         frequencies_per_mm=frequencies,
         mtf=np.array([[spot.mtf(frequencies, tangential=t) for t in (True, False)] for spot in spots]),
+        diffraction_limit=diffraction_limit(frequencies, waves, facts.working_f_number),
+        waves=[_waves(rays, camera, spot, waves) for spot in spots],
         airy_radius_mm=0.5 * airy_disk_mm(primary, facts.working_f_number),
         light_field=light_field,
         no_light_field=why_not,
     )
+
+
+def _waves(rays: LensRays, camera: SolvedCamera, spot: Spot, wavelengths_nm: tuple[float, ...]) -> FieldWaves | str:
+    """Return a field's image by waves, or why there is none."""
+    try:
+        return field_waves(rays, camera, spot.slope_y, wavelengths_nm, spot.geo_mm, np.linspace(-1.0, 1.0, FAN))
+    except LfmeshError as error:
+        return str(error)
+
+
+def _wave_figures(waves: FieldWaves | str) -> dict[str, float | str | None]:
+    """Return the key figures of a field's wavefront, or why there are none."""
+    if isinstance(waves, str):
+        return {"rms_waves": None, "pv_waves": None, "strehl": None, "no_waves": waves}
+    front = waves.wavefront
+    return {"rms_waves": front.rms_waves, "pv_waves": front.pv_waves, "strehl": front.strehl}
 
 
 def _light_field(world: World, object_mm: float, heights_mm: Array) -> tuple[LightFieldAnalysis | None, str]:

@@ -1,8 +1,8 @@
 """The lens sheet: what `lf.analyse` found, as PDF, SVG, PNG or HTML.
 
-Ray fans and spots of three fields, longitudinal aberration, foci and distortion over the field, lateral colour,
-illumination and the geometric MTF, with the definitions of all of them. Below, for a camera with an array, its light
-field: cross-talk, and the MTF of photographs by depth and view.
+Ray fans, path differences, spots and point spreads of three fields, longitudinal aberration, foci and distortion over
+the field, lateral colour, illumination, and the MTF by waves and by rays, with the definitions of all of them. Below,
+for a camera with an array, its light field: cross-talk, and the MTF of photographs by depth and view.
 """
 
 import math
@@ -27,8 +27,9 @@ from lfmesh.files.colour import spectral_srgb
 from lfmesh.files.whole import write_whole
 from lfmesh.templates import filled
 from lfmesh.view.figure_file import PICTURES, checked_kind, encoded_figure, inline_svg
+from lfmesh.waves.wavefront import ACROSS as WAVEFRONT_ACROSS
 
-SHEET_IN = (14.0, 9.6)
+SHEET_IN = (14.0, 14.4)
 LIGHT_FIELD_IN = 4.2
 """Height of the part on the light field."""
 
@@ -49,7 +50,11 @@ UM = 1e3
 DARKEST = 0.75
 """Lines of light wavelengths are drawn this much darker than they look, to be seen on paper."""
 
-DEFINITION_COLUMNS = 80
+DEFINITION_COLUMNS, WIDE_COLUMNS = 80, 128
+"""Characters on a line of the definitions of the light field, and of the lens."""
+
+DARKEST_SPREAD = 1e-3
+"""Of a point spread, over its peak: black."""
 
 STYLE: Any = {
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -135,20 +140,22 @@ def sheet_of(analysis: LensAnalysis) -> Figure:
 
 def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     grid = GridSpec(
-        3, 6, figure, left=0.045, right=0.985, top=0.885, bottom=0.055, wspace=0.42, hspace=0.42,
-        height_ratios=(1.0, 1.15, 1.15),
+        5, 6, figure, left=0.045, right=0.975, top=0.92, bottom=0.04, wspace=0.42, hspace=0.36,
+        height_ratios=(1.0, 1.15, 1.15, 1.15, 1.3),
     )  # fmt: skip
     _header(figure, analysis)
     _fans(figure, grid, analysis)
-    _spots([figure.add_subplot(grid[1, k]) for k in range(len(analysis.spots))], analysis)
-    _longitudinal(figure.add_subplot(grid[1, 3]), analysis)
-    _foci(figure.add_subplot(grid[1, 4]), analysis)
-    _distortion(figure.add_subplot(grid[1, 5]), analysis)
-    _lateral(figure.add_subplot(grid[2, 0]), analysis)
-    _illumination(figure.add_subplot(grid[2, 1]), analysis)
-    _mtf(figure.add_subplot(grid[2, 2:4]), analysis)
+    _path_fans([figure.add_subplot(grid[1, k]) for k in range(3)], analysis)
+    _path_maps(figure, [figure.add_subplot(grid[1, 3 + k]) for k in range(3)], analysis)
+    _spots([figure.add_subplot(grid[2, k]) for k in range(3)], analysis)
+    _point_spreads([figure.add_subplot(grid[2, 3 + k]) for k in range(3)], analysis)
+    over_field = grid[3, :].subgridspec(1, 5, wspace=0.36)
+    for k, drawn in enumerate((_longitudinal, _foci, _distortion, _lateral, _illumination)):
+        drawn(figure.add_subplot(over_field[0, k]), analysis)
+    for k in range(3):
+        _mtf(figure.add_subplot(grid[4, k]), analysis, k)
     missing = (f"no light field: {analysis.no_light_field}",) if analysis.no_light_field else ()
-    _definitions(figure.add_subplot(grid[2, 4:]), (*DEFINITIONS, *missing))
+    _definitions(figure.add_subplot(grid[4, 3:]), (*DEFINITIONS, *missing), WIDE_COLUMNS)
 
 
 def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
@@ -168,7 +175,7 @@ def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
         axes.set_xlabel("line pairs a mm, on the array")
         if light_field.photographs:
             axes.legend(loc="upper right", title="plane")
-    _definitions(figure.add_subplot(grid[0, 4:]), light_field.definitions)
+    _definitions(figure.add_subplot(grid[0, 4:]), light_field.definitions, DEFINITION_COLUMNS)
 
 
 def _crosstalk(axes: Axes, light_field: LightFieldAnalysis) -> None:
@@ -190,16 +197,16 @@ def _crosstalk(axes: Axes, light_field: LightFieldAnalysis) -> None:
 def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
     facts = analysis.first_order
     at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.5g} mm"
-    figure.text(0.045, 0.955, analysis.name, fontsize=13, fontweight="bold")
+    figure.text(0.045, 0.97, analysis.name, fontsize=13, fontweight="bold")
     figure.text(
-        0.045, 0.928,
+        0.045, 0.952,
         f"f = {facts.efl_mm:.3f} mm   f/{facts.working_f_number:.2f} at work   object at {at}   "
         f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
         fontsize=8.5, color=GREY,
     )  # fmt: skip
     for k, wavelength in enumerate(analysis.wavelengths_nm):
         figure.text(
-            0.985 - 0.075 * (len(analysis.wavelengths_nm) - 1 - k), 0.928, f"— {wavelength:.1f} nm",
+            0.985 - 0.075 * (len(analysis.wavelengths_nm) - 1 - k), 0.952, f"— {wavelength:.1f} nm",
             color=_colours(analysis)[k], ha="right", fontsize=8.5, fontweight="bold",
         )  # fmt: skip
 
@@ -255,6 +262,67 @@ def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
         axes.set_aspect("equal")
         axes.set_title(f"spot, {name}, {spot.passed:.0%} pass")
         axes.set_xlabel(f"µm   rms {UM * spot.rms_mm:.2f}, GEO {UM * spot.geo_mm:.2f}")
+
+
+def _path_fans(places: list[Axes], analysis: LensAnalysis) -> None:
+    known = [fan for waves in analysis.waves if not isinstance(waves, str) for fan in waves.fans]
+    largest = max(
+        (float(np.nanmax(np.abs(v), initial=0.0)) for fan in known for v in (fan.tangential_waves, fan.sagittal_waves)),
+        default=0.0,
+    )
+    for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
+        axes.set_title(f"path difference, {name}")
+        if isinstance(waves, str):
+            _say_why(axes, waves)
+            continue
+        _cross(axes)
+        for fan, colour in zip(waves.fans, _colours(analysis), strict=True):
+            axes.plot(fan.pupil, fan.tangential_waves, color=colour)
+            axes.plot(fan.pupil, fan.sagittal_waves, color=colour, linestyle="--")
+        axes.set_xlim(-1.0, 1.0)
+        axes.set_ylim(-1.05 * largest or -1.0, 1.05 * largest or 1.0)
+        axes.set_xlabel("stop radius   tangential —, sagittal - -")
+        axes.set_ylabel("waves")
+
+
+def _path_maps(figure: FigureBase, places: list[Axes], analysis: LensAnalysis) -> None:
+    for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
+        axes.set_title(f"wavefront, {name}, in waves")
+        if isinstance(waves, str):
+            _say_why(axes, waves)
+            continue
+        front = waves.wavefront
+        number = np.round(0.5 * (front.pupil + 1.0) * WAVEFRONT_ACROSS - 0.5).astype(int)
+        drawn = np.full((WAVEFRONT_ACROSS, WAVEFRONT_ACROSS), np.nan)
+        drawn[number[:, 1], number[:, 0]] = front.opd_waves
+        image = axes.imshow(drawn, origin="lower", extent=(-1.0, 1.0, -1.0, 1.0), cmap="viridis")
+        figure.colorbar(image, ax=axes, fraction=0.04, pad=0.03)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_xlabel(f"rms {front.rms_waves:.3f}, P-V {front.pv_waves:.2f}, Strehl {front.strehl:.3f}")
+
+
+def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
+    reach = 1.05 * max(max(spot.geo_mm for spot in analysis.spots), 3.0 * analysis.airy_radius_mm)
+    for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
+        axes.set_title(f"point spread, {name}, log")
+        if isinstance(waves, str):
+            _say_why(axes, waves)
+            continue
+        spread = waves.point_spread(reach)
+        least = np.log10(DARKEST_SPREAD)
+        axes.imshow(
+            np.log10(np.maximum(spread / spread.max(), DARKEST_SPREAD)), origin="lower", cmap="inferno", vmin=least,
+            vmax=0.0, extent=(-UM * reach, UM * reach, -UM * reach, UM * reach),
+        )  # fmt: skip
+        axes.add_patch(Circle((0.0, 0.0), UM * analysis.airy_radius_mm, fill=False, color="white", linewidth=0.7))
+        axes.set_xlabel(f"µm   largest {spread.max():.3f} of light in phase")
+
+
+def _say_why(axes: Axes, reason: str) -> None:
+    """Write why there is no picture."""
+    axes.set_axis_off()
+    axes.text(0.0, 0.9, textwrap.fill(f"no waves: {reason}", 40), va="top", transform=axes.transAxes)
 
 
 def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:
@@ -313,19 +381,26 @@ def _illumination(axes: Axes, analysis: LensAnalysis) -> None:
     axes.set_ylabel("%")
 
 
-def _mtf(axes: Axes, analysis: LensAnalysis) -> None:
-    for name, both, colour in zip(_field_names(analysis), analysis.mtf, FIELD_COLOURS, strict=True):
-        axes.plot(analysis.frequencies_per_mm, both[0], color=colour, label=f"{name}, tangential")
-        axes.plot(analysis.frequencies_per_mm, both[1], color=colour, linestyle="--", label="sagittal")
-    axes.set_xlim(0.0, analysis.frequencies_per_mm[-1])
+def _mtf(axes: Axes, analysis: LensAnalysis, field: int) -> None:
+    frequencies, waves = analysis.frequencies_per_mm, analysis.waves[field]
+    axes.plot(frequencies, analysis.diffraction_limit, color=INK, linestyle=":", label="diffraction limit")
+    for side, (words, style) in enumerate((("tangential", "-"), ("sagittal", "--"))):
+        colour = FIELD_COLOURS[side]
+        if not isinstance(waves, str):
+            axes.plot(
+                frequencies, waves.mtf(frequencies, tangential=side == 0), color=colour, linestyle=style,
+                linewidth=1.4, label=words,
+            )  # fmt: skip
+        axes.plot(frequencies, analysis.mtf[field, side], color=colour, linestyle=style, linewidth=0.5, label="by rays")
+    axes.set_xlim(0.0, frequencies[-1])
     axes.set_ylim(0.0, 1.0)
     axes.grid(visible=True, linewidth=0.3)
     axes.legend(loc="upper right", ncols=1)
-    axes.set_title("geometric MTF, all wavelengths")
+    axes.set_title(f"MTF, {_field_names(analysis)[field]}")
     axes.set_xlabel("line pairs a mm")
 
 
-def _definitions(axes: Axes, definitions: Sequence[str]) -> None:
+def _definitions(axes: Axes, definitions: Sequence[str], columns: int) -> None:
     axes.set_axis_off()
-    lines = [line for each in definitions for line in textwrap.wrap(each, DEFINITION_COLUMNS, subsequent_indent="    ")]
-    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=6.3, linespacing=1.35, transform=axes.transAxes)
+    lines = [line for each in definitions for line in textwrap.wrap(each, columns, subsequent_indent="    ")]
+    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=6.3, linespacing=1.3, transform=axes.transAxes)

@@ -81,7 +81,7 @@ class Traced(NamedTuple):
         On the last face.
     path_mm : (n,) float64
         Optical path from the object point up to there; of a parallel bundle from the plane through the origin square to
-        it.
+        it. Behind ideal lenses, less the same for all: their paths from a point to its image are equal.
     heights : (n, faces) float64
         Distance from the axis of each refracting face, over its semi-diameter.
     index_behind : float
@@ -94,6 +94,33 @@ class Traced(NamedTuple):
     path_mm: Array
     heights: Array
     index_behind: float
+
+    def onto_sphere(self, centre: Array, radius_mm: float) -> tuple[Array, Array]:
+        """Return the direction cosines in which a sphere's centre sees the rays cross it, and the optical paths there.
+
+        Parameters
+        ----------
+        centre : (3,) float64, mm
+        radius_mm : float
+            Below 0 where light meets the sphere behind its centre; inf: directions are those of the rays.
+
+        Returns
+        -------
+        (n, 2) float64
+        (n,) float64, mm
+            Less the same for all. NaN, as the directions, of rays that miss the sphere.
+        """
+        off = self.position - centre
+        along = (off * self.direction).sum(axis=1)
+        if math.isinf(radius_mm):
+            return self.direction[:, :2], self.path_mm - self.index_behind * along
+        aside2 = ((off - along[:, None] * self.direction) ** 2).sum(axis=1)
+        root = np.sqrt(np.where(aside2 <= radius_mm**2, radius_mm**2 - aside2, np.nan))
+        # √(R² − aside²) − R, without the difference of large numbers.
+        less = -aside2 / (root + abs(radius_mm)) * math.copysign(1.0, radius_mm)
+        further = -along - less
+        at = off + (further - radius_mm)[:, None] * self.direction
+        return -at[:, :2] / radius_mm, self.path_mm + self.index_behind * further
 
 
 @dataclass(frozen=True)
@@ -130,6 +157,18 @@ class LensRays:
     @cached_property
     def _stop(self) -> int:
         return solved_camera(self.world.scene).paraxial.stop
+
+    @cached_property
+    def _is_ideal(self) -> bool:
+        """True of a lens that consists of ideal lenses."""
+        lens = self.world.scene.camera.lens
+        ideal = [each.paraxial for i, each in enumerate(lens.surfaces) if not lens.is_pure_stop(i)]
+        if any(ideal) and not all(ideal):
+            where = next(i for i, each in enumerate(lens.surfaces) if each.paraxial)
+            raise LfmeshError(
+                f"camera.lens.surfaces[{where}] is an ideal lens beside real surfaces, and has no optical path there"
+            )
+        return any(ideal)
 
     @cached_property
     def _into_stop(self) -> Array:
@@ -229,6 +268,11 @@ class LensRays:
         entry : (n, 2) float64, mm
             Where the rays cross the plane of the first vertex.
         wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            Of ideal lenses beside real surfaces.
         """
         field = np.asarray(slope, dtype=np.float64)
         position, direction = self.starts(np.broadcast_to(field, entry.shape), entry)
@@ -247,6 +291,8 @@ class LensRays:
             position, direction = arrived.position, arrived.direction
             own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)
             heights[:, face] = np.hypot(own[:, 0], own[:, 1]) / shape.surfaces["semi_diameter"][face]
+        if self._is_ideal:
+            path = media[-1] * ((position - nearest_to_all(position, direction)) * direction).sum(axis=1)
         return Traced(before, direction, position, path, heights, media[-1])
 
     def _guess(self, field: Array, aim: Array, wavelength_nm: float) -> Array:
@@ -273,6 +319,17 @@ class LensRays:
                 better[beyond] = entries[end] + slope * (wanted[beyond] - h[end])
             guess = guess + (better - guess @ along)[:, None] * along
         return np.asarray(guess)
+
+
+def nearest_to_all(position: Array, direction: Array) -> Array:
+    """Return where rays come closest together, on the middle one's line, (3,) mm; of one ray its position."""
+    steep = direction[:, :2] / direction[:, 2:]
+    place = position[:, :2] - position[:, 2:] * steep
+    off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)
+    if not turn.any():
+        return np.asarray(position.mean(axis=0))
+    z = -float((off * turn).sum() / (turn * turn).sum())
+    return np.array([*(place.mean(axis=0) + z * steep.mean(axis=0)), z])
 
 
 def pupil_grid(across: int, *, rim: bool = False) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.transport.world import World
-from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.waves.bundle import LensRays, nearest_to_all, pupil_grid
 from lfmesh.waves.wavefront import NM_PER_MM
 
 Array = NDArray[np.float64]
@@ -35,6 +35,9 @@ FOLLOWED, REFUSED = 1e-4, 0.02
 
 CLOSE_TO_RIM = 0.8
 """Of its semi-diameter: rays that come no farther from the axis than this say that a face does not clip them."""
+
+LEAST_RAYS = 16
+"""That pass, so that a wavefront is known."""
 
 FINE = 401
 """Directions on a side of the grid by which the power is summed."""
@@ -59,8 +62,9 @@ class PupilWaves:
     rays : (n, 3) float64, (n, 3) float64
         Places on the last face, mm, and directions of the rays traced.
     coefficients : (degree + 1, degree + 1, columns) float64
-        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, the two direction cosines
-        before the lens, the place in the stop and the squared height at the faces that clip, both over the rim's.
+        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, two coordinates whose areas
+        are the power that enters, the place in the stop and the squared height at the faces that clip, both over the
+        rim's.
     misfit_waves : float
         Largest difference of the phase of a ray from its polynomial.
     """
@@ -103,16 +107,16 @@ class PupilWaves:
         """Return share within the rims, amplitude and phase (waves) in the cells of a grid close to the pupil."""
         u = (px - self.middle[0]) / self.half[0]
         v = (py - self.middle[1]) / self.half[1]
-        phase, root, ox, oy, sx, sy, *heights2 = self._on_grid(self.coefficients, u, v)
+        phase, root, _, _, sx, sy, *heights2 = self._on_grid(self.coefficients, u, v)
         slopes = [np.asarray(chebyshev.chebder(self.coefficients[:, :, 2:4], axis=axis), np.float64) for axis in (0, 1)]
         (xu, yu), (xv, yv) = (self._on_grid(each, u, v) for each in slopes)
-        solid = np.abs(xu * yv - xv * yu) / np.sqrt(np.maximum(1.0 - ox * ox - oy * oy, 1e-12))
+        entering = np.abs(xu * yv - xv * yu)
         cover = np.ones_like(phase)
         for height2 in (sx * sx + sy * sy, *heights2):
             across, along = np.gradient(height2)
             cover *= np.clip(0.5 + (1.0 - height2) / (np.abs(across) + np.abs(along)), 0.0, 1.0)
         cell = (px[1] - px[0]) * (py[1] - py[0]) / (self.half[0] * self.half[1])
-        return cover, root * np.sqrt(solid * cell), phase
+        return cover, root * np.sqrt(entering * cell), phase
 
     @staticmethod
     def _on_grid(coefficients: Array, u: Array, v: Array) -> Array:
@@ -162,37 +166,57 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
     Raises
     ------
     LfmeshError
+        As `waves_of_field`.
+    """
+    rays = LensRays(world, -float(point_mm[2]), 0.0)
+    try:
+        return waves_of_field(rays, camera, point_mm[:2] / rays.object_mm, wavelength_nm)
+    except LfmeshError as error:
+        raise LfmeshError(f"point_mm = {[float(x) for x in point_mm]}: {error}") from None
+
+
+def waves_of_field(
+    rays: LensRays, camera: SolvedCamera, slope: Array, wavelength_nm: float, about_mm: Array | None = None
+) -> PupilWaves:
+    """Trace a field's light through the lens, and return the plane waves behind it.
+
+    Parameters
+    ----------
+    rays : LensRays
+    camera : SolvedCamera
+    slope : (2,) float64
+        Of the object point, see `LensRays.bundle`.
+    wavelength_nm : float
+    about_mm : (3,) float64, optional
+        Centre of the sphere on which phases are taken. Power is then that of equal areas of the stop, 1 in all, as
+        `lf.wavefront` has it. Where rays come closest together, and W per W/sr, if left out.
+
+    Raises
+    ------
+    LfmeshError
         Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass, or light that is
         collimated or too aberrated behind the lens.
     """
-    rays = LensRays(world, -float(point_mm[2]), 0.0)
-    slope = np.asarray(point_mm[:2]) / rays.object_mm
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
-    words = f"point_mm = {[float(x) for x in point_mm]}"
-    if passes.sum() < 16:
-        raise LfmeshError(f"{words}: the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
+    if passes.sum() < LEAST_RAYS:
+        raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
     if np.ptp(direction[:, :2], axis=0).min() < NARROW:
-        raise LfmeshError(
-            f"{words}: its light is collimated behind the lens; a point spread needs light that converges"
-        )
-    focus = _focus(traced.position, direction)
+        raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
+    focus = nearest_to_all(traced.position, direction) if about_mm is None else about_mm
     radius = (focus[2] - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())
-    seen, further = _onto_sphere(traced.position, direction, focus, radius)
-    path = traced.path_mm + further
-    phase = (path - path.mean()) / wavelength
-    if _has_ideal_lens(camera):
-        # All paths of an ideal lens from the point to its image are equal.
-        phase = np.zeros_like(phase)
+    seen, path = traced.onto_sphere(focus, radius)
+    if not np.isfinite(path).all():
+        raise LfmeshError(f"rays miss the sphere of the exit pupil, whose radius is {abs(radius):.4g} mm")
     stop = camera.paraxial.stop
-    clips = [number != stop for number in world.lens_shape.numbers] & (traced.heights.max(axis=0) > CLOSE_TO_RIM)
+    clips = [number != stop for number in rays.world.lens_shape.numbers] & (traced.heights.max(axis=0) > CLOSE_TO_RIM)
     columns = np.column_stack(
         [
-            phase,
+            (path - path.mean()) / wavelength,
             np.sqrt(bundle.weight[passes]),
-            traced.before[:, :2],
+            _equal_areas(traced.before) if about_mm is None else bundle.pupil[passes] / math.sqrt(math.pi),
             bundle.pupil[passes],
             traced.heights[:, clips] ** 2,
         ]
@@ -202,65 +226,15 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
     coefficients, misfit = _fitted((seen - middle) / half, columns)
     if misfit > REFUSED:
         raise LfmeshError(
-            f"{words}: the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
+            f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
             f"{misfit:.2g} waves of it, {REFUSED:g} are allowed; give a smaller stop"
         )
     return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
 
 
-def _has_ideal_lens(camera: SolvedCamera) -> bool:
-    """Tell whether the lens consists of ideal lenses.
-
-    Raises
-    ------
-    LfmeshError
-        Of ideal lenses and real surfaces.
-    """
-    lens = camera.scene.camera.lens
-    ideal = [each.paraxial for i, each in enumerate(lens.surfaces) if not lens.is_pure_stop(i)]
-    if any(ideal) and not all(ideal):
-        where = ideal.index(True)
-        raise LfmeshError(f"camera.lens: ideal lens {where} stands beside real surfaces, and has no optical path there")
-    return any(ideal)
-
-
-def _focus(position: Array, direction: Array) -> Array:
-    """Return where rays come closest together, on the middle one's line, (3,) mm."""
-    steep = direction[:, :2] / direction[:, 2:]
-    place = position[:, :2] - position[:, 2:] * steep
-    off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)
-    z = -float((off * turn).sum() / (turn * turn).sum())
-    return np.array([*(place.mean(axis=0) + z * steep.mean(axis=0)), z])
-
-
-def _onto_sphere(position: Array, direction: Array, focus: Array, radius_mm: float) -> tuple[Array, Array]:
-    """Return the direction cosines in which the focus sees rays cross the pupil's sphere, and their way to it.
-
-    Parameters
-    ----------
-    position, direction : (n, 3) float64
-        On the last face, and unit.
-    focus : (3,) float64
-        Centre of the sphere.
-    radius_mm : float
-        inf: directions are those of the rays.
-
-    Returns
-    -------
-    (n, 2) float64
-    (n,) float64, mm
-        More than -radius_mm, which is the same for all.
-    """
-    off = position - focus
-    along = (off * direction).sum(axis=1)
-    aside2 = ((off - along[:, None] * direction) ** 2).sum(axis=1)
-    if math.isinf(radius_mm):
-        return direction[:, :2], -along
-    # √(R² − aside²) − R, without the difference of large numbers.
-    less = -aside2 / (np.sqrt(np.maximum(radius_mm**2 - aside2, 0.0)) + abs(radius_mm)) * math.copysign(1.0, radius_mm)
-    further = -along - less
-    at = off + (further - radius_mm)[:, None] * direction
-    return -at[:, :2] / radius_mm, further
+def _equal_areas(direction: Array) -> Array:
+    """Return coordinates (n, 2) of unit directions (n, 3) whose areas are solid angles (J. H. Lambert, 1772)."""
+    return direction[:, :2] * np.sqrt(2.0 / (1.0 + direction[:, 2:]))
 
 
 def _fitted(points: Array, columns: Array) -> tuple[Array, float]:

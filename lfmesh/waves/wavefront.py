@@ -145,7 +145,7 @@ def wavefront(
     Raises
     ------
     LfmeshError
-        Surfaces that are meshes or ideal lenses, a field whose rays do not pass, or a value out of range.
+        Surfaces that are meshes, ideal lenses beside real ones, a field whose rays do not pass, or a wrong value.
     """
     camera = solved_camera(scene)
     facts = camera.report
@@ -156,54 +156,79 @@ def wavefront(
         raise LfmeshError(f"wavelength_nm = {waves:g}: must be above 0 and finite")
     if not math.isfinite(height_mm):
         raise LfmeshError(f"height_mm = {height_mm}: must be finite")
-    ideal = next((i for i, each in enumerate(camera.scene.camera.lens.surfaces) if each.paraxial), None)
-    if ideal is not None:
-        raise LfmeshError(f"camera.lens.surfaces[{ideal}] is an ideal lens, which has no optical path; give a real one")
     distance = facts.object_distance_mm if object_mm is None else float(object_mm)
     image_z = facts.image_z_mm if image_z_mm is None else float(image_z_mm)
     rays = LensRays(build(camera.scene.camera_alone()), distance, image_z)
     slope = float(height_mm) if math.isinf(distance) else float(height_mm) / distance
+    return wavefront_of(rays, slope, waves, across, words=f"height_mm = {height_mm:g}")
+
+
+def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int = ACROSS, *, words: str) -> Wavefront:
+    """Return the wavefront of a field of rays whose image plane holds the centre of the reference sphere.
+
+    Parameters
+    ----------
+    rays : LensRays
+    slope : float
+        See `LensRays.bundle`.
+    wavelength_nm : float
+    across : int
+        Rays on a diameter of the stop.
+    words : str
+        Of the field, for messages.
+
+    Raises
+    ------
+    LfmeshError
+        The chief ray does not pass, or all others, or rays miss the reference sphere.
+    """
     pupil = np.vstack([np.zeros(2), pupil_grid(across)])
-    bundle = rays.bundle(slope, pupil, waves)
-    if not bundle.passes[0]:
-        raise LfmeshError(f"height_mm = {height_mm:g}: the lens stops the chief ray of this field")
+    bundle = rays.bundle(slope, pupil, wavelength_nm)
     passes = bundle.passes
+    if not passes[0]:
+        raise LfmeshError(f"{words}: the lens stops the chief ray of this field")
+    if passes.sum() < 2:
+        raise LfmeshError(f"{words}: the lens stops all rays of this field but the chief ray")
     image = np.array([*bundle.place[0], rays.image_z_mm])
-    pupil_z = facts.exit_pupil_z_mm if math.isfinite(facts.exit_pupil_z_mm) else image[2] - FAR * abs(facts.efl_mm)
-    radius = float(np.linalg.norm(image - [0.0, 0.0, pupil_z]))
-    paths = _optical_paths(rays, slope, bundle.entry[passes], waves, (image, radius, pupil_z < image[2]))
-    opd = (paths[0] - paths) * NM_PER_MM / waves
-    if len(opd) < 2:
-        raise LfmeshError(f"height_mm = {height_mm:g}: the lens stops all rays of this field but the chief ray")
-    if not np.isfinite(opd).all():
-        raise LfmeshError(
-            f"image_z_mm = {image_z:g}: rays miss the reference sphere, whose radius is {radius:.4g} mm; give a plane "
-            f"farther from the exit pupil at {pupil_z:.6g} mm"
-        )
+    opd = path_differences(rays, slope, bundle.entry[passes], wavelength_nm, image)
     return Wavefront(
-        waves, slope, image, radius, pupil[passes][1:], opd[1:], bundle.weight[passes][1:],
-        float(bundle.passes[1:].mean()),
+        wavelength_nm, slope, image, abs(_sphere_radius_mm(rays, image)), pupil[passes][1:], opd[1:],
+        bundle.weight[passes][1:], float(passes[1:].mean()),
     )  # fmt: skip
 
 
-def _optical_paths(
-    rays: LensRays, slope: float, entry: Array, wavelength_nm: float, sphere: tuple[Array, float, bool]
-) -> Array:
-    """Return the optical path of each ray from the object to the reference sphere, (n,) mm.
+def path_differences(rays: LensRays, slope: float, entry: Array, wavelength_nm: float, centre: Array) -> Array:
+    """Return the optical path of the first ray less that of each, up to the reference sphere, (n,) waves.
 
     Parameters
     ----------
     rays : LensRays
     slope : float
     entry : (n, 2) float64, mm
-        Where the rays cross the plane of the first vertex.
+        Where the rays cross the plane of the first vertex; all of them pass.
     wavelength_nm : float
-    sphere : (3,) float64, float, bool
-        Centre and radius of the reference sphere, mm, and whether light meets it before its centre.
+    centre : (3,) float64, mm
+        Of the reference sphere, camera frame.
+
+    Raises
+    ------
+    LfmeshError
+        Rays miss the reference sphere, or ideal lenses stand beside real surfaces.
     """
-    behind = rays.traced([0.0, slope], entry, wavelength_nm)
-    centre, radius, before = sphere
-    off = behind.position - centre
-    along = (off * behind.direction).sum(axis=1)
-    root = np.sqrt(along**2 - (off * off).sum(axis=1) + radius**2)
-    return np.asarray(behind.path_mm + behind.index_behind * (-along - root if before else -along + root))
+    radius = _sphere_radius_mm(rays, centre)
+    _, paths = rays.traced([0.0, slope], entry, wavelength_nm).onto_sphere(centre, radius)
+    if not np.isfinite(paths).all():
+        raise LfmeshError(
+            f"image_z_mm = {centre[2]:g}: rays miss the reference sphere, whose radius is {abs(radius):.4g} mm; give a "
+            f"plane farther from the exit pupil at {solved_camera(rays.world.scene).report.exit_pupil_z_mm:.6g} mm"
+        )
+    return np.asarray((paths[0] - paths) * NM_PER_MM / wavelength_nm)
+
+
+def _sphere_radius_mm(rays: LensRays, centre: Array) -> float:
+    """Return the radius of the sphere about a point through the exit pupil on the axis; below 0 if that is behind."""
+    facts = solved_camera(rays.world.scene).report
+    pupil_z = facts.exit_pupil_z_mm
+    if not math.isfinite(pupil_z):
+        return FAR * abs(facts.efl_mm)
+    return math.copysign(float(np.linalg.norm(centre - [0.0, 0.0, pupil_z])), centre[2] - pupil_z)

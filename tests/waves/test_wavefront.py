@@ -182,12 +182,32 @@ def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], message:
     assert "\n" not in str(caught.value)
 
 
-def test_ideal_lenses_and_orders_that_there_are_not_are_refused() -> None:
-    thin = camera([{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0}], focus_mm=500.0)
-    with pytest.raises(lf.LfmeshError, match=r"surfaces\[0\] is an ideal lens"):
-        lf.wavefront(thin)
+def test_an_ideal_lens_is_perfect_at_its_image_and_defocused_beside_it() -> None:
+    """Beside its image by δ: δ (1 − cos u) at the rim of a cone of half angle u."""
+    thin = camera([{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}], focus_mm=500.0)
+    assert lf.wavefront(thin, 20.0).pv_waves < 1e-9
+    image, shift = 1.0 / (1.0 / 50.0 - 1.0 / 500.0), 0.01
+    found = lf.wavefront(thin, image_z_mm=image + shift)
+    height = 5.0 * np.sqrt((found.pupil**2).sum(axis=1).max())
+    wanted = shift * (1.0 - math.cos(math.atan(height / image))) * 1e6 / found.wavelength_nm
+    assert found.pv_waves == pytest.approx(wanted, rel=1e-3)
+
+
+def test_ideal_lenses_beside_real_ones_and_orders_that_there_are_not_are_refused() -> None:
+    ideal = {"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True, "thickness_mm": 1.0}
+    flat = {"radius_mm": math.inf, "semi_diameter_mm": 9.0}
+    mixed = camera([ideal, flat | {"thickness_mm": 1.0, "index": 1.5}, flat], focus_mm=500.0)
+    with pytest.raises(lf.LfmeshError, match=r"surfaces\[0\] is an ideal lens beside real surfaces"):
+        lf.wavefront(mixed)
     found = lf.wavefront(hyperbola(), across=8)
     with pytest.raises(lf.LfmeshError, match="terms = 38"):
         found.zernike(38)
     with pytest.raises(lf.LfmeshError, match="order = 'born'"):
         found.zernike(4, "born")  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("error")
+def test_rays_that_miss_the_reference_sphere_are_refused_without_a_warning_before() -> None:
+    scene = lf.load(asset_path("scenes/first_light.toml"))
+    with pytest.raises(lf.LfmeshError, match="rays miss the reference sphere"):
+        lf.wavefront(scene, image_z_mm=14.3)

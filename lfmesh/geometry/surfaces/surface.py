@@ -27,6 +27,9 @@ MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
 """Kinds of surfaces: the first two are surfaces of revolution."""
 
+SYMMETRIC = (CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID)
+"""Kinds that are symmetric about x and about y, so that a quarter turn tells all of them."""
+
 Array = NDArray[np.float64]
 
 SURFACE = np.dtype(
@@ -239,6 +242,10 @@ def _form(surface: Any, x: Array, y: Array) -> tuple[Array, Array, Array]:
             root = np.sqrt(u * u - cx * cx * x * x)
             z = np.where(u > 0.0, f + cx * x * x / (u + root), np.nan)
             return z, cx * x / root, rate * u / root
+        if not is_revolved(surface):
+            z, by_x, by_y = (np.empty(x.shape) for _ in range(3))
+            _form_of_each(surface, x.ravel(), y.ravel(), z.reshape(-1), by_x.reshape(-1), by_y.reshape(-1))
+            return np.where(np.hypot(x, y) <= reach(surface), z, np.nan), by_x, by_y
         r = np.hypot(x, y)
         z, rate = _curve(surface, r)
     radial = np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0)
@@ -313,6 +320,13 @@ def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
         r *= r2
         z += s.odd[i] * r
     return z, g * x, g * y
+
+
+@kernel
+def _form_of_each(s: Any, x: Array, y: Array, z: Array, by_x: Array, by_y: Array) -> None:
+    """Enter z, dz/dx and dz/dy at points (n,)."""
+    for i in range(len(x)):
+        z[i], by_x[i], by_y[i] = form_at(s, x[i], y[i])
 
 
 @kernel

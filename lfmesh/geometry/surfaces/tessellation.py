@@ -14,7 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals, joined
-from lfmesh.geometry.surfaces.surface import gradients, heights, in_place, is_revolved, normals, reach, sag, slope
+from lfmesh.geometry.surfaces.surface import (
+    SYMMETRIC,
+    gradients,
+    heights,
+    in_place,
+    is_revolved,
+    normals,
+    reach,
+    sag,
+    slope,
+)
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
@@ -28,7 +38,7 @@ AZIMUTHS = 96
 """Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
 
 QUARTER = 25
-"""Azimuths of a quarter turn by which a biconic or toroid is judged, which is symmetric about x and y."""
+"""Azimuths of a quarter turn, by which a surface is judged that is symmetric about x and y."""
 
 QUADRATIC = 4.0 / 3.0
 """Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an
@@ -118,6 +128,17 @@ def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf)
     return heights(surface, inside * x, inside * y)
 
 
+def judged_azimuths(surface: Any) -> Array:
+    """Return azimuths that tell all of a surface: of a quarter turn where it is symmetric about x and y, else of all.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    """
+    turns = 1 if surface["kind"] in SYMMETRIC else 4
+    return np.linspace(0.0, 0.5 * np.pi * turns, turns * (QUARTER - 1) + 1)
+
+
 def steepness(surface: Any, r: ArrayLike) -> Array:
     """Return the largest slope that a surface has at radii (n,), at any azimuth.
 
@@ -129,7 +150,7 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
     r = np.asarray(r, dtype=np.float64)
     if is_revolved(surface):
         return np.abs(slope(surface, r))
-    phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    phi = judged_azimuths(surface)
     by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
     return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
 
@@ -137,7 +158,7 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
 def set_bends(surface: Any, rim: float) -> None:
     """Enter in a SURFACE record how much it bends at least and at most, out to the rim of its mesh.
 
-    By differences of its slopes, on circles and azimuths of a quarter turn.
+    By differences of its slopes, on circles and azimuths that tell all of it.
 
     Parameters
     ----------
@@ -149,7 +170,7 @@ def set_bends(surface: Any, rim: float) -> None:
         return
     step = BEND_STEP * domain
     # A whole step off the axis, where odd powers have a kink.
-    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], np.linspace(0.0, 0.5 * np.pi, QUARTER)
+    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], judged_azimuths(surface)
     x, y = r * np.cos(phi), r * np.sin(phi)
     xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
     xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))
@@ -173,7 +194,7 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     if is_revolved(surface):
         rise = np.diff(sag(surface, fine))
     else:
-        phi = np.linspace(0.0, 0.5 * np.pi, QUARTER)[:, None]
+        phi = judged_azimuths(surface)[:, None]
         rise = np.abs(np.diff(heights(surface, np.cos(phi) * fine, np.sin(phi) * fine))).max(axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), rise))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)

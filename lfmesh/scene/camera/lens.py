@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import zip_longest
+from typing import get_args
 
 from pydantic import Field
 
@@ -14,11 +15,9 @@ from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
 from lfmesh.scene.camera.sections import (
     AZIMUTHS,
     Biconic,
+    Form,
     Toroid,
-    biconic_sag_mm,
-    curvature,
-    toroid_reach_mm,
-    toroid_sag_mm,
+    reach_of_conic_mm,
 )
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.materials.coatings import UNCOATED, Coating
@@ -53,9 +52,6 @@ STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 # Sags of neighbouring surfaces are compared at this many heights; at fewer where they are to be at many azimuths.
 _HEIGHTS = 256
 _HEIGHTS_ALL_ROUND = 64
-
-# Keys whose values are tables, too long for a message.
-_TABLES = ("mesh", "qcon", "qbfs", "biconic", "toroid")
 
 
 class Surface(Model):
@@ -169,38 +165,49 @@ class Surface(Model):
     @property
     def curvature_x_per_mm(self) -> float:
         """Curvature at the vertex in the section x–z."""
-        section = self.biconic or self.toroid
-        return self.curvature_per_mm if section is None else curvature(section.radius_x_mm)
+        form = self.form
+        return self.curvature_per_mm if form is None else form.curvature_x_per_mm(self)
+
+    @property
+    def forms(self) -> dict[str, Form]:
+        """Shapes that are none of revolution, by their keys: one at most, or there are faults."""
+        return {key: form for key in _FORMS if (form := getattr(self, key)) is not None}
+
+    @property
+    def form(self) -> Form | None:
+        """Shape that is none of revolution."""
+        return next(iter(self.forms.values()), None)
 
     @property
     def section_key(self) -> str | None:
-        """Name of the key that makes the section x–z another one; None: the surface is one of revolution."""
-        return "biconic" if self.biconic is not None else "toroid" if self.toroid is not None else None
+        """Name of the key of `form`; None: the surface is one of revolution."""
+        return next(iter(self.forms), None)
 
     @property
     def reach_mm(self) -> float:
         """Height up to which the surface exists at every azimuth; inf where it never ends."""
-        if self.toroid is not None:
-            return _toroid_reach_mm(self)
-        reach = _reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic)
-        if self.biconic is not None:
-            return min(reach, _reach_of_conic_mm(self.biconic.radius_x_mm, self.biconic.conic_x))
-        return reach
+        form = self.form
+        return reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic) if form is None else form.reach_mm(self)
 
     def sags_mm(self, height_mm: float, azimuths: int = 1) -> tuple[float, ...]:
-        """Return z above the vertex plane at a height from the axis, at so many azimuths from the y axis to the x axis.
+        """Return z above the vertex plane at a height from the axis, at azimuths from the y axis to the x axis and on.
 
-        One is enough for a surface of revolution; a biconic or toroid is symmetric about both axes.
+        Their order is that of every surface: those of a quarter turn, then their mirror images in x, in y, in both.
 
         Parameters
         ----------
         height_mm : float, mm
         azimuths : int
+            In a quarter turn; one is enough for a surface of revolution.
         """
-        if self.section_key is None:
-            return (self.sag_mm(height_mm),) * azimuths
+        form = self.form
+        if form is None:
+            return (self.sag_mm(height_mm),) * (4 * azimuths)
         turns = [0.5 * math.pi * k / max(1, azimuths - 1) for k in range(azimuths)]
-        return tuple(self.sag_at_mm(height_mm * math.sin(turn), height_mm * math.cos(turn)) for turn in turns)
+        points = [(height_mm * math.sin(turn), height_mm * math.cos(turn)) for turn in turns]
+        quarters = ((1.0, 1.0),) if form.symmetric else ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
+        sags = tuple(self.sag_at_mm(across * x, up * y) for across, up in quarters for x, y in points)
+        return sags * (4 // len(quarters))
 
     def sag_at_mm(self, x_mm: float, y_mm: float) -> float:
         """Return z of the surface above its vertex plane at a point, all in mm.
@@ -209,14 +216,8 @@ class Surface(Model):
         ----------
         x_mm, y_mm : float
         """
-        if self.biconic is not None:
-            section = self.biconic
-            return biconic_sag_mm(
-                self.curvature_x_per_mm, section.conic_x, self.curvature_per_mm, self.conic, x_mm, y_mm
-            )
-        if self.toroid is not None:
-            return toroid_sag_mm(self.curvature_x_per_mm, self.sag_mm(y_mm), x_mm)
-        return self.sag_mm(math.hypot(x_mm, y_mm))
+        form = self.form
+        return self.sag_mm(math.hypot(x_mm, y_mm)) if form is None else form.sag_at_mm(self, x_mm, y_mm)
 
     def sag_mm(self, height_mm: float) -> float:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
@@ -246,8 +247,8 @@ class Surface(Model):
             yield from self._thin_lens_faults()
         elif self.qbfs is not None:
             yield from self._qbfs_faults(self.qbfs)
-        if self.section_key is not None:
-            yield from self._section_faults(self.section_key)
+        for key, form in self.forms.items():
+            yield from self._form_faults(key, form)
         if self.semi_diameter_mm is not None and self.semi_diameter_mm > self.reach_mm * (1 + 1e-12):
             yield Fault(
                 ("semi_diameter_mm",),
@@ -305,21 +306,26 @@ class Surface(Model):
     def _shape_in_words(self) -> str:
         """Return the keys that say where the surface ends, with their values."""
         y = f"radius_mm = {self.radius_mm:g} and conic = {self.conic:g}"
-        if self.biconic is not None:
-            return f"{y}, radius_x_mm = {self.biconic.radius_x_mm:g} and conic_x = {self.biconic.conic_x:g}"
-        return y if self.toroid is None else f"{y}, radius_x_mm = {self.toroid.radius_x_mm:g}"
+        return y if self.form is None else f"{y}, {self.form.in_words()}"
 
-    def _section_faults(self, key: str) -> Iterator[Fault]:
-        """Yield what another section in x does not go with."""
-        if self.biconic is not None and self.toroid is not None:
-            yield Fault(("toroid",), None, "biconic is given too; give one of them")
-        evens = {"asphere_mm": self.asphere_mm} if key == "biconic" else {}
-        for name, value in {**evens, "odd_asphere_mm": self.odd_asphere_mm}.items():
-            if value:
+    def _form_faults(self, key: str, form: Form) -> Iterator[Fault]:
+        """Yield what a shape that is none of revolution does not go with."""
+        if key != self.section_key:
+            yield Fault((key,), None, f"{self.section_key} is given too; give one of them")
+        for name in form.without:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and value:
                 yield Fault((name,), value, f"omit it: a {key} has no such terms")
-        for name in ("qcon", "qbfs", "mesh"):
-            if getattr(self, name) is not None:
+            elif not isinstance(value, tuple) and value is not None:
                 yield Fault((name,), None, f"omit it: it does not go with a {key}")
+
+    def _given_beside(self, *allowed: str) -> Iterator[tuple[str, object]]:
+        """Yield the keys that are given beside those allowed, with their values; None for tables."""
+        for key, of in type(self).model_fields.items():
+            given = getattr(self, key)
+            if key not in allowed and given != of.get_default(call_default_factory=True):
+                shown = given.kind if key == "finish" else given
+                yield key, None if isinstance(shown, Model) else shown
 
     def _rim_mm(self) -> float:
         """Return how far Forbes' terms move the rim of the clear aperture, or of their own."""
@@ -333,23 +339,15 @@ class Surface(Model):
             return
         if self.focal_length_mm is None:
             yield Fault(("focal_length_mm",), None, "missing: the focal length of the thin lens")
-        own = {"radius_mm": math.inf, "index": None, "glass": None, "conic": 0.0, "asphere_mm": (), "qcon": None}
-        own |= {"qbfs": None, "odd_asphere_mm": (), "biconic": None, "toroid": None}
-        for key, value in {**own, "mesh": None, "coating": UNCOATED, "finish": POLISHED}.items():
-            given = getattr(self, key)
-            if given != value:
-                shown = given.kind if key == "finish" else None if key in _TABLES else given
-                yield Fault((key,), shown, "omit it: a paraxial surface is a flat thin lens in air")
+        for key, given in self._given_beside(
+            "thickness_mm", "semi_diameter_mm", "stop", "paraxial", "focal_length_mm", "refractor"
+        ):
+            yield Fault((key,), given, "omit it: a paraxial surface is a flat thin lens in air")
 
     def _element_faults(self) -> Iterator[Fault]:
-        own = {"radius_mm": math.inf, "index": None, "glass": None, "stop": False, "conic": 0.0, "asphere_mm": ()}
-        own |= {"qcon": None, "qbfs": None, "odd_asphere_mm": (), "paraxial": False, "focal_length_mm": None}
-        own |= {"biconic": None, "toroid": None}
-        for key, value in {**own, "coating": UNCOATED, "finish": POLISHED, "mesh": None}.items():
-            if getattr(self, key) != value:
-                beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
-                shown = None if key in _TABLES else getattr(self, key)
-                yield Fault((key,), shown, f"omit it: the refractor is a whole element{beside}")
+        for key, given in self._given_beside("thickness_mm", "semi_diameter_mm", "refractor"):
+            beside = f"; the refractor has a {key} of its own" if key in ("coating", "finish") else ""
+            yield Fault((key,), given, f"omit it: the refractor is a whole element{beside}")
         if self.refractor is not None and self.refractor.box_mm is not None:
             yield Fault(("refractor", "box_mm"), self.refractor.box_mm, "only in front of the camera; give file")
         if self.refractor is not None and self.refractor.absorption_per_mm != 0.0:
@@ -361,6 +359,14 @@ class Surface(Model):
             yield Fault(
                 ("refractor", "priority"), self.refractor.priority, "omit it: elements of a lens do not overlap"
             )
+
+
+_FORMS = tuple(
+    key
+    for key, of in Surface.model_fields.items()
+    if any(isinstance(kind, type) and issubclass(kind, Form) for kind in get_args(of.annotation))
+)
+"""Keys of a surface that are shapes of their own, such as "biconic"."""
 
 
 @lru_cache(maxsize=1024)
@@ -389,17 +395,6 @@ def _gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
     around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
     sags = zip(front.sags_mm(height_mm, around), back.sags_mm(height_mm, around), strict=True)
     return min(of_back - of_front for of_front, of_back in sags)
-
-
-def _reach_of_conic_mm(radius_mm: float, conic: float) -> float:
-    """Return the height at which a conic turns back and ends."""
-    return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
-
-
-@lru_cache(maxsize=256)
-def _toroid_reach_mm(surface: Surface) -> float:
-    most = _reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
-    return toroid_reach_mm(surface.curvature_x_per_mm, surface.sag_mm, most)
 
 
 def _term_mm(coefficient: float, height_mm: float, power: int) -> float:

@@ -1,15 +1,19 @@
-"""Surfaces with another section in x than in y: biconics and toroids, cylinders among them.
+"""Shapes of surfaces that are none of revolution: biconics and toroids, cylinders among them.
 
-Both have a plane of symmetry in x and one in y. The keys of the surface itself (`radius_mm`, `conic`, and of a toroid
-`asphere_mm`) are those of the section y–z; here stands what is different in the section x–z. They are the surfaces that
-OpticStudio calls biconic and toroidal.
+Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`radius_mm`, `conic`, and of a toroid
+`asphere_mm`) are those of the section y–z. OpticStudio calls the two biconic and toroidal.
 """
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
+from typing import TYPE_CHECKING, ClassVar
 
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Number, Radius
+
+if TYPE_CHECKING:
+    from lfmesh.scene.camera.lens import Surface
 
 AZIMUTHS = 33
 """Azimuths in a quarter turn at which gaps between surfaces are measured that are not both of revolution."""
@@ -21,21 +25,104 @@ BEFORE_END = 1e-5
 """Share of that by which a toroid counts as ended before, for the places in between."""
 
 
-class Biconic(Model):
+class Form(Model):
+    """A shape of surface in place of one of revolution; what it does not override is that of its section y–z."""
+
+    symmetric: ClassVar[bool] = False
+    """It is symmetric about x and about y, so that a quarter turn tells all of it."""
+    without: ClassVar[tuple[str, ...]] = ("asphere_mm", "odd_asphere_mm", "qcon", "qbfs", "mesh")
+    """Keys of the surface that it does not go with."""
+
+    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+        """Return z above the vertex plane at a point, in mm; where it has ended, a finite number.
+
+        Parameters
+        ----------
+        surface : Surface
+            Whose form it is: it has the keys of the section y–z.
+        x_mm, y_mm : float
+        """
+        raise NotImplementedError
+
+    def reach_mm(self, surface: "Surface") -> float:
+        """Return the height up to which it exists at every azimuth, in mm."""
+        return reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
+
+    def curvature_x_per_mm(self, surface: "Surface") -> float:
+        """Return the curvature at the vertex in the section x–z."""
+        return surface.curvature_per_mm
+
+    def in_words(self) -> str:
+        """Return its keys with their values."""
+        return " and ".join(f"{key} = {value:g}" for key, value in self.model_dump().items())
+
+
+class Biconic(Form):
     """The section x–z of a biconic."""
 
+    symmetric = True
     radius_x_mm: Radius
     """Radius of curvature at the vertex in the section x–z, in mm; inf is flat."""
     conic_x: Number = 0.0
     """Conic constant in the section x–z."""
 
+    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+        """Return z above the vertex plane at a point.
 
-class Toroid(Model):
+        Parameters
+        ----------
+        surface, x_mm, y_mm
+            As for `Form`.
+        """
+        c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
+        return biconic_sag_mm(c_x, self.conic_x, c_y, surface.conic, x_mm, y_mm)
+
+    def reach_mm(self, surface: "Surface") -> float:
+        """Return the height at which the first of its conics turns back."""
+        return min(super().reach_mm(surface), reach_of_conic_mm(self.radius_x_mm, self.conic_x))
+
+    def curvature_x_per_mm(self, surface: "Surface") -> float:
+        """Return its own curvature."""
+        return curvature(self.radius_x_mm)
+
+
+class Toroid(Form):
     """The section x–z of a toroid."""
 
+    symmetric = True
+    without = ("odd_asphere_mm", "qcon", "qbfs", "mesh")
     radius_x_mm: Radius
     """Distance from the vertex to the line, parallel to y, about which the curve of the section y–z turns, in mm,
     positive towards the sensor: the radius of the circle that is the section x–z. inf is a cylinder's."""
+
+    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+        """Return z above the vertex plane at a point.
+
+        Parameters
+        ----------
+        surface, x_mm, y_mm
+            As for `Form`.
+        """
+        return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
+
+    def reach_mm(self, surface: "Surface") -> float:
+        """Return the height at which it turns back at some azimuth."""
+        return _toroid_reach_mm(surface)
+
+    def curvature_x_per_mm(self, surface: "Surface") -> float:
+        """Return that of its circle."""
+        return curvature(self.radius_x_mm)
+
+
+def reach_of_conic_mm(radius_mm: float, conic: float) -> float:
+    """Return the height at which a conic turns back and ends."""
+    return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
+
+
+@lru_cache(maxsize=256)
+def _toroid_reach_mm(surface: "Surface") -> float:
+    most = reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
+    return toroid_reach_mm(surface.curvature_x_per_mm, surface.sag_mm, most)
 
 
 def curvature(radius_mm: float) -> float:

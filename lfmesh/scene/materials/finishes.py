@@ -11,7 +11,6 @@ SMOOTHEST = 1e-4
 """Roughness below which ground glass is traced as polished: facets then turn light by some tenths of a milliradian."""
 
 Roughness = Annotated[float, Field(strict=True, ge=0, le=1)]
-KINDS = ("polished", "diffuse", "ground")
 
 
 class Finish(Model):
@@ -34,11 +33,12 @@ class Finish(Model):
     @property
     def is_rough(self) -> bool:
         """True if the interface scatters light."""
-        return self.kind == "diffuse" or (self.kind == "ground" and (self.roughness or 0.0) >= SMOOTHEST)
+        return self.kind != "polished" and (self.kind != "ground" or (self.roughness or 0.0) >= SMOOTHEST)
 
     def in_words(self) -> str:
         """Describe the finish."""
-        return self.kind if self.roughness is None else f"{self.kind}, roughness {self.roughness:g}"
+        parameters = self.model_dump(exclude={"kind"}, exclude_none=True)
+        return ", ".join([self.kind, *(f"{key} {value:g}" for key, value in parameters.items())])
 
 
 POLISHED = Finish()
@@ -49,26 +49,22 @@ def _as_table(value: Any) -> Any:
     return {"kind": value} if isinstance(value, str) else value
 
 
-AnyFinish = Annotated[
-    Finish,
-    BeforeValidator(_as_table),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"enum": list(KINDS[:2]), "type": "string"},
-                {
-                    "type": "object",
-                    "properties": {
-                        "kind": {"enum": list(KINDS), "type": "string"},
-                        "roughness": {"type": "number", "minimum": 0, "maximum": 1},
-                    },
-                    "required": ["kind"],
-                    "additionalProperties": False,
-                },
-            ]
-        }
-    ),
-]
+def _schema() -> dict[str, Any]:
+    """Return the JSON schema of a finish: the names that are enough, or a table."""
+    fields = Finish.model_json_schema()["properties"]
+    kinds: list[Any] = fields["kind"]["enum"]
+    parameters = {key: field["anyOf"][0] for key, field in fields.items() if key != "kind"}
+    table = {
+        "type": "object",
+        "properties": {"kind": {"enum": kinds, "type": "string"}, **parameters},
+        "required": ["kind"],
+        "additionalProperties": False,
+    }
+    alone = [kind for kind in kinds if not any(Finish.model_construct(kind=kind).faults())]
+    return {"anyOf": [{"enum": alone, "type": "string"}, table]}
+
+
+AnyFinish = Annotated[Finish, BeforeValidator(_as_table), WithJsonSchema(_schema())]
 """A finish as a scene file gives it: a name or a table."""
 
 

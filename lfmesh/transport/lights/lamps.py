@@ -1,8 +1,8 @@
-"""Lamps: their irradiance at a point, and their intensity.
+"""Lamps: their irradiance at a point.
 
 A lamp is a point, a direction, or a disk that no ray meets: no scattered ray finds its light, and each lamp is asked
-from each point. Only this module and `sources.lamp_rays` depend on the kind of a lamp: `illuminate` has a branch for
-each, and so has `intensity` for what shines from a point.
+from each point. How a lamp that shines from a point spreads its light is told by `lights.intensity` alone; disks and
+directions have branches here and in `sources.lamp_rays`.
 """
 
 from typing import Any
@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.kernels.search import piece_with
 from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
 from lfmesh.transport.events.volume import Ray
+from lfmesh.transport.lights.intensity import intensity
 from lfmesh.transport.lights.shadow import Way
 from lfmesh.transport.packets.packet import TO_LAMP, Options
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, MM2, POINT, SPOT, Profiles
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, MM2, Profiles
 from lfmesh.transport.tables.tables import ObjectTables
 
 LIGHT_DIMENSIONS = 1 << 12
@@ -181,50 +181,3 @@ def illuminate_from(
     else:
         irradiance = intensity(profiles, light, -ux, -uy, -uz) / (MM2 * distance2)
     return ux, uy, uz, reach, irradiance
-
-
-@inlined
-def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
-    """Return the radiant intensity of a light that shines from a point, W/sr.
-
-    Parameters
-    ----------
-    profiles : Profiles
-    light : LIGHT
-    dx, dy, dz : float
-        Unit direction of the light.
-    """
-    if light.kind == POINT:
-        return light.peak
-    if light.kind == SPOT:
-        ex, ey, ez = dx - light.direction[0], dy - light.direction[1], dz - light.direction[2]
-        # 1 − cos of the angle from the axis.
-        height = 0.5 * (ex * ex + ey * ey + ez * ez)
-        if height <= light.inner:
-            return light.peak
-        return light.peak * (light.outer - height) / (light.outer - light.inner) if height < light.outer else 0.0
-    return light.power * _profile_at(profiles, light, dx, dy, dz)
-
-
-@kernel
-def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
-    """Return the intensity of a profiled light over its power, 1/sr."""
-    axis, across = light.direction, light.across
-    x = across[0, 0] * dx + across[0, 1] * dy + across[0, 2] * dz
-    y = across[1, 0] * dx + across[1, 1] * dy + across[1, 2] * dz
-    z = axis[0] * dx + axis[1] * dy + axis[2] * dz
-    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
-    row = profiles.rows[light.profile]
-    vertical = profiles.angles[row[0] : row[0] + row[1]]
-    horizontal = profiles.angles[row[2] : row[2] + row[3]]
-    if theta < vertical[0] or theta > vertical[-1]:
-        return 0.0
-    phi = horizontal[0] + (phi - horizontal[0]) % (2.0 * np.pi)
-    i = piece_with(vertical, theta)
-    j = piece_with(horizontal, phi)
-    s = (theta - vertical[i]) / (vertical[i + 1] - vertical[i])
-    t = min((phi - horizontal[j]) / (horizontal[j + 1] - horizontal[j]), 1.0)
-    first = row[4] + j * row[1] + i
-    low = (1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1]
-    first += row[1]
-    return (1.0 - t) * low + t * ((1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1])

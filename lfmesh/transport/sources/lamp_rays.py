@@ -5,15 +5,11 @@ from typing import Any
 import numpy as np
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import near, tangents
-from lfmesh.transport.lights.lamps import intensity
+from lfmesh.transport.lights.intensity import drawn_by_intensity, intensity
 from lfmesh.transport.packets.random import start
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, POINT, SPOT, Profiles
+from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, POINT
 from lfmesh.transport.tables.tables import ObjectTables
-
-MOST_STEPS = 64
-"""Of Newton's method, or of halving, after which an angle is known to its last digits."""
 
 # Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
 PLACE_U, PLACE_V, WAY_U, WAY_V = 1, 2, 3, 4
@@ -50,7 +46,7 @@ def emitted(
         if light.kind != POINT and light.power <= light.peak * 4.0 * np.pi * _cone_share(
             x - mx, y - my, z - mz, radius
         ):
-            dx, dy, dz = _drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
+            dx, dy, dz = drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
             return x, y, z, dx, dy, dz, 1.0
         dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
         if light.kind != POINT:
@@ -69,85 +65,6 @@ def emitted(
     dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
     # Lambert's density over that of uniform directions in the cone: cos θ / π over 1 / (4π share).
     return x, y, z, dx, dy, dz, 4.0 * share * max(0.0, dx * ax + dy * ay + dz * az)
-
-
-@kernel
-def _drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tuple[float, float, float]:
-    """Return a random direction of a spot or a profiled light, with a density of its intensity over its power.
-
-    Parameters
-    ----------
-    profiles : Profiles
-    light : LIGHT
-    u, v : float
-        Random numbers, uniform in [0, 1).
-    """
-    axis, across = light.direction, light.across
-    if light.kind == SPOT:
-        # The number of 1 − cos of the angle if the soft edge were as bright as the inside: it fades to the right.
-        height = 0.5 * u * (light.inner + light.outer)
-        if height > light.inner:
-            rest = 2.0 * (height - light.inner) / (light.outer - light.inner)
-            height = light.outer - (light.outer - light.inner) * np.sqrt(max(0.0, 1.0 - rest))
-        return near(axis[0], axis[1], axis[2], height, 2.0 * np.pi * v)
-    row = profiles.rows[light.profile]
-    vertical = profiles.angles[row[0] : row[0] + row[1]]
-    horizontal = profiles.angles[row[2] : row[2] + row[3]]
-    until = profiles.until[row[4] : row[4] + (row[1] - 1) * (row[3] - 1)]
-    cell = drawn_by(until, u)
-    below = until[cell - 1] if cell > 0 else 0.0
-    # What is left of the first number is a random number of its own.
-    u = min((u - below) / (until[cell] - below), 1.0)
-    j, i = cell // (row[1] - 1), cell % (row[1] - 1)
-    low, high = vertical[i], vertical[i + 1]
-    first = row[4] + j * row[1] + i
-    a, b = profiles.intensity[first], profiles.intensity[first + 1]
-    c, d = profiles.intensity[first + row[1]], profiles.intensity[first + row[1] + 1]
-    # Between the two planes the light of a cell changes linearly; the square root inverts its integral.
-    one, other = _ring(low, high, a, b, high), _ring(low, high, c, d, high)
-    t = v * (one + other) / (one + np.sqrt(one * one * (1.0 - v) + other * other * v)) if v > 0.0 else 0.0
-    theta = _angle_in_ring(low, high, (1.0 - t) * a + t * c, (1.0 - t) * b + t * d, u)
-    phi = horizontal[j] + t * (horizontal[j + 1] - horizontal[j])
-    x, y, z = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
-    return (
-        x * across[0, 0] + y * across[1, 0] + z * axis[0],
-        x * across[0, 1] + y * across[1, 1] + z * axis[1],
-        x * across[0, 2] + y * across[1, 2] + z * axis[2],
-    )
-
-
-@kernel
-def _ring(low: float, high: float, a: float, b: float, theta: float) -> float:
-    """Return ∫ I sin θ dθ from `low` to `theta`, of an intensity I that is linear from a at `low` to b at `high`."""
-    slope = (b - a) / (high - low)
-    middle, half = 0.5 * (low + theta), 0.5 * (theta - low)
-    # Cosines and sines of sums, so that differences of near numbers do not cancel.
-    even = 2.0 * np.sin(middle) * np.sin(half)
-    odd = 2.0 * np.cos(middle) * np.sin(half) - 2.0 * half * np.cos(theta)
-    return a * even + slope * odd
-
-
-@kernel
-def _angle_in_ring(low: float, high: float, a: float, b: float, u: float) -> float:
-    """Return the angle up to which a share u of a ring's light goes: Newton's method between bounds."""
-    wanted = u * _ring(low, high, a, b, high)
-    slope = (b - a) / (high - low)
-    left, right = low, high
-    theta = low + u * (high - low)
-    for _ in range(MOST_STEPS):
-        excess = _ring(low, high, a, b, theta) - wanted
-        if excess > 0.0:
-            right = theta
-        else:
-            left = theta
-        density = (a + slope * (theta - low)) * np.sin(theta)
-        following = theta - excess / density if density > 0.0 else 0.5 * (left + right)
-        if not left < following < right:
-            following = 0.5 * (left + right)
-        if following == theta:
-            break
-        theta = following
-    return theta
 
 
 @kernel

@@ -1,8 +1,7 @@
 """The interface table: the kind of each surface between two media, with its parameters.
 
-A new kind is one line in `KINDS`, a branch of `_kind_of` and of `_kind_and_parameters` that gives the surfaces of that
-kind and their parameters, and its shares of the power in `transport.events.interface`. By this table the sequential
-engine refuses interfaces that it cannot trace.
+A new kind is an entry of `tables.KINDS`, its parameters in `_parameters`, and its directions in
+`transport.events.interface`. By this table the sequential engine refuses interfaces that scatter light.
 """
 
 from collections.abc import Sequence
@@ -29,37 +28,12 @@ from lfmesh.transport.tables.tables import (
     DIFFUSE,
     GROUND,
     INTERFACE,
+    KINDS,
     NO_SLOT,
     ROUGH,
     THIN_LENS,
     Interfaces,
 )
-
-
-class Kind(NamedTuple):
-    """A kind of interface.
-
-    Attributes
-    ----------
-    name : str
-        Description in messages.
-    is_smooth : bool
-        Light continues along the reflected and the refracted direction only.
-    """
-
-    name: str
-    is_smooth: bool
-
-
-KINDS = (
-    Kind("smooth and bare", is_smooth=True),
-    Kind("coated", is_smooth=True),
-    Kind("coated with layers that absorb", is_smooth=True),
-    Kind("a thin lens", is_smooth=True),
-    Kind("diffuse", is_smooth=False),
-    Kind("ground", is_smooth=False),
-)
-"""Kinds by their number in the table."""
 
 POLARISER = "polariser"
 """What the ledger calls the polariser before the sensor."""
@@ -106,7 +80,7 @@ class InterfaceKind(NamedTuple):
     where : str
         Path in the scene file.
     kind : int
-        Index in `KINDS`.
+        Number in `tables.KINDS`.
     parameters : (n, wavelengths) float64, or rows of numbers
     pieces : int
         Of a coating's table.
@@ -219,9 +193,9 @@ def refused_in_order(scene: Scene) -> str | None:
     faces = (*lens_faces(scene), *array, *cover_faces(scene))
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for face in faces:
-        kind = KINDS[_kind_of(scene, face, wavelengths_nm)]
-        if not kind.is_smooth:
-            return f"{face.where} is {kind.name}"
+        kind = _kind_of(scene, face, wavelengths_nm)
+        if kind >= ROUGH:
+            return f"{face.where} is {KINDS[kind]}"
     return None
 
 
@@ -332,9 +306,10 @@ def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
     if face.thin_lens_power_per_mm is not None:
         return THIN_LENS
     if face.finish.is_rough:
+        kind = KINDS.index(face.finish.kind)
         # Facets between equal indices do nothing; a diffuse face scatters what it transmits all the same.
         matched = all(n_outer == n_inner for n_outer, n_inner in _indices(face, wavelengths_nm))
-        return DIFFUSE if face.finish.kind == "diffuse" else BARE if matched else GROUND
+        return BARE if kind == GROUND and matched else kind
     if face.coating == UNCOATED:
         return BARE
     if scene.transport.polarisation:
@@ -346,18 +321,25 @@ def _kind_of(scene: Scene, face: Face, wavelengths_nm: Sequence[float]) -> int:
 def _kind_and_parameters(scene: Scene, face: Face, wavelengths_nm: tuple[float, ...]) -> InterfaceKind:
     """Return kind and parameters of a face."""
     kind = _kind_of(scene, face, wavelengths_nm)
-    if kind == BARE:
-        return InterfaceKind(face.where, kind)
+    if kind in (COATED, ABSORBING):
+        table = coating_table(scene, face.coating, face.outer, face.inner, wavelengths_nm)
+        return InterfaceKind(face.where, kind, table.values, table.pieces, table.error)
+    return InterfaceKind(face.where, kind, _parameters(face, kind, wavelengths_nm))
+
+
+def _parameters(face: Face, kind: int, wavelengths_nm: tuple[float, ...]) -> list[list[float]]:
+    """Return the parameters of a face without a coating, (n, wavelengths)."""
     if kind == THIN_LENS:
-        return InterfaceKind(face.where, kind, [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)])
+        return [[face.thin_lens_power_per_mm or 0.0] * len(wavelengths_nm)]
     if kind == DIFFUSE:
         sides = [sorted(pair) for pair in _indices(face, wavelengths_nm)]
-        shares = [(diffuse_reflectance(thin, dense), diffuse_reflectance(dense, thin)) for thin, dense in sides]
-        return InterfaceKind(face.where, kind, np.transpose(shares))
+        return [
+            [diffuse_reflectance(thin, dense) for thin, dense in sides],
+            [diffuse_reflectance(dense, thin) for thin, dense in sides],
+        ]
     if kind == GROUND:
-        return InterfaceKind(face.where, kind, [[face.finish.roughness or 0.0] * len(wavelengths_nm)])
-    table = coating_table(scene, face.coating, face.outer, face.inner, wavelengths_nm)
-    return InterfaceKind(face.where, kind, table.values, table.pieces, table.error)
+        return [[face.finish.roughness or 0.0] * len(wavelengths_nm)]
+    return []
 
 
 def _indices(face: Face, wavelengths_nm: Sequence[float]) -> list[tuple[float, float]]:

@@ -1,7 +1,7 @@
 """The table of lights as kernels read it.
 
-A new light has its model in `scene/light/lights.py`; its kind, its row and its power here; its
-irradiance at a point in `transport/lights/lamps.py`, and the start of its packets in `transport/sources/lamp_rays.py`.
+A new light has its model in `scene/light/lights.py`, its kind and its row here, and its intensity in
+`transport/lights/intensity.py`.
 """
 
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from lfmesh.geometry import frame
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.scene import Scene
-from lfmesh.scene.light.lights import DirectionalLight, DiskLight, Light, SpotLight
+from lfmesh.scene.light.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.spectra import spread
 
@@ -94,7 +94,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
             row["direction"] = d / np.linalg.norm(d)
         if isinstance(light, DiskLight):
             row["kind"], row["radius"] = DISK, light.radius_mm
-        elif not isinstance(light, DirectionalLight) and light.profile is not None:
+        elif isinstance(light, PointLight | SpotLight) and light.profile is not None:
             profile = read_profile(scene.resolve(light.profile))
             row["kind"], row["profile"], row["peak"] = PROFILED, len(profiles), row["power"] * profile.intensity.max()
             x, y, down = frame.directions(to_object, axes_of(light))

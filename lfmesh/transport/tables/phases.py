@@ -1,5 +1,7 @@
 """Phase functions of a scene at its wavelengths."""
 
+from typing import assert_never
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -7,7 +9,14 @@ from lfmesh.errors import SceneError
 from lfmesh.optics.mie import MieSphere, mie_sphere
 from lfmesh.optics.phase import PhaseFunction, henyey_greenstein, isotropic, rayleigh, read_phase
 from lfmesh.scene import Scene
-from lfmesh.scene.media.phase import HenyeyGreensteinPhase, MiePhase, Phase, RayleighPhase, TabulatedPhase
+from lfmesh.scene.media.phase import (
+    HenyeyGreensteinPhase,
+    IsotropicPhase,
+    MiePhase,
+    Phase,
+    RayleighPhase,
+    TabulatedPhase,
+)
 
 
 def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: float = 1.0) -> MieSphere:
@@ -68,6 +77,8 @@ def phase_functions(
             function = rayleigh()
         case TabulatedPhase(file=file):
             function = read_phase(scene.resolve(file))
-        case _:
+        case IsotropicPhase():
             function = isotropic()
+        case _:
+            assert_never(phase)
     return (function,) * len(wavelengths_nm)

@@ -345,15 +345,17 @@ class Tables(NamedTuple):
 NO_SLOT = -1
 """In place of a slot of the book, in tables by which no packet is traced."""
 
-BARE, COATED, ABSORBING, THIN_LENS, DIFFUSE, GROUND = range(6)
-"""Kinds of interfaces, see `tables.interfaces.KINDS`; rough ones come last."""
+KINDS = ("smooth and bare", "coated", "coated with layers that absorb", "a thin lens", "diffuse", "ground")
+"""Kinds of interfaces by their number, as messages name them. Rough ones come last, by the name of their finish."""
+
+BARE, COATED, ABSORBING, THIN_LENS, DIFFUSE, GROUND = range(len(KINDS))
 
 ROUGH = DIFFUSE
 """First kind of rough interfaces, which scatter light."""
 
 INTERFACE = np.dtype(
     [
-        ("kind", "i8"),  # number in `tables.interfaces.KINDS`
+        ("kind", "i8"),  # number in `KINDS`
         ("first", "i8"),  # row of its first parameter
         ("pieces", "i8"),  # of a coating's table
         ("slot", "i8"),  # of the book, for light that a coating absorbs

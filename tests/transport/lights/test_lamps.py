@@ -11,7 +11,8 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
-from lfmesh.transport.lights.lamps import _near_disk, illuminate, intensity
+from lfmesh.transport.lights.intensity import intensity
+from lfmesh.transport.lights.lamps import _near_disk, illuminate
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.sources.lamp_rays import emitted
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT

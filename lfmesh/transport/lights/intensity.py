@@ -1,0 +1,143 @@
+"""Radiant intensity of lamps that shine from a point, and directions that are drawn by it.
+
+Only this module knows how such a lamp spreads its light over its directions: `intensity` has a branch for each kind,
+and so has `drawn_by_intensity`, which must draw what that gives.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.search import drawn_by, piece_with
+from lfmesh.optics.scattering import near
+from lfmesh.transport.tables.lights import POINT, SPOT, Profiles
+
+MOST_STEPS = 64
+"""Of Newton's method, or of halving, after which an angle is known to its last digits."""
+
+
+@inlined
+def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
+    """Return the radiant intensity of a light that shines from a point, W/sr.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    light : LIGHT
+    dx, dy, dz : float
+        Unit direction of the light.
+    """
+    if light.kind == POINT:
+        return light.peak
+    if light.kind == SPOT:
+        ex, ey, ez = dx - light.direction[0], dy - light.direction[1], dz - light.direction[2]
+        # 1 − cos of the angle from the axis.
+        height = 0.5 * (ex * ex + ey * ey + ez * ez)
+        if height <= light.inner:
+            return light.peak
+        return light.peak * (light.outer - height) / (light.outer - light.inner) if height < light.outer else 0.0
+    return light.power * _profile_at(profiles, light, dx, dy, dz)
+
+
+@kernel
+def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
+    """Return the intensity of a profiled light over its power, 1/sr."""
+    axis, across = light.direction, light.across
+    x = across[0, 0] * dx + across[0, 1] * dy + across[0, 2] * dz
+    y = across[1, 0] * dx + across[1, 1] * dy + across[1, 2] * dz
+    z = axis[0] * dx + axis[1] * dy + axis[2] * dz
+    theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+    row = profiles.rows[light.profile]
+    vertical = profiles.angles[row[0] : row[0] + row[1]]
+    horizontal = profiles.angles[row[2] : row[2] + row[3]]
+    if theta < vertical[0] or theta > vertical[-1]:
+        return 0.0
+    phi = horizontal[0] + (phi - horizontal[0]) % (2.0 * np.pi)
+    i = piece_with(vertical, theta)
+    j = piece_with(horizontal, phi)
+    s = (theta - vertical[i]) / (vertical[i + 1] - vertical[i])
+    t = min((phi - horizontal[j]) / (horizontal[j + 1] - horizontal[j]), 1.0)
+    first = row[4] + j * row[1] + i
+    low = (1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1]
+    first += row[1]
+    return (1.0 - t) * low + t * ((1.0 - s) * profiles.intensity[first] + s * profiles.intensity[first + 1])
+
+
+@kernel
+def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tuple[float, float, float]:
+    """Return a random direction of a spot or a profiled light, with a density of its intensity over its power.
+
+    Parameters
+    ----------
+    profiles : Profiles
+    light : LIGHT
+    u, v : float
+        Random numbers, uniform in [0, 1).
+    """
+    axis, across = light.direction, light.across
+    if light.kind == SPOT:
+        # The number of 1 − cos of the angle if the soft edge were as bright as the inside: it fades to the right.
+        height = 0.5 * u * (light.inner + light.outer)
+        if height > light.inner:
+            rest = 2.0 * (height - light.inner) / (light.outer - light.inner)
+            height = light.outer - (light.outer - light.inner) * np.sqrt(max(0.0, 1.0 - rest))
+        return near(axis[0], axis[1], axis[2], height, 2.0 * np.pi * v)
+    row = profiles.rows[light.profile]
+    vertical = profiles.angles[row[0] : row[0] + row[1]]
+    horizontal = profiles.angles[row[2] : row[2] + row[3]]
+    until = profiles.until[row[4] : row[4] + (row[1] - 1) * (row[3] - 1)]
+    cell = drawn_by(until, u)
+    below = until[cell - 1] if cell > 0 else 0.0
+    # What is left of the first number is a random number of its own.
+    u = min((u - below) / (until[cell] - below), 1.0)
+    j, i = cell // (row[1] - 1), cell % (row[1] - 1)
+    low, high = vertical[i], vertical[i + 1]
+    first = row[4] + j * row[1] + i
+    a, b = profiles.intensity[first], profiles.intensity[first + 1]
+    c, d = profiles.intensity[first + row[1]], profiles.intensity[first + row[1] + 1]
+    # Between the two planes the light of a cell changes linearly; the square root inverts its integral.
+    one, other = _ring(low, high, a, b, high), _ring(low, high, c, d, high)
+    t = v * (one + other) / (one + np.sqrt(one * one * (1.0 - v) + other * other * v)) if v > 0.0 else 0.0
+    theta = _angle_in_ring(low, high, (1.0 - t) * a + t * c, (1.0 - t) * b + t * d, u)
+    phi = horizontal[j] + t * (horizontal[j + 1] - horizontal[j])
+    x, y, z = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
+    return (
+        x * across[0, 0] + y * across[1, 0] + z * axis[0],
+        x * across[0, 1] + y * across[1, 1] + z * axis[1],
+        x * across[0, 2] + y * across[1, 2] + z * axis[2],
+    )
+
+
+@kernel
+def _ring(low: float, high: float, a: float, b: float, theta: float) -> float:
+    """Return ∫ I sin θ dθ from `low` to `theta`, of an intensity I that is linear from a at `low` to b at `high`."""
+    slope = (b - a) / (high - low)
+    middle, half = 0.5 * (low + theta), 0.5 * (theta - low)
+    # Cosines and sines of sums, so that differences of near numbers do not cancel.
+    even = 2.0 * np.sin(middle) * np.sin(half)
+    odd = 2.0 * np.cos(middle) * np.sin(half) - 2.0 * half * np.cos(theta)
+    return a * even + slope * odd
+
+
+@kernel
+def _angle_in_ring(low: float, high: float, a: float, b: float, u: float) -> float:
+    """Return the angle up to which a share u of a ring's light goes: Newton's method between bounds."""
+    wanted = u * _ring(low, high, a, b, high)
+    slope = (b - a) / (high - low)
+    left, right = low, high
+    theta = low + u * (high - low)
+    for _ in range(MOST_STEPS):
+        excess = _ring(low, high, a, b, theta) - wanted
+        if excess > 0.0:
+            right = theta
+        else:
+            left = theta
+        density = (a + slope * (theta - low)) * np.sin(theta)
+        following = theta - excess / density if density > 0.0 else 0.5 * (left + right)
+        if not left < following < right:
+            following = 0.5 * (left + right)
+        if following == theta:
+            break
+        theta = following
+    return theta

@@ -328,10 +328,11 @@ class _Monochrome:
         return np.maximum(mean, 0.0)
 
     def _airy_radius(self) -> float:
-        number = self.camera.report.microlens_f_number
-        if number is None:
+        report, wavelength_nm = self.camera.report, 1e6 * self.pupil.wavelength_mm
+        if report.microlens_airy_disk_px is None:
             return 0.61 * self.pupil.wavelength_mm / float(self.pupil.half.min())
-        return 1.22 * self.pupil.wavelength_mm * number
+        disk_mm = report.microlens_airy_disk_px * self.camera.scene.camera.sensor.pixel_mm
+        return 0.5 * disk_mm * wavelength_nm / report.airy_wavelength_nm
 
     def _lenslets(self) -> int:
         return max((face.met_by(self.pupil.places_at(face.z_mm)) for face in self._relief), default=0)

@@ -196,6 +196,7 @@ def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
     return {
         "lfmesh_version": lfmesh.__version__,
         "scene": scene.digest,
+        "waves": projector.waves,
         "inputs": scene.digests,
         "grid": [list(grid.shape), *(a.tolist() for a in (grid.spacing_mm, grid.origin_mm, grid.to_world))],
         "channel": projector.channel,

@@ -108,7 +108,7 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             f"the {plane} stands {inside:.4g} mm inside the focal length: the camera is focused beyond "
             "infinity, and no object is sharp"
         )
-    elif focus is not None and focus <= -facts.ffl_mm:
+    elif focus is not None and math.isfinite(facts.ffl_mm) and focus <= -facts.ffl_mm:
         yield (
             f"focus_mm = {given:g} is inside the focal length: the front focal point lies "
             f"{-facts.ffl_mm:.4g} mm before the lens"

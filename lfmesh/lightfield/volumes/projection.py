@@ -3,6 +3,7 @@
 Rays start at the pixels and pass array and lens exactly as those of the adjoint image do, with the same random numbers;
 in object space each runs on, through glass, to the target that it meets. Where it crosses a voxel, the voxel adds
 chord times weight, divided by the square of the refractive index there, as radiance over n² is what a ray keeps.
+With `transport.diffraction` there are no rays: each voxel shows the point spread of its centre.
 """
 
 import os
@@ -15,7 +16,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import ClearAirWarning, LfmeshError, PictureWarning, SceneError, in_order, warn_caller
+from lfmesh.errors import (
+    ClearAirWarning,
+    DiffractionWarning,
+    LfmeshError,
+    PictureWarning,
+    SceneError,
+    in_order,
+    warn_caller,
+)
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.voxels import read_voxels
 from lfmesh.lightfield.volumes.chords import Haze, Room, Rows, room_for, sum_rows
@@ -56,6 +65,7 @@ from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World, build
+from lfmesh.waves.pictures import Pictures, pictures_of_points
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -75,6 +85,9 @@ SAMPLED = 128
 ENTRY_BYTES = 16
 """Of an entry: number of its voxel, value and standard error."""
 
+WIDE_VOXELS = 0.02
+"""Difference of a voxel's picture from that of its centre, over its light, above which a wave matrix warns."""
+
 ENTRIES_AT_FIRST = 64
 """For each row of a block, before its memory grows."""
 
@@ -89,7 +102,7 @@ class ProjectionMatrix:
         Power in W on each pixel for an emission of 1 W/(mm³ sr) of a voxel: A in b = A x.
     stderr : (entries,) float32
         Standard error of each entry, in the order of `matrix.data`; NaN from a single replicate. Entries of a row come
-        from the same rays, and their errors are not independent.
+        from the same rays, and their errors are not independent. 0 of point spreads, which have no noise.
     row_stderr : (rows,) float64
         Standard error of the sum of each row: of a pixel that looks at even emission.
     dropped : (rows,) float64
@@ -240,8 +253,13 @@ class Projector:
             self._known.append(clear)
             warn_caller([clear])
         self.channel, self.threshold = int(channel), float(threshold)
+        self.waves = scene.transport.diffraction != "none"
+        self._scene = scene
+        self._of_centres: Array | None = None
         # What lights, targets, media and particles of the scene send is no part of the matrix.
-        alone: dict[str, Any] = {"transport.method": "adjoint", "lights": (), "particles": ()}
+        alone: dict[str, Any] = {
+            "transport.method": "adjoint", "transport.diffraction": "none", "lights": (), "particles": (),
+        }  # fmt: skip
         self.world = build(scene.changed(alone | ({} if absorption else {"media": ()})))
         self._volumes = self.world.tables.objects.volumes
         self._place = _place_of(self.world, inside)
@@ -252,7 +270,7 @@ class Projector:
                 "vertex, where z is below 0"
             )
         self.tracer = Tracer(self.world, check=False)
-        self._known += warn_beforehand(self.tracer)
+        self._known += () if self.waves else warn_beforehand(self.tracer)
         self.parts = [_without_scattered(part) for part in self.tracer.parts if part.options.adjoint]
         self.replicates = self.world.scene.transport.replicates
         self.wavelength_nm = self.world.scene.wavelengths_nm[self.channel]
@@ -296,6 +314,8 @@ class Projector:
 
     def rows(self, pixels: Numbers, room: Room | None = None) -> Block:
         """Return the rows of increasing pixel numbers, whatever pixels they are traced with."""
+        if self.waves:
+            return self._wave_rows(pixels)
         book = np.zeros(len(self.world.slots))
         found = [
             (replicate, some)
@@ -310,6 +330,35 @@ class Projector:
         first = np.searchsorted(slot[order], np.arange(len(pixels) * self.replicates + 1))
         ordered = Segments._make(column[order] for column in segments)
         return self._summed(ordered, first, len(pixels), room or room_for(self.grid.voxels), book)
+
+    def _pictures(self) -> Array:
+        """Compute what each pixel detects of each voxel by its centre's point spread, (pixels, voxels), mm³ sr."""
+        points = frames.points(
+            self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.centres_mm().reshape(-1, 3)
+        )
+        size = 8.0 * len(points) * self.tracer.pixels
+        if not fits_into_memory(3.0 * size):
+            raise LfmeshError(
+                f"{len(points):,} point spreads on {self.tracer.pixels:,} pixels take {size / 1e9:.3g} GB: give fewer "
+                "voxels or pixels"
+            )
+        pictures = pictures_of_points(self._scene, points, self.wavelength_nm)
+        warning = _wide_voxels(pictures, self.grid.shape)
+        self._known += warning
+        warn_caller(warning)
+        return pictures.mean.reshape(len(points), -1).T * float(np.prod(self.grid.spacing_mm))
+
+    def _wave_rows(self, pixels: Numbers) -> Block:
+        """Return the rows of pixels from point spreads."""
+        if self._of_centres is None:
+            self._of_centres = self._pictures()
+        rows = self._of_centres[pixels]
+        kept = rows > self.threshold * rows.max(axis=1, keepdims=True)
+        _, column = np.nonzero(kept)
+        return Block(
+            kept.sum(axis=1), column.astype(np.int32), rows[kept], np.zeros(len(column), np.float32),
+            np.zeros(len(pixels)), np.where(kept, 0.0, rows).sum(axis=1), np.zeros(len(self.world.slots)),
+        )  # fmt: skip
 
     def _summed(self, segments: Segments, first: Numbers, count: int, room: Room, book: Array) -> Block:
         p, d = self.grid.in_voxels(segments.origin, segments.direction)
@@ -371,7 +420,9 @@ def projection_matrix(
     The rays are those of the adjoint image: `transport.samples`, `replicates`, `split` and `seed` hold. With
     `split = "transmit"` they follow the image path alone; else reflections in lens and array are in the matrix, too,
     and fill it. Targets hide what lies behind them; light that they scatter is no part of it. Glass in front of the
-    camera refracts, and what it absorbs is missing from the entries. As with `[[media]]`, voxels count where they are
+    camera refracts, and what it absorbs is missing from the entries. With `transport.diffraction` each voxel shows
+    the point spread of its centre, by `lf.point_spread`, coherent over all lenslets, and what that refuses is refused:
+    media, bodies of glass, hidden voxels, voxels out of the field. As with `[[media]]`, voxels count where they are
     in air or, with `inside`, in one body of glass or liquid.
 
     Parameters
@@ -445,6 +496,26 @@ def not_seen(projector: Projector) -> str:
         f"no ray from these pixels meets the grid{where}: the matrix would be empty; move the grid into the camera's "
         f"view{other}"
     )
+
+
+def _wide_voxels(pictures: Pictures, shape: tuple[int, int, int]) -> list[DiffractionWarning]:
+    """Warn of voxels whose light is not that of their centres.
+
+    A voxel's mean differs from its centre by a 24th of the second differences between neighbours, along each axis.
+    """
+    mean = pictures.mean.reshape(*shape, -1)
+    light, off = float(mean.sum()), 0.0
+    for axis, count in enumerate(shape):
+        if count > 2:
+            off += float(np.abs(np.diff(mean, 2, axis=axis)).sum()) / 24.0 * count / (count - 2) / light
+    if off <= WIDE_VOXELS:
+        return []
+    return [
+        DiffractionWarning(
+            "a wave matrix has the point spreads of the voxels' centres, and those of whole voxels differ from them "
+            f"by some {off:.1%} of the light: take smaller voxels"
+        )
+    ]
 
 
 def _place_of(world: World, inside: str | None) -> int:
@@ -536,6 +607,11 @@ def _check(scene: Scene, channel: int, threshold: float) -> None:
         raise LfmeshError(f"threshold = {literal(threshold)}: must lie from 0 to below 1")
     if scene.transport.polarisation:
         raise LfmeshError("transport.polarisation: a projection matrix is one of unpolarised light; leave it out")
+    if scene.transport.diffraction != "none" and scene.camera.sensor.bands:
+        raise LfmeshError(
+            "camera.sensor.bands: a matrix with transport.diffraction is of point spreads at single wavelengths; "
+            "leave bands out"
+        )
     if any(finish.is_rough for _, finish in scene.finishes()):
         raise LfmeshError("a rough finish scatters light: a projection matrix takes polished faces only")
 

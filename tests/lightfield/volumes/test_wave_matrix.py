@@ -1,0 +1,42 @@
+"""Matrices with diffraction: columns are point spreads, repeated where the camera repeats itself."""
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.scene import Scene
+from lfmesh.waves.pictures import repeats_of
+
+
+def microscope(**changes: object) -> Scene:
+    scene = lf.load(asset_path("scenes/light_field_microscope.toml"))
+    return scene.changed({"targets": (), "transport.threads": 1, **changes})
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.DiffractionWarning")
+def test_columns_are_the_point_spreads_of_voxels_a_lenslet_apart() -> None:
+    scene, grid = microscope(), lf.VoxelBox.of_size((3, 1, 1), (0.0375, 0.0125, 0.01), (0.0, 0.0, -18.03))
+    matrix = lf.projection_matrix(scene, grid)
+    assert matrix.stderr.max() == 0.0
+    volume = np.prod(grid.spacing_mm)
+    for voxel, point in enumerate(grid.centres_mm().reshape(-1, 3)):
+        own = lf.point_spread(scene, point).mean.ravel() * volume
+        assert np.abs(matrix.matrix[:, [voxel]].toarray().ravel() - own).sum() < 3e-3 * own.sum()
+
+
+def test_the_microscope_repeats_itself_from_lenslet_to_lenslet() -> None:
+    repeats = repeats_of(microscope())
+    assert repeats is not None
+    assert repeats.object_mm == pytest.approx(0.0125)
+    assert repeats.pixels == -10
+    assert repeats_of(microscope(**{"camera.sensor.pixel_mm": 0.0126})) is None
+    assert repeats_of(lf.load(asset_path("scenes/first_light.toml"))) is None
+
+
+def test_media_are_refused() -> None:
+    fog = {"scattering_per_mm": 0.01, "shape": {"kind": "sphere", "radius_mm": 1.0}, "position_mm": (0.0, 0.0, -15.0)}
+    grid = lf.VoxelBox.of_size((1, 1, 1), (0.01, 0.01, 0.01), (0.0, 0.0, -18.0))
+    with pytest.raises(lf.LfmeshError, match="media"):
+        lf.projection_matrix(microscope(media=(fog,)), grid, absorption=True)

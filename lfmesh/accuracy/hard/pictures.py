@@ -138,7 +138,7 @@ def caustic_of_a_ball() -> Outcome:
             ),
         ).in_folder(Path(folder)).changed({"lights": [lamp, other], "transport.split": "transmit"})  # fmt: skip
         images = images_of(scene, range(seeds), samples=16, replicates=8)
-        longer = images_of(scene, range(100, 103), samples=2048, replicates=8)
+        longer = images_of(scene, range(100, 103), samples=512, replicates=8)
     truth = np.mean([image.mean for image in longer], axis=0)
     lit = truth >= np.quantile(truth, 1.0 - brightest)
     held = float(np.mean([(image.upper >= truth)[lit] for image in images]))

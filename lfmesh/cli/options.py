@@ -70,8 +70,11 @@ class Overrides:
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
     diffraction: Annotated[
-        Literal["none", "lenslets"] | None,
-        Parameter(help="lenslets: light spreads behind each lenslet as behind its aperture; none: it does not."),
+        Literal["none", "lenslets", "stop"] | None,
+        Parameter(
+            help="Light spreads behind each lenslet as behind its aperture, behind the stop of a camera without an "
+            "array, or not at all."
+        ),
     ] = None
     replicates: Annotated[
         Whole | None,

@@ -325,9 +325,7 @@ def test_every_surface_face_and_body_has_a_row_and_parameters_lie_one_after_anot
 def test_the_sequential_engine_refuses_by_the_table_what_is_not_smooth(monkeypatch, where):
     scene = world_with_everything()
     assert choice.engine_of(scene)[0] == "sequential"
-    monkeypatch.setattr(table, "KINDS", (*table.KINDS, table.Kind("ground", is_smooth=False)))
-    ground = len(table.KINDS) - 1
-    monkeypatch.setattr(table, "_kind_of", lambda scene, face, waves: ground * (face.where == where))
+    monkeypatch.setattr(table, "_kind_of", lambda scene, face, waves: table.GROUND * (face.where == where))
     assert choice.engine_of(scene) == ("mesh", f"{where} is ground")
     with pytest.raises(SceneError, match=r"is ground; use"):
         choice.engine_of(scene.changed({"transport.engine": "sequential"}))

@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import tomlkit
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import lfmesh as lf
@@ -264,8 +264,44 @@ def is_rendered_or_refused(text: str, folder: Path) -> bool:
     return rendered
 
 
+BALL_AT_62_MM = {
+    "shape": {"kind": "sphere", "radius_mm": 1.0}, "material": {}, "position_mm": [0.0, 0.0, -62.0],
+    "rotation_deg": [0.0, 0.0, 0.0],
+}  # fmt: skip
+
+# A probe's way without length, on a plane of the particles' bounds.
+WITHOUT_LENGTH = {
+    "targets": [BALL_AT_62_MM],
+    "media": [{"position_mm": [0.0, 0.0, -55.0], "absorption_per_mm": 1e-09}],
+    "tanks": [
+        {
+            "size_mm": [12.0, 12.0, 12.0], "wall_mm": 0.5, "wall": {"index": 1.333}, "liquid": {"index": 1.333},
+            "position_mm": [0.0, 0.0, -65.0],
+        }
+    ],
+    "particles": [
+        {
+            "count": 1, "bounds": {"kind": "sphere", "radius_mm": 1.0}, "position_mm": [0.0, 0.0, -60.0], "seed": 0,
+            "samples": 2, "intensity_w_sr": 1.0,
+        }
+    ],
+}  # fmt: skip
+
+# Glass through which probes see next to nothing.
+HARDLY_SEEN = {
+    "targets": [BALL_AT_62_MM | {"position_mm": [0.0, 4.0, -61.0]}],
+    "lights": [{"kind": "point", "position_mm": [0.0, 0.0, -30.0], "power_w": 1.0}],
+    "glass": {
+        "refractor": {"file": "ball.off", "units": "mm", "index": 1.333}, "position_mm": [0.0, 0.0, -50.0],
+        "rotation_deg": [0.0, 0.0, 0.0],
+    },
+}  # fmt: skip
+
+
 @settings(max_examples=15, deadline=None, derandomize=True, database=None)
 @given(scenes)
+@example(drawn=WITHOUT_LENGTH)
+@example(drawn=HARDLY_SEEN)
 def test_a_random_scene_is_rendered_or_refused(place: Path, drawn: Table) -> None:
     is_rendered_or_refused(text_of(drawn), place)
 

@@ -180,7 +180,8 @@ def _found(world: World) -> tuple[GlassAim | None, GlassProof | None]:
     while True:
         fit = fitted(world, sights)
         proof = proof_of(fit, world.aim, others)
-        if not FEW < proof.missed <= TOO_MUCH or number >= MOST_PROBES:
+        known = len(others.way) > 0 and not FEW < proof.missed <= TOO_MUCH
+        if known or number >= MOST_PROBES:
             return fit.aim, proof
         # What the proof has found is part of the next fit, which others prove.
         sights, number = sights.joined(others), 2 * number
@@ -412,7 +413,7 @@ def _bundle(point: Array, direction: Array) -> Bundle | None:
 
 
 def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
-    """Return the proof of an aim by sights that it was not fitted to.
+    """Return the proof of an aim by sights that it was not fitted to; without any of them everything may be missed.
 
     Parameters
     ----------
@@ -426,7 +427,7 @@ def proof_of(fit: Fit, tables: AimTables, sights: Sights) -> GlassProof:
     _weigh(*fit, aim, sights.point, sights.direction, sights.way, weight)
     missed = through & ((weight > HARDLY) | (sights.place == ON_ROUGH_GLASS))
     shares = [float(missed[sights.place == place].mean()) for place in np.unique(sights.place)]
-    return GlassProof(max(shares), len(sights.way))
+    return GlassProof(max(shares, default=1.0), len(sights.way))
 
 
 @kernel

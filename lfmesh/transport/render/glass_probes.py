@@ -237,7 +237,7 @@ def _sights(
         met = clean[np.isin(clean["status"], (S_TARGET, S_ABSORBED))]["node"]
         inner = np.concatenate([inner, met])
         out = clean[clean["status"] == S_ESCAPED]
-        far = 4.0 * world.tables.objects.outer_radius * out["direction"]
+        far = _past_all_mm(world, regions, out["position"]) * out["direction"]
         stretches = _Stretches(
             np.concatenate([position[parent[inner]], out["position"]]),
             np.concatenate([position[inner], out["position"] + far]),
@@ -268,14 +268,28 @@ def _events(world: World, nodes: NDArray[np.void], glass: NDArray[np.bool_]) -> 
     return np.where(glass, number, 0).astype(np.uint64)
 
 
+def _past_all_mm(world: World, regions: list[Region], places: Array) -> float:
+    """Return a distance from some places after which a way is past all regions, or far in one without bounds."""
+    radius = world.tables.objects.outer_radius
+    if np.isfinite(radius):
+        return 4.0 * radius
+    corners = [
+        np.linalg.norm(np.maximum(abs(region.low), abs(region.high))) + np.linalg.norm(region.to_own[:, 3])
+        for region in regions
+    ]
+    bounded = [corner for corner in corners if np.isfinite(corner)]
+    return 2.0 * float(max(bounded, default=0.0) + np.linalg.norm(places, axis=1).max(initial=0.0))
+
+
 def _within(stretches: _Stretches, region: Region, number: int, draw: np.random.Generator) -> Sights:
     """Return a random point of each probe's way through a region."""
     start, end = frame.points(region.to_own, stretches.start), frame.points(region.to_own, stretches.end)
     step = end - start
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (region.low - start) / step, (region.high - start) / step
-    enters = np.nanmax(np.minimum(one, other), axis=1).clip(0.0)
-    leaves = np.nanmin(np.maximum(one, other), axis=1).clip(max=1.0)
+    # A way without length that begins on a bound's plane has no numbers, and no length within.
+    enters = np.fmax.reduce(np.minimum(one, other), axis=1).clip(0.0)
+    leaves = np.fmin.reduce(np.maximum(one, other), axis=1).clip(max=1.0)
     length = (leaves - enters) * np.linalg.norm(step, axis=1)
     some = np.flatnonzero(length > 0.0)
     # Of the stretches of a way one by its length: the first of random times with these rates.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport.checks.order_check import LARGEST_MM, outcomes
+from lfmesh.transport.settings import with_thinning
 from lfmesh.transport.world import World
 from tests.validation.exact_packet import first_hit, judge
 from tests.validation.test_order_of_surfaces import (
@@ -66,7 +67,7 @@ def test_ten_million_packets_meet_the_same_surface_at_the_same_place_in_order_an
     compared = conditioned = missed = 0
     for seed, world in enumerate(worlds()):
         packets, options = waiting_packets(world, PER_LENS, seed=1000 + seed)
-        found = outcomes(world, options._replace(cutoff=0.0), world.tables, entered(world, packets))
+        found = outcomes(world, with_thinning(options, cutoff=0.0), world.tables, entered(world, packets))
         compared += len(packets) - len(found.undecided)
         weights = np.abs(found.by_order["weight"] - found.by_mesh["weight"])
         weights /= packets["weight"][found.by_order["source"]]
@@ -90,7 +91,7 @@ def test_the_exact_trace_finds_a_moved_hit_and_a_wrong_share() -> None:
     """Each hit is right, and what is 1e-8 mm or 1e-9 of the weight beside it is not."""
     world = drawn_worlds(1, posed_aspheres)[0]
     packets, options = waiting_packets(world, 2000, seed=5)
-    found = outcomes(world, options._replace(cutoff=0.0), world.tables, entered(world, packets))
+    found = outcomes(world, with_thinning(options, cutoff=0.0), world.tables, entered(world, packets))
     hits = found.by_order[found.by_order["name"] >= 0][:8]
     assert len(hits) == 8
     for row in hits:

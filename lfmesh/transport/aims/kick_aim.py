@@ -26,6 +26,12 @@ SHIFT_IN_REACH, GROWTH_IN_REACH = 0.5, 1.25
 """Shift in pitches of the point that needs no change of direction, and growth of the views, up to which a sample takes
 the lenslets that were listed for its pixel. The few samples beyond list their own, which takes far longer."""
 
+MOST_GROWTH, WIDE_SHARE_AFTER_KICK = 2.0, 0.5
+"""Growth of the views above which changes of direction are far, and the share of rays that go anywhere among samples
+with such a one. Where lenslets are some twenty wavelengths wide, each hundredth ray is turned so far that the opening
+is seen from nowhere, or in a view that no factor describes. They bring little light, which few and heavy rays would
+gather in bright pixels."""
+
 EVENTS_OF_COVER, EVENTS_BEHIND_FACES = 2, 2
 """Interfaces that a packet from a pixel meets in the sensor's cover, and until it has left lenslets that look to the
 lens. Those that look to the sensor diffract it before it meets any."""

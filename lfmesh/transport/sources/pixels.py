@@ -17,6 +17,8 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.kick_aim import (
+    MOST_GROWTH,
+    WIDE_SHARE_AFTER_KICK,
     first_kick,
     is_in_reach,
     list_cells_after_kick,
@@ -270,8 +272,10 @@ def _near_cells(
 def _cells_shown(
     apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, key: np.uint64, colour: int,
     has_cover: bool,
-) -> Shown:  # fmt: skip
+) -> tuple[Shown, bool]:  # fmt: skip
     """Return the lenslets that show the opening to a point of a pixel, with diffraction after the sample's own change.
+
+    Also tell whether that change is so large that light comes from elsewhere, too.
 
     Parameters
     ----------
@@ -284,13 +288,14 @@ def _cells_shown(
         Of the sample.
     """
     if apertures is None:
-        return cells_that_show(array, room.near, near, room.cells, p, 1.0)
+        return cells_that_show(array, room.near, near, room.cells, p, 1.0), False
     growth, seen_from = without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
-    first, listed = 0, near
-    if not is_in_reach(array, p, growth, seen_from):
+    first, listed, far = 0, near, not is_in_reach(array, p, growth, seen_from)
+    if far:
         # Behind the pixel's list.
         first, listed = near, list_cells_after_kick(array, growth, seen_from, room.near[near:])
-    return cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)
+    shown = cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)
+    return shown, not 0.0 < growth <= MOST_GROWTH
 
 
 @kernel
@@ -335,14 +340,14 @@ def _aim_rays(
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if mla.present:
             p = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-            shown = _cells_shown(
-                mla.apertures, array, room, near, p, room.keys[i], colour, has_cover
-            )  # fmt: skip
-            choice = numbers[DISCRETE]
-            if by_light >= 0:
+            shown, far = _cells_shown(mla.apertures, array, room, near, p, room.keys[i], colour, has_cover)
+            choice, share = numbers[DISCRETE], wide
+            if far:
+                share = max(wide, WIDE_SHARE_AFTER_KICK)
+            elif by_light >= 0:
                 choice = 1.0 if sample < by_light else choice * unaimed
-            dx, dy, dz, importance = aimed_through_array(array, shown, wide, normal, p, numbers, choice)
-            importance *= own_weight if choice >= unaimed else 1.0
+            dx, dy, dz, importance = aimed_through_array(array, shown, share, normal, p, numbers, choice)
+            importance *= own_weight if choice >= unaimed and not far else 1.0
             ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:
             # The pupil disks are square to the axis of the lens, whichever way the sensor is tilted.

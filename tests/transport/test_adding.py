@@ -113,7 +113,7 @@ lamps = {"wide": {"direction": [-12.0, -3.0, -20.0], "exponent": 3.0},
          "narrow": {"direction": [-11.0, -3.0, -20.0], "exponent": 4000.0}}
 for name, changes in lamps.items():
     near = cosine | {"position_mm": [12.0, 3.0, -30.0]} | changes
-    for method, samples in (("adjoint", 4096), ("forward", 262144)):
+    for method, samples in (("adjoint", 16384), ("forward", 262144)):
         found[f"light {name} {method}"] = watts(
             samples, camera=camera({}), targets=[plane(-50.0, 8.0, {"reflectance": 0.9})], lights=[near],
             transport={"method": method})

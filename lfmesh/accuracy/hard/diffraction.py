@@ -56,7 +56,7 @@ def lenslets_10_um_and_pixels_1_um() -> Outcome:
             ),
         ),
     )  # fmt: skip
-    images = images_of(scene, range(4), diffraction="lenslets", samples=4096, split="transmit", wavelengths_nm=(NM,))
+    images = images_of(scene, range(4), diffraction="lenslets", samples=16384, split="transmit", wavelengths_nm=(NM,))
     mean = np.sum([image.mean[..., 0] for image in images], axis=0)
     off = float(np.abs(mean / mean.sum() - _white_picture()).sum())
     return of_images(

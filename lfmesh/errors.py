@@ -161,7 +161,7 @@ def in_order(found: Iterable[PictureWarning]) -> tuple[PictureWarning, ...]:
     return tuple(sorted(dict.fromkeys(found), key=lambda each: kinds.index(type(each)) if type(each) in kinds else -1))
 
 
-def warn_caller(found: Iterable[PictureWarning]) -> None:
+def warn_caller(found: Iterable[Warning]) -> None:
     """Warn of each, at the line outside this package from which it was called."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):

@@ -3,7 +3,6 @@
 import inspect
 import os
 import time
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -346,8 +345,8 @@ class Run:
 
     def _warn_of_limits(self) -> None:
         """Warn, before other cameras are traced, of limits that the reference itself is beyond."""
-        for words in () if self.plan.scenes else beyond_limits(table_of(self.plan, self.outcomes, {})):
-            warnings.warn(words, UserWarning, stacklevel=2)
+        if not self.plan.scenes:
+            warn_caller(map(UserWarning, beyond_limits(table_of(self.plan, self.outcomes, {}))))
 
     def _say(self, total: int) -> None:
         if self.progress is None:

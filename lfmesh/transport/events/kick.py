@@ -1,7 +1,7 @@
 """Diffraction at a lenslet's aperture, or the stop: a packet that passes it changes its direction by chance.
 
 The change is taken in air, at the lenslet's face: before a packet from the air meets it, and after one has left it. Of
-two faces with lenslets, light is diffracted at the one that limits it (`tables.lens.apertures_of`).
+two faces with lenslets, light is diffracted at the one that limits it (`tables.lens.with_diffraction`).
 Drawn from the aperture's Fraunhofer pattern (`optics.diffraction`), it is added to the direction cosines along the
 array, and does not depend on them. So a path and its reverse have the same density, and weights stay as they are.
 Changes beyond a right angle are drawn again. What would run along the array or into the face all the same, as

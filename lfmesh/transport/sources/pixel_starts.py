@@ -31,9 +31,7 @@ class StartRoom(NamedTuple):
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: (
-        Array  # (2 · most + 1, LISTED) lenslets that may show the opening to points of a pixel, then those of a sample
-    )
+    near: Array  # (2 · most + 1, LISTED) lenslets that points of a pixel may see, and behind them those of a sample
     cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 

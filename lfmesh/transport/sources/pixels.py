@@ -275,7 +275,7 @@ def _cells_shown(
 ) -> tuple[Shown, bool]:  # fmt: skip
     """Return the lenslets that show the opening to a point of a pixel, with diffraction after the sample's own change.
 
-    Also tell whether that change is so large that light comes from elsewhere, too.
+    Also tell whether that change is far, so that light comes from elsewhere, too: see `MOST_GROWTH`.
 
     Parameters
     ----------
@@ -290,8 +290,8 @@ def _cells_shown(
     if apertures is None:
         return cells_that_show(array, room.near, near, room.cells, p, 1.0), False
     growth, seen_from = without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
-    first, listed, far = 0, near, not is_in_reach(array, p, growth, seen_from)
-    if far:
+    first, listed = 0, near
+    if not is_in_reach(array, p, growth, seen_from):
         # Behind the pixel's list.
         first, listed = near, list_cells_after_kick(array, growth, seen_from, room.near[near:])
     shown = cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)

@@ -296,6 +296,7 @@ def _in_brackets(page: Page) -> str:
     return f" (nd {d:.5f}, Vd {(d - 1.0) / (f - c):.2f})" if f > c else f" (nd {d:.5f})"
 
 
+@cache  # readers of lens files try a name with one maker after another
 def _suggestion(name: str) -> str:
     names = _catalogue()
     wanted = name.strip().upper()
@@ -310,10 +311,11 @@ def _suggestion(name: str) -> str:
     heirs = {page for known in names if "/" not in known and known.endswith(f"-{bare}") for page in names[known]}
     alike = _other_spellings().get(bare, [])
     close = [*sorted(close, key=_rank), *sorted(alike, key=_rank), *sorted(heirs, key=_rank)]
-    for known in difflib.get_close_matches(wanted, makers_glasses, n=4, cutoff=0.6):
-        close += names[known]
     if bare in ("AIR", "VACUUM"):
         return "for air leave glass and index out"
+    if len(set(close)) < 4:
+        for known in difflib.get_close_matches(wanted, makers_glasses, n=4, cutoff=0.6):
+            close += names[known]
     if close:
         return "close to it are " + ", ".join(
             f"{_short(page)}{_in_brackets(page)}" for page in list(dict.fromkeys(close))[:4]

@@ -15,15 +15,15 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.solve import cover_shift_mm
 from lfmesh.transport.aims.fitting import decentred
 from lfmesh.transport.aims.lenslet_view import aim_through_lenslets, apex_z, grid, no_lenslets
-from lfmesh.transport.aims.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH
+from lfmesh.transport.aims.mixture import WIDE_SHARE, WIDE_SHARE_OF_IMAGE_PATH, anywhere
 from lfmesh.transport.aims.near_points import NearViewpoints, near_viewpoints
 from lfmesh.transport.aims.pupil import (
     Viewpoints,
+    closed_opening,
     paraxial_near,
     paraxial_opening,
     real_near,
     real_opening,
-    unknown_opening,
     viewpoints,
 )
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -214,15 +214,10 @@ def _anywhere(scene: Scene, camera: Camera, shapes: Shapes) -> AimTables:
     )  # fmt: skip
     planes = float(lens.box_low[2]), float(lens.box_high[2])
     openings = (
-        unknown_opening(planes[0], to_sensor=True, near_depth=depth), unknown_opening(planes[1], to_sensor=False)
+        closed_opening(planes[0], to_sensor=True, near_depth=depth), closed_opening(planes[1], to_sensor=False)
     )  # fmt: skip
-    aim = before_array(scene, openings, radii)
     cells = mla.lenslets.lattice.columns * mla.lenslets.lattice.rows if mla.present else 1
-    return aim._replace(
-        entrance=aim.entrance._replace(wide_share=1.0, share_without_aim=1.0),
-        exit=aim.exit._replace(wide_share=1.0, share_without_aim=1.0),
-        lenslets=no_lenslets(cells),
-    )
+    return before_array(scene, openings, radii)._replace(lenslets=no_lenslets(cells))
 
 
 def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[float, float]) -> AimTables:
@@ -239,7 +234,9 @@ def before_array(scene: Scene, openings: tuple[Opening, Opening], radii: tuple[f
     # measured opening.
     followed = scene.transport.split != "transmit"
     shares = (WIDE_SHARE, 1.0) if followed else (WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH)
-    entrance, exit_ = (LensAim(opening, radius, *shares) for opening, radius in zip(openings, radii, strict=True))
+    sides = [LensAim(opening, radius, *shares) for opening, radius in zip(openings, radii, strict=True)]
+    # An opening of which nothing is known is closed in all of its table.
+    entrance, exit_ = (side if (side.opening.far.radius > 0.0).any() else anywhere(side) for side in sides)
     return AimTables(entrance, exit_, no_lenslets(1))
 
 
@@ -247,7 +244,7 @@ def unaimed(scene: Scene, lens: LensTables) -> AimTables:
     """Return aim tables that know no opening: every ray to the lens is sent anywhere on its box."""
     planes = float(lens.box_low[2]), float(lens.box_high[2])
     radius = float(np.hypot(lens.box_high[0], lens.box_high[1]))
-    openings = unknown_opening(planes[0], to_sensor=True), unknown_opening(planes[1], to_sensor=False)
+    openings = closed_opening(planes[0], to_sensor=True), closed_opening(planes[1], to_sensor=False)
     return before_array(scene, openings, (radius, radius))
 
 
@@ -287,10 +284,8 @@ def opening_seen(
     """
     plane_z = float(lens.box_low[2] if front else lens.box_high[2])
     seen = viewpoints(plane_z, wide_radius, points, to_sensor=front, near=near)
-    if seen is None:
-        return unknown_opening(plane_z, to_sensor=front)
-    if front and not analytic and not np.isfinite(report.entrance_pupil_z_mm):
-        return unknown_opening(plane_z, to_sensor=front)
+    if seen is None or (front and not analytic and not np.isfinite(report.entrance_pupil_z_mm)):
+        return closed_opening(plane_z, to_sensor=front)
     z, diameter = _pupil(report, lens, front=front)
     if analytic:
         return real_opening(seen, _as_prescribed(lens), z, 0.5 * diameter)

@@ -38,7 +38,7 @@ def share_of_ghost_cells(ghosts: Any, opening: Opening, p: Vector) -> float:
     """
     if ghosts is None:
         return 0.0
-    return 1.0 - SHARE_OF_OPENING if opening.known and opening_from(opening, p)[2] > 0.0 else 1.0
+    return 1.0 - SHARE_OF_OPENING if opening_from(opening, p)[2] > 0.0 else 1.0
 
 
 @inlined

@@ -17,6 +17,7 @@ import numpy as np
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector, disk_density, toward_disk
+from lfmesh.transport.aims.disks import no_disks
 from lfmesh.transport.aims.ghost_cells import ghost_cell_density, share_of_ghost_cells, toward_ghost_cell
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.aims.through_glass import bundles_density, share_of_bundles, toward_bundle
@@ -61,6 +62,12 @@ def with_wide_share(aim: AimTables, share: float, share_without_aim: float | Non
         return aim
     without = aim.exit.share_without_aim if share_without_aim is None else share_without_aim
     return aim._replace(exit=aim.exit._replace(wide_share=share, share_without_aim=without))
+
+
+def anywhere(aim: LensAim) -> LensAim:
+    """Return the aim at one side of the lens of which nothing is known: every ray goes to the wide disk."""
+    opening = aim.opening._replace(far=no_disks(), near=no_disks())
+    return aim._replace(opening=opening, wide_share=1.0, share_without_aim=1.0)
 
 
 @kernel
@@ -164,7 +171,7 @@ def _shares(aim: LensAim, p: Vector) -> tuple[tuple[float, float, float, float],
     Returns
     -------
     disk : (4,) float, mm
-        Centre and radius; radius −1: it is not known, or the point sees none.
+        Centre and radius; radius −1: the point sees none.
     share : float
         Of rays to the wide disk or everywhere.
     everywhere : float
@@ -172,11 +179,7 @@ def _shares(aim: LensAim, p: Vector) -> tuple[tuple[float, float, float, float],
     """
     opening = aim.opening
     cx, cy, radius = opening_from(opening, p)
-    share, everywhere = 1.0, 0.0
-    if not opening.known:
-        radius = -1.0
-    else:
-        share = aim.wide_share if radius > 0.0 else aim.share_without_aim
+    share, everywhere = aim.wide_share if radius > 0.0 else aim.share_without_aim, 0.0
     distance = (opening.plane_z - p[2]) * opening.sense
     if 0.0 < distance < opening.near_depth:
         if radius * radius > (p[0] - cx) ** 2 + (p[1] - cy) ** 2 + distance * distance:

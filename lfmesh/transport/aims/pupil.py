@@ -135,8 +135,8 @@ def viewpoints(
     return Viewpoints(plane_z, wide_radius, to_sensor, np.linspace(0.0, widest, ANGLES), 1.0 / inverse)
 
 
-def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0) -> Opening:
-    """Return the opening that stands for "not known": rays are sent to the whole wide disk.
+def closed_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0) -> Opening:
+    """Return an opening that no point sees.
 
     Parameters
     ----------
@@ -147,12 +147,7 @@ def unknown_opening(plane_z: float, *, to_sensor: bool, near_depth: float = 0.0)
     near_depth : float, mm
         From points nearer than this half of the rays go everywhere towards the lens.
     """
-    return Opening(False, plane_z, 1.0 if to_sensor else -1.0, no_disks(), near_depth, no_disks())
-
-
-def unknown_like(opening: Opening) -> Opening:
-    """Return the opening that stands for "not known" on the same side of the lens."""
-    return unknown_opening(opening.plane_z, to_sensor=opening.sense > 0.0, near_depth=opening.near_depth)
+    return Opening(plane_z, 1.0 if to_sensor else -1.0, no_disks(), near_depth, no_disks())
 
 
 def paraxial_opening(seen: Viewpoints, pupil_z: float, pupil_radius: float) -> Opening:
@@ -435,7 +430,7 @@ def _opening(seen: Viewpoints, middle: Array, radius: Array) -> Opening:
     """Return the opening of measured disks. Beyond the last field angle at which light gets through it is closed."""
     sense, tangent_step = 1.0 if seen.to_sensor else -1.0, float(seen.tangent[1])
     far = covering(tangent_step, 1.0 / seen.distance, middle, radius, seen.distance)
-    return Opening(True, seen.plane_z, sense, far, 0.0, no_disks())
+    return Opening(seen.plane_z, sense, far, 0.0, no_disks())
 
 
 @inlined

@@ -49,7 +49,8 @@ def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arra
     """
     beyond = np.zeros(len(rays.throughput))
     if not through.mla.present:
-        _beyond_exit(rays.sensor, aim.exit.opening, through.frames, beyond)
+        if aim.exit.wide_share < 1.0:
+            _beyond_exit(rays.sensor, aim.exit.opening, through.frames, beyond)
         return beyond
     near, cells = (
         np.zeros((most_listed(aim.lenslets) + 1, LISTED)),
@@ -109,12 +110,14 @@ def beyond_object_aim(
     random : Generator
     """
     far_rays, near_rays = np.zeros(len(rays.throughput)), np.zeros(len(rays.throughput))
+    if aim.entrance.wide_share >= 1.0:
+        return far_rays, near_rays
     opening = aim.entrance.opening
-    if seen is not None and opening.known:
+    if seen is not None:
         share = random.random(len(far_rays))
         distance = 1.0 / (share / seen.distance[0] + (1.0 - share) / seen.distance[-1])
         _beyond_at(opening, rays, distance, seen.tangent[-1] * distance, far_rays)
-    if near is not None and opening.known:
+    if near is not None:
         lowest, highest = near.measured[0], near.distance[-1]
         distance = lowest + (highest - lowest) * random.random(len(near_rays))
         _beyond_at(opening, rays, distance, np.full(len(distance), near.height[-1]), near_rays)
@@ -143,7 +146,7 @@ def _beyond_exit(rays: Array, opening: Opening, frames: Array, beyond: Array) ->
     for i in range(len(beyond)):
         x, y, z = move_point(frames, SENSOR_FRAME, CAMERA_FRAME, rays[i, 0], rays[i, 1], 0.0)
         dx, dy, dz = move_direction(frames, SENSOR_FRAME, CAMERA_FRAME, rays[i, 2], rays[i, 3], rays[i, 4])
-        beyond[i] = _off_disk(opening, x, y, z, dx, dy, dz) if opening.known else 0.0
+        beyond[i] = _off_disk(opening, x, y, z, dx, dy, dz)
 
 
 @kernel

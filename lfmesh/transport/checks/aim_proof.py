@@ -21,15 +21,14 @@ from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
 from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
 from lfmesh.transport.aims.kick_aim import SEARCH_AFTER_KICK
 from lfmesh.transport.aims.lenslet_view import unmeasured_light
-from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK
+from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK, anywhere
 from lfmesh.transport.aims.near_points import NearViewpoints
-from lfmesh.transport.aims.pupil import Viewpoints, unknown_like
+from lfmesh.transport.aims.pupil import Viewpoints
 from lfmesh.transport.aims.support import beyond_object_aim, beyond_sensor_aim, seen_from_cells
 from lfmesh.transport.sequences.stop_rays import CameraTables, Rays, rays_from_stop, reach_of
 from lfmesh.transport.tables.tables import (
     AimTables,
     Camera,
-    LensAim,
     undiffracted,
 )
 
@@ -322,19 +321,14 @@ def _completed(aim: AimTables, proof: AimProof, has_array: bool) -> tuple[AimTab
     has_array : bool
     """
     if proof.objects.share > ALLOWED:
-        aim = aim._replace(entrance=_anywhere(aim.entrance))
+        aim = aim._replace(entrance=anywhere(aim.entrance))
     if proof.sensor.share > ALLOWED:
         aim = (
             aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))
             if has_array
-            else aim._replace(exit=_anywhere(aim.exit))
+            else aim._replace(exit=anywhere(aim.exit))
         )
     return aim, proof._replace(fallback=proof.missed > ALLOWED)
-
-
-def _anywhere(aim: LensAim) -> LensAim:
-    """Return the aim at one side of the lens of which nothing is known."""
-    return aim._replace(opening=unknown_like(aim.opening))
 
 
 def _missed(beyond: Array, throughput: Array) -> Missed:

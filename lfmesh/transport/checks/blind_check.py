@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.transport.aims.mixture import anywhere
 from lfmesh.transport.aims.plate_view import NOTHING_SEEN
-from lfmesh.transport.aims.pupil import unknown_like
-from lfmesh.transport.tables.tables import AimTables, LensAim
+from lfmesh.transport.tables.tables import AimTables
 
 Array = NDArray[np.float64]
 
@@ -40,16 +40,12 @@ HITS = 80
 def without_aim(aim: AimTables) -> AimTables:
     """Return an aim by which rays go anywhere: into the hemisphere, or to all of the lens where there is no array."""
     return aim._replace(
-        entrance=_anywhere(aim.entrance),
-        exit=_anywhere(aim.exit),
+        entrance=anywhere(aim.entrance),
+        exit=anywhere(aim.exit),
         lenslets=aim.lenslets._replace(
             slope_radius2=np.full_like(aim.lenslets.slope_radius2, NOTHING_SEEN), search=0.0
         ),
     )
-
-
-def _anywhere(aim: LensAim) -> LensAim:
-    return aim._replace(opening=unknown_like(aim.opening), wide_share=1.0, share_without_aim=1.0)
 
 
 def first_of_runs(count: int, at_once: int, replicate: int) -> list[int]:

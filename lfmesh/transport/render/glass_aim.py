@@ -243,7 +243,7 @@ def fitted(world: World, sights: Sights) -> Fit:
         return Fit(_STRAIGHT_ONLY, np.zeros(0, np.uint64), np.zeros(0), np.zeros(1))
     entrance, wide = world.aim.entrance.opening, world.aim.entrance.wide_radius
     middle = sights.point.mean(axis=0)
-    radius = opening_from(entrance, (middle[0], middle[1], middle[2]))[2] if entrance.known else -1.0
+    radius = opening_from(entrance, (middle[0], middle[1], middle[2]))[2]
     radius = radius if radius > 0.0 else wide
     opening = np.pi * radius**2 / (entrance.plane_z - middle[2]) ** 2
     root = _Division(_chances(sights), float(opening)).cell(sights)
@@ -251,8 +251,7 @@ def fitted(world: World, sights: Sights) -> Fit:
     typical = np.zeros(len(cells))
     _written(root, cells, 0, bundles, typical)
     rows = np.array([bundle.row for bundle in bundles], BUNDLE)
-    share = world.aim.entrance.wide_share if entrance.known else 0.0
-    aim = GlassAim(cells, rows, share, max(wide / radius, 1.0))
+    aim = GlassAim(cells, rows, world.aim.entrance.wide_share, max(wide / radius, 1.0))
     way, chance = np.array([each.way for each in bundles], np.uint64), np.array([each.chance for each in bundles])
     return Fit(aim, way, chance, typical)
 

@@ -150,9 +150,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
     if in_order:
         options = options._replace(faces=BY_ORDER)
     tables = world.aimed_tables
-    if tables.aim.exit.opening.known:
-        share = WIDE_SHARE_OF_IMAGE_PATH
-        tables = tables._replace(aim=with_wide_share(tables.aim, share, share))
+    tables = tables._replace(aim=with_wide_share(tables.aim, WIDE_SHARE_OF_IMAGE_PATH, WIDE_SHARE_OF_IMAGE_PATH))
     of_sensor = sensor.rows * sensor.columns
     pixels = np.sort(draw.permutation(of_sensor)[:count])
     samples = -(-count // len(pixels))

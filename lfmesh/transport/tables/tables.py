@@ -267,10 +267,10 @@ class Disks(NamedTuple):
 class Opening(NamedTuple):
     """Effective pupil of one side of the lens: disks in a plane perpendicular to the axis.
 
-    From points close before the plane the disks shrink towards it as the distance does.
+    From points close before the plane the disks shrink towards it as the distance does. Where nothing is known of it,
+    its tables are closed, see `aims.mixture.anywhere`.
     """
 
-    known: bool  # False: nothing is known, and rays go anywhere on the lens
     plane_z: float  # mm, camera frame
     sense: float  # 1: points lie before the plane (smaller z), −1: behind it
     far: Disks  # by the tangent of the field angle, and one over the distance, 1/mm

@@ -373,11 +373,10 @@ def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, flo
     opening = opening_seen(
         world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
     )
-    if world.aim.entrance.opening.known:
-        decentre = world.aim.entrance.opening.far.decentre * [[1.0], [0.0]]
-        opening = opening._replace(far=opening.far._replace(decentre=decentre))
+    decentre = world.aim.entrance.opening.far.decentre * [[1.0], [0.0]]
+    opening = opening._replace(far=opening.far._replace(decentre=decentre))
     x, y, radius = opening_from(opening, (point[0], point[1], point[2]))
-    if aim == "lens" or not opening.known or radius <= 0.0:
+    if aim == "lens" or radius <= 0.0:
         return 0.0, 0.0, opening.plane_z, wide
     return x, y, opening.plane_z, radius
 

@@ -21,7 +21,8 @@ from lfmesh.transport.aims.lenslet_aim import (
     list_cells,
     most_listed,
 )
-from lfmesh.transport.aims.pupil import opening_from, real_opening, unknown_like, viewpoints
+from lfmesh.transport.aims.mixture import anywhere
+from lfmesh.transport.aims.pupil import opening_from, real_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
@@ -73,8 +74,8 @@ def uniform(aim: AimTables) -> AimTables:
     A tenth goes into the whole hemisphere, where there is an array.
     """
     return aim._replace(
-        entrance=aim.entrance._replace(opening=unknown_like(aim.entrance.opening)),
-        exit=aim.exit._replace(opening=unknown_like(aim.exit.opening), wide_share=0.1, share_without_aim=1.0),
+        entrance=anywhere(aim.entrance),
+        exit=anywhere(aim.exit)._replace(wide_share=0.1),
         lenslets=aim.lenslets._replace(slope_radius2=np.full_like(aim.lenslets.slope_radius2, np.inf), search=2.0),
     )
 

@@ -129,7 +129,7 @@ class Optimum(Shown):
 
     @property
     def effort(self) -> str:
-        """What the search took, in words, and that it was stopped."""
+        """Effort of the search in words, and that it was stopped."""
         ended = "" if self.complete else "; stopped before the search had ended"
         searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
         return f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}"

@@ -27,7 +27,7 @@ from lfmesh.study.sweeps.table import CONFIDENCE, Row, Sensitivity, Table
 from lfmesh.study.tolerances.budget import budget_of
 from lfmesh.templates import filled
 
-TEMPLATE = Path(__file__).parent / "templates" / "study.html"
+TEMPLATE = Path(__file__).parents[1] / "templates" / "study.html"
 
 MOST_ROWS = 300
 """Points that the page lists; the table has all of them."""

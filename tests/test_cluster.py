@@ -1,26 +1,55 @@
-"""A cluster without workers, or whose scheduler dies, is waited for with words and an end; what is finished is kept."""
+"""A cluster whose workers are missing, read other files or run another program, or whose scheduler dies, gives no value
+that is wrong and ends with words; what is finished is kept."""
 
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import PIL.Image
 import pytest
 
 import lfmesh as lf
-from lfmesh import cluster
+from lfmesh import cluster, provenance
 from lfmesh.study.sweeps.study_folder import logged
 from lfmesh.transport.render.on_cluster import render_on_cluster
 from tests.processor_time import HANGS_S
-from tests.study.studies import shifted, small_scene
+from tests.study.studies import PLANE, SHIFT, shifted, small_scene
 
 pytest.importorskip("distributed")
 
+PACKAGE = Path(lf.__file__).parent
+ITS_FOLDER = Path("/proc/self/cwd")
+"""The folder that a process works in: one name, and for each process another place."""
 
-def started(*words: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", *words, "--no-dashboard"]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+def started(*words: str, folder: Path | None = None, sources: Path = PACKAGE.parent) -> subprocess.Popen[bytes]:
+    """Start a program of dask in a folder, with lfmesh from there, if it has one, or from some sources."""
+    return subprocess.Popen(
+        [sys.executable, "-m", *words, "--no-dashboard"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        cwd=folder, env=os.environ | {"PYTHONPATH": str(sources)},
+    )  # fmt: skip
+
+
+@contextmanager
+def joined(address: str, *workers: dict[str, Any]) -> Iterator[None]:
+    """Start workers of one thread each, and wait until all have joined the scheduler."""
+    from distributed import Client
+
+    words = "distributed.cli.dask_worker", address, "--nworkers", "1", "--nthreads", "1"
+    processes = [started(*words, **each) for each in workers]
+    try:
+        with Client(address) as client:
+            client.wait_for_workers(len(workers), timeout=HANGS_S)
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture
@@ -72,3 +101,52 @@ def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(
     shifted(8, ("chief_rays",)).run(tmp_path / "out", workers=0)
     begun = [line["point"] for line in logged(tmp_path / "out") if line["event"] == "begun"]
     assert all(begun.count(point) == 1 for point in done)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not ITS_FOLDER.is_dir(), reason="needs a name that is another place for each process")
+def test_a_worker_that_reads_another_texture_gives_no_value(
+    scheduler: tuple[Any, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its points fail and say why; those of the other worker, and all of two good ones, are those of this process."""
+    ours, theirs = (tmp_path / name for name in ("ours", "theirs"))
+    for folder, grey in ((ours, 60), (theirs, 250)):
+        folder.mkdir()
+        PIL.Image.new("L", (4, 4), grey).save(folder / "chart.png")
+    monkeypatch.chdir(ours)
+    material = PLANE["material"] | {"texture": str(ITS_FOLDER / "chart.png")}
+    axes = [{"path": SHIFT, "range": (-0.1, 0.1), "count": 7}]
+    # Beside the scene there is no file of that name, which would serve as well.
+    scene = small_scene().changed({"targets": [PLANE | {"material": material}]}).in_folder(tmp_path / "scene")
+    study = lf.Study(scene, axes=axes, metrics=["light"])
+    study.run(tmp_path / "here", workers=0)
+    whole = (tmp_path / "here" / "table.csv").read_text()
+    _, address = scheduler
+    with joined(address, {"folder": ours}, {"folder": theirs}):
+        table = study.run(tmp_path / "out", dask=address)
+    assert table.failed
+    assert all("chart.png has changed" in row.fault for row in table.failed)
+    bad = {str(row.point.number) for row in table.failed}
+    lines = (tmp_path / "out" / "table.csv").read_text().splitlines()
+    assert [line for line in lines if line.split(",")[0] not in bad] == [
+        line for line in whole.splitlines() if line.split(",")[0] not in bad
+    ]
+    with joined(address, {"folder": ours}, {"folder": ours}):
+        study.run(tmp_path / "out", dask=address)
+    assert (tmp_path / "out" / "table.csv").read_text() == whole
+
+
+def test_a_worker_with_other_sources_is_refused_though_its_version_is_the_same(
+    scheduler: tuple[Any, str], tmp_path: Path
+) -> None:
+    """By a study and by a render, before anything is traced, in a line that names both."""
+    shutil.copytree(PACKAGE, tmp_path / "lfmesh", ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "lfmesh" / "kernels" / "__init__.py").open("a") as file:
+        file.write("# Another program.\n")
+    _, address = scheduler
+    said = rf"worker tcp.* runs another program: sources \w+, here {provenance.program()['sources']}$"
+    with joined(address, {}, {"sources": tmp_path, "folder": tmp_path}):
+        with pytest.raises(lf.LfmeshError, match=said):
+            shifted(2, ("chief_rays",)).run(tmp_path / "out", dask=address)
+        with pytest.raises(lf.LfmeshError, match=said):
+            render_on_cluster(small_scene(), address)

@@ -25,7 +25,7 @@ def optimise(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for the best scene and the report.")],
 ) -> int:
-    """Vary numbers of a camera until its merit is the best: optimised.toml, optimum.json, optimum.txt.
+    """Vary numbers of a camera until its merit is the best: optimised.toml, report.html, optimum.json and .txt.
 
     Ctrl-C keeps the best camera so far. The exit code is 1 if the best camera found violates a limit.
     """

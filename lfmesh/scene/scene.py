@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -75,6 +75,7 @@ class Scene(Model, Shown):
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
     _found: dict[str, tuple[Path, tuple[object, ...]]] = PrivateAttr(default_factory=dict)
+    _digest: str = PrivateAttr(default="")
 
     def __repr__(self) -> str:
         camera = self.camera
@@ -264,8 +265,18 @@ class Scene(Model, Shown):
     @property
     def digest(self) -> str:
         """SHA-256 of all fields, defaults included, as canonical JSON; the contents of files do not enter."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        # A scene does not change, and is asked for it dozens of times while it is rendered.
+        if not self._digest:
+            text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+            self._digest = hashlib.sha256(text.encode()).hexdigest()
+        return self._digest
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> "Scene":
+        """Return a copy with some fields replaced, which are not checked; `changed` checks them."""
+        copy = super().model_copy(update=update, deep=deep)
+        if update:
+            copy._digest = ""
+        return copy
 
     def __eq__(self, other: object) -> bool:
         return self.__dict__ == other.__dict__ if isinstance(other, Scene) else NotImplemented

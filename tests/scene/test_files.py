@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 import tomllib
 from pathlib import Path
 
@@ -97,6 +98,14 @@ def test_digest_follows_every_value(scene: Scene) -> None:
     assert other != scene
     assert other.digest != scene.digest
     assert scene.changed({"name": "singlet"}).digest == scene.digest
+
+
+def test_a_digest_is_computed_once_and_never_that_of_another_scene(scene: Scene) -> None:
+    assert scene.digest is scene.digest
+    named = scene.model_copy(update={"name": "other"})
+    assert named.digest == scene.changed({"name": "other"}).digest != scene.digest
+    assert scene.in_folder("elsewhere").digest == scene.with_digests({"a": "b"}).digest == scene.digest
+    assert pickle.loads(pickle.dumps(scene)).digest == scene.digest
 
 
 def test_numpy_values_are_plain_numbers() -> None:

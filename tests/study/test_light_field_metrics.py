@@ -93,9 +93,12 @@ def test_the_shift_of_an_edge_between_views_is_found_whatever_the_slant() -> Non
         place = middle - shift * (np.arange(u) - 0.5 * (u - 1))
         one = np.clip(x - (place[:, None, None] + slant * y) + 0.5, 0.0, 1.0) + 0.1
         data = np.broadcast_to(one[None, ..., None], (v, u, t, s, 1)).astype(np.float32)
-        edges, blank = replace(field, data=data), replace(field, data=np.ones_like(data))
-        assert edge_shift_mm(edges) == pytest.approx(shift * field.spacing_mm[1], abs=1e-3 * field.spacing_mm[1])
-        assert math.isnan(edge_shift_mm(blank))
+        # However bright the lenslets of each column are.
+        white = np.broadcast_to(draw.uniform(0.5, 1.0, (v, u, 1, s, 1)), data.shape).astype(np.float32)
+        edges, blank = replace(field, data=data * white), replace(field, data=white)
+        found = edge_shift_mm(edges, blank)
+        assert found == pytest.approx(shift * field.spacing_mm[1], abs=1e-3 * field.spacing_mm[1])
+        assert math.isnan(edge_shift_mm(blank, blank))
 
 
 def textured(scene: lf.Scene, at_mm: float) -> lf.Scene:

@@ -7,7 +7,7 @@ the files' stamps are part of what an answer is kept under.
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from threading import Lock
 
 import numpy as np
@@ -134,5 +134,10 @@ def mesh_lines(scene: Scene) -> list[str]:
 
 def _key(scene: Scene, lens: Lens) -> Key:
     """Return what the answer for a scene depends on; `lens` is the scene's, read from its file where it names one."""
-    files = tuple((place, path, file_stamp(scene.resolve(path))) for place, path in files_of(lens))
+    files = tuple((place, path, file_stamp(scene.resolve(path))) for place, path in _files_of(lens))
     return scene.digest, scene.folder, tuple(sorted(scene.digests.items())), lens, files
+
+
+@lru_cache(maxsize=2 * KEPT)
+def _files_of(lens: Lens) -> tuple[tuple[str, str], ...]:
+    return tuple(files_of(lens))

@@ -445,9 +445,9 @@ def _refocus(pair: Comparison) -> Array:
 def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> float:
     """Return at which distance the photograph of the edge is sharpest; NaN where that is no real one."""
     edge, white = measuring(nominal), measuring(white_scene(nominal))
-    light = image_of(white, films["white"][use].sum(axis=3, keepdims=True))
-    field = decode(image_of(edge, films["edge"][use]), edge, white=light, calibration=centres)
-    distance = field.model.distance_mm(edge_shift_mm(field))
+    light = decode(image_of(white, films["white"][use].sum(axis=3, keepdims=True)), white, calibration=centres)
+    field = decode(image_of(edge, films["edge"][use]), edge, calibration=centres)
+    distance = field.model.distance_mm(edge_shift_mm(field, light))
     return distance if 0.0 < distance < math.inf else math.nan
 
 

@@ -1,4 +1,4 @@
-"""Files of an optimised camera: its scene, the outcome as JSON and as text."""
+"""Files of an optimised camera: its scene, the outcome as JSON, as text and as a page."""
 
 import json
 from pathlib import Path
@@ -8,12 +8,13 @@ from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.study.fits.fit_files import write_files
 from lfmesh.study.optimise.optimise import Optimum
+from lfmesh.study.optimise.optimum_page import page
 
-SCENE, FACTS, TEXT = "optimised.toml", "optimum.json", "optimum.txt"
+SCENE, FACTS, TEXT, PAGE = "optimised.toml", "optimum.json", "optimum.txt", "report.html"
 
 
 def write_optimum(found: Optimum, folder: Path) -> list[Path]:
-    """Write ``optimised.toml``, ``optimum.json`` and ``optimum.txt`` into a folder.
+    """Write ``optimised.toml``, ``optimum.json``, ``optimum.txt`` and ``report.html`` into a folder.
 
     Returns
     -------
@@ -29,5 +30,6 @@ def write_optimum(found: Optimum, folder: Path) -> list[Path]:
         SCENE: within(found.scene, folder).dump_toml(),
         FACTS: json.dumps(plain_json(facts), indent=1, ensure_ascii=False) + "\n",
         TEXT: "\n".join(found.lines()) + "\n",
+        PAGE: page(found),
     }
     return write_files(contents, folder)

@@ -127,6 +127,13 @@ class Optimum(Shown):
         """Limits that are not kept, a line each."""
         return tuple(each.missed for each in self.constraints if each.missed)
 
+    @property
+    def effort(self) -> str:
+        """Effort of the search in words, and that it was stopped."""
+        ended = "" if self.complete else "; stopped before the search had ended"
+        searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
+        return f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}"
+
     def __repr__(self) -> str:
         return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
 
@@ -147,12 +154,12 @@ class Optimum(Shown):
         lines.append(f"{'variable':<{wide}}{'before':>18}{'after':>18}")
         for found in self.variables:
             note = f"  {found.note}" if found.note else ""
-            lines.append(f"{found.variable.title:<{wide}}{_shown(found.before):>18}{_shown(found.after):>18}{note}")
+            lines.append(
+                f"{found.variable.title:<{wide}}{shown_number(found.before):>18}{shown_number(found.after):>18}{note}"
+            )
         told = [*(f"not reached: {line}" for line in self.missed), *(f"note: {line}" for line in self.notes)]
         lines += [line for each in told for line in wrapped(each).splitlines()]
-        ended = "" if self.complete else "; stopped before the search had ended"
-        searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
-        lines.append(f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}")
+        lines.append(self.effort)
         return lines
 
     def __str__(self) -> str:
@@ -313,6 +320,13 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     if search.cut:
         most = problem.design.search.evaluations
         notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
+    if search.beyond_reach and problem.violation(search.best):
+        notes += [
+            f"{goal.title}: a search for nothing but limits found none that keeps {goal.in_words}; the nearest has "
+            f"{shown_value(goal.metric, search.best.figures[goal].value):.6g}"
+            for goal in problem.design.constraints
+            if excess_of(goal, search.best.figures[goal]).value.max() > KEPT
+        ]
     if "rays" in sources:
         rays = problem.rays
         assert rays is not None
@@ -371,5 +385,6 @@ def _facts(result: TermResult) -> dict[str, Any]:
     }
 
 
-def _shown(value: Any) -> str:
+def shown_number(value: Any) -> str:
+    """Return a value of the scene in words, numbers to seven digits."""
     return f"{value:.7g}" if isinstance(value, float | np.floating) else literal(value)

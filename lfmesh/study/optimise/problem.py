@@ -79,12 +79,15 @@ class Pressure:
     Attributes
     ----------
     stiffness : float
-    multipliers : (k,) float64
+    multipliers : (k,) float64, or a number for all
         Of each excess.
+    merit : float
+        Weight of the merit's residuals.
     """
 
     stiffness: float
-    multipliers: Array
+    multipliers: Array | float
+    merit: float = 1.0
 
     def residuals(self, excess: Jet) -> Jet:
         """Return √µ max(0, c + λ/µ) of excesses c over limits, (k,)."""

@@ -53,6 +53,9 @@ POPULATION = 8
 NONE = 1e300
 """In place of the merit of a camera that has none."""
 
+LIMITS_ALONE = Pressure(1.0, 0.0, merit=0.0)
+"""The limits, whatever that costs."""
+
 Say = Callable[[str], None]
 
 
@@ -77,6 +80,8 @@ class Search:
         not valid, or a ray loses its path.
     cut : bool
         A search ended because it had tried as many cameras as it may, not because it had found its best.
+    beyond_reach : bool
+        A search ended because it found no camera that keeps all limits, though it looked for nothing else.
     """
 
     def __init__(self, problem: Problem, say: Say | None = None) -> None:
@@ -88,6 +93,7 @@ class Search:
         self.searched: set[Picks] = set()
         self.lost: set[Picks] = set()
         self.cut = False
+        self.beyond_reach = False
 
     def run(self) -> None:
         """Search; the best camera is kept even if Ctrl-C ends it."""
@@ -153,7 +159,11 @@ class Search:
                         found, improves = other, True
 
     def _descend(self, at: Array, picks: Picks) -> Rated:
-        """Search by least squares from a camera, with rising pressure of the constraints, and return the last one."""
+        """Search by least squares from a camera, with rising pressure of the constraints, and return the last one.
+
+        Where pressure does not help, the limits alone are searched for, without the merit: if no camera keeps them, no
+        pressure will.
+        """
         self.starts += 1
         rated = self._rated(at, picks)
         (self.searched if rated.finite else self.lost).add(rated.place.picks)
@@ -163,6 +173,7 @@ class Search:
         size = len(self.problem.excess(rated).value) if constraints else 0
         pressure = Pressure(PRESSURE * max(self.problem.merit(rated), KEPT), np.zeros(size))
         before = math.inf
+        within_reach = False
         settled = COARSE if constraints else SETTLED
         for _ in range(ROUNDS if constraints else 1):
             rated = self._least_squares(rated, pressure, settled)
@@ -175,7 +186,14 @@ class Search:
                 if settled == SETTLED:
                     break
                 settled = SETTLED
-            stiffness = pressure.stiffness * (STIFFER if worst > max(FALL * before, KEPT) else 1.0)
+            resists = worst > max(FALL * before, KEPT)
+            if resists and not within_reach:
+                nearest = self._least_squares(rated, LIMITS_ALONE, SETTLED)
+                if self.problem.violation(nearest):
+                    self.beyond_reach = True
+                    return nearest
+                within_reach = True
+            stiffness = pressure.stiffness * (STIFFER if resists else 1.0)
             pressure, before = Pressure(stiffness, multipliers), worst
             settled = max(SETTLED, settled / STIFFER)
         return rated
@@ -191,7 +209,7 @@ class Search:
             # A camera that is not valid has one unknown value for each figure, of however many parts.
             if not problem.design.constraints or not found.finite:
                 return residuals
-            return joined([residuals, pressure.residuals(problem.excess(found))])
+            return joined([residuals * pressure.merit, pressure.residuals(problem.excess(found))])
 
         size = len(pressed(rated.place.at, slopes=False).value)
 

@@ -32,6 +32,9 @@ LEFT_IN, RIGHT_IN, NUMBERS_IN = 0.72, 0.13, 0.24
 LINE_IN, GAP_IN = 0.17, 0.09
 """Height of a line of text, and the room above and below it."""
 
+TICKS = 5
+"""Steps between the numbers below a panel: more would touch."""
+
 TITLE_LETTERS = 34
 """In a line of a panel's title: no more fit above it."""
 
@@ -90,6 +93,8 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
 def efficiency_figure(table: Table) -> str:
     """Return a figure of the efficiency of every point, the best on top."""
     known = sorted(table.efficiency(), key=lambda each: each[1])
+    names = [textwrap.fill(words_of(table, row), TITLE_LETTERS) for row, _, _ in known]
+    each_in = GAP_IN + LINE_IN * max(map(_lines, names))
 
     def draw(figure: Any) -> None:
         panel = figure.add_subplot()
@@ -99,12 +104,12 @@ def efficiency_figure(table: Table) -> str:
             [value for _, value, _ in known], places, xerr=[error for _, _, error in known], fmt="none", ecolor=ORANGE,
             capsize=3,
         )  # fmt: skip
-        panel.set_yticks(places, [textwrap.fill(words_of(table, row), TITLE_LETTERS) for row, _, _ in known])
+        panel.set_yticks(places, names)
         panel.set_xlabel("1/(noise² · time) / 1/s")
         finish(panel, "efficiency: more is better")
         panel.title.set_color(GREY)
 
-    return _figure(draw, "efficiency", (8.2, 1.0 + 0.28 * len(known)), layout="constrained")
+    return _figure(draw, "efficiency", (8.2, 1.0 + each_in * len(known)), layout="constrained")
 
 
 def field_figure(row: Row, name: str, title: str) -> str:
@@ -184,7 +189,8 @@ def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> s
             one(panel)
             panel.set_xlabel(below)
             panel.tick_params(labelsize=8)
-            panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel) else None
+            panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel.yaxis) else None
+            panel.locator_params(axis="x", nbins=TICKS) if _is_plain(panel.xaxis) else None
             finish(panel, words)
 
     return _figure(draw, title, size)
@@ -194,10 +200,10 @@ def _lines(words: str) -> int:
     return words.count("\n") + 1
 
 
-def _is_plain(panel: Any) -> bool:
+def _is_plain(axis: Any) -> bool:
     from matplotlib.ticker import ScalarFormatter
 
-    return isinstance(panel.yaxis.get_major_formatter(), ScalarFormatter)
+    return isinstance(axis.get_major_formatter(), ScalarFormatter)
 
 
 def _figure(

@@ -27,7 +27,7 @@ from lfmesh.study.sweeps.table import CONFIDENCE, Row, Sensitivity, Table
 from lfmesh.study.tolerances.budget import budget_of
 from lfmesh.templates import filled
 
-TEMPLATE = Path(__file__).parent / "templates" / "study.html"
+TEMPLATE = Path(__file__).parents[1] / "templates" / "study.html"
 
 MOST_ROWS = 300
 """Points that the page lists; the table has all of them."""
@@ -37,6 +37,9 @@ MOST_FIELDS = 4
 
 LEAST_PX = 1e-6
 """Where nothing moves by more, there is nothing to draw."""
+
+ABREAST = 7
+"""Columns of a table that stand beside those that name its rows: no more fit on a page."""
 
 NO_FIGURE = ("_x_px", "_y_px", "_w_per_pixel")
 """Columns, by the end of their name, that are in table.csv alone."""
@@ -48,6 +51,7 @@ def page(table: Table) -> str:
     columns = [column for column in table.columns if not column.name.endswith(NO_FIGURE)]
     done = [row for row in table.rows if row.estimates]
     drawn = [i for i in range(len(plan.axes)) if len({str(table.value_of(row, i)) for row in done}) > 1]
+    known = [column for column in columns if any(math.isfinite(row.estimates[column.name].value) for row in done)]
     sensitivities = table.sensitivities()
     overview = _overview(table, columns, drawn)
     return filled(
@@ -62,15 +66,15 @@ def page(table: Table) -> str:
             {
                 "title": plan.axes[i].title,
                 "path": plan.axes[i].path,
-                "figure": Markup(figures.axis_figure(table, i, columns)),
+                "figure": Markup(figures.axis_figure(table, i, known)),
                 "unit": name_and_unit(plan.axes[i].title)[1] or "unit",
                 "slopes": [_slope_cells(each) for each in sensitivities if each.path == plan.axes[i].path],
             }
             for i in drawn
-            if columns
+            if known
         ],
         overview=overview,
-        nothing_drawn=_why_nothing(table, done, columns),
+        nothing_drawn=_why_nothing(table, done, known),
         tolerances=tolerance_rows(table),
         budgets=[
             {"title": budget.column.noun, "words": budget_in_words(table, budget), "rows": budget_rows(table, budget)}
@@ -79,13 +83,16 @@ def page(table: Table) -> str:
         efficiency=Markup(figures.efficiency_figure(table)) if table.efficiency() else "",
         pictures=_pictures(table, done),
         fields=_fields(table, done),
-        heading=[
-            *["point", "camera"],
-            *(f"adjusted: {each.title}" for each in plan.study.compensators),
-            *(column.title for column in columns),
-            *(["warnings"] if table.warnings else []),
-        ],
-        rows=[_cells(table, row, columns) for row in table.rows[:MOST_ROWS]],
+        points=_abreast(
+            [
+                *["point", "camera"],
+                *(f"adjusted: {each.title}" for each in plan.study.compensators),
+                *(column.title for column in columns),
+                *(["warnings"] if table.warnings else []),
+            ],
+            [_cells(table, row, columns) for row in table.rows[:MOST_ROWS]],
+            named=2,
+        ),
         more=max(0, len(table.rows) - MOST_ROWS),
         confidence=CONFIDENCE,
         paired=plan.study.paired,
@@ -100,7 +107,11 @@ def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
         return "Scenes are compared, which differ in more than a parameter."
     if len(done) < 2:
         return "Fewer than two points are done yet."
-    return "No parameter has two values among the points that are done." if columns else "No metric has a column."
+    return (
+        "No parameter has two values among the points that are done."
+        if columns
+        else "No metric has a column with a known value."
+    )
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:
@@ -130,7 +141,28 @@ def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str,
     lines.sort(key=lambda line: line[:2])
     share_of = f"share of the budget of {judged[0].noun} / %"
     heading = ["parameter", "from, to", share_of, *(f"worst {column.title}" for column in judged)]
-    return {"heading": heading, "rows": [cells for *_, cells in lines], "first": judged[0].noun, "why": budget.reason}
+    tables = _abreast(heading, [cells for *_, cells in lines], named=3)
+    return {"tables": tables, "first": judged[0].noun, "why": budget.reason}
+
+
+def _abreast(heading: list[str], rows: list[list[str]], named: int) -> list[tuple[list[str], list[list[str]]]]:
+    """Divide a table that is wider than a page into several, each with the columns that name its rows.
+
+    Parameters
+    ----------
+    heading : list of str
+    rows : list of list of str
+    named : int
+        Number of columns, the first ones, that name a row.
+    """
+    parts = range(named, max(len(heading), named + 1), ABREAST)
+    return [
+        (
+            [*heading[:named], *heading[first : first + ABREAST]],
+            [[*cells[:named], *cells[first : first + ABREAST]] for cells in rows],
+        )
+        for first in parts
+    ]
 
 
 def _pictures(table: Table, done: list[Row]) -> list[dict[str, str]]:

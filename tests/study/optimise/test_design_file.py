@@ -1,7 +1,9 @@
 """Design files: what they hold, what is refused in one line, and what `lfmesh optimise` writes."""
 
+import html
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +173,21 @@ def test_the_command_writes_the_best_scene_and_a_report(tmp_path: Path, capsys: 
     assert text in printed
     assert max(map(len, text.splitlines())) <= COLUMNS
     assert "thickness / mm" in text
+
+
+def test_the_page_holds_figures_variables_and_both_cameras_and_loads_nothing(tmp_path: Path) -> None:
+    limit = ["[[constraints]]", 'metric = "edge_thickness_mm"', "least = 6.0"]
+    assert main(["optimise", str(write_design(tmp_path, *limit)), "-o", str(tmp_path / "best")]) == 1
+    page = (tmp_path / "best" / "report.html").read_text()
+    facts = json.loads((tmp_path / "best" / "optimum.json").read_text())
+    words = re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]*>", " ", page)))
+    assert all(line in words for line in (*facts["not_reached"], *facts["notes"]))
+    for each in (*facts["terms"], *facts["constraints"]):
+        assert f"{each['before']:.6g} {each['after']:.6g}" in words
+    assert all(f"{each['before']:.7g} {each['after']:.7g}" in words for each in facts["variables"])
+    assert page.count('<img src="data:image/svg+xml;base64,') == 2
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', page)
+    assert "<script" not in page
 
 
 def test_the_exit_code_says_that_a_limit_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,9 +95,29 @@ def test_a_limit_that_no_camera_keeps_is_said_to_be_violated() -> None:
         focal_length(66.0),
         constraints=[{"metric": "centre_thickness_mm", "least": 12.0}],
     )
-    assert found.constraints[0].share_after == pytest.approx(2.0 / 12.0, rel=1e-2)
+    assert found.constraints[0].share_after == pytest.approx(2.0 / 12.0, rel=1e-6)
     assert "violates at least 12" in found.constraints[0].missed
     assert "violates at least 12" in str(found)
+
+
+@pytest.mark.parametrize("method", ["local", "global"])
+def test_a_search_ends_early_where_limits_exclude_each_other_and_names_the_nearest_values(method: str) -> None:
+    """A lens of 4 mm at most whose length is to be 75 mm at least, with its sensor 65 mm behind it."""
+    scene = plano_convex().changed({"camera.sensor.distance_mm": 65.0})
+    limits = [{"metric": "centre_thickness_mm", "most": 4.0}, {"metric": "total_length_mm", "least": 75.0}]
+    found = lf.optimise(
+        scene, [{"path": THICKNESS, "range": [1.0, 12.0]}], [{"metric": "total_length_mm", "target": 66.0}],
+        constraints=limits, search={"method": method, "evaluations": 60},
+    )  # fmt: skip
+    # Least squares of (t − 4)/4 and (10 − t)/75.
+    nearest = (4.0 / 4.0**2 + 10.0 / 75.0**2) / (1.0 / 4.0**2 + 1.0 / 75.0**2)
+    told = [note for note in found.notes if "a search for nothing but limits" in note]
+    assert max(each.share_after for each in found.constraints) <= (10.0 - nearest) / 75.0 * (1.0 + 1e-6)
+    assert len(told) == 2
+    assert "at most 4; the nearest has" in told[0]
+    assert f"{found.constraints[1].after:.6g}" in told[1]
+    if method == "local":
+        assert found.evaluations < 40
 
 
 def test_edges_are_those_between_the_rims() -> None:

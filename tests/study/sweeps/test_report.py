@@ -1,5 +1,6 @@
 """The report stands by itself, and a designer finds in it what was asked."""
 
+import html
 import re
 import subprocess
 from pathlib import Path
@@ -8,7 +9,9 @@ import pytest
 from pyarrow import parquet
 
 import lfmesh as lf
+from lfmesh.study.metrics.metrics import columns_of
 from lfmesh.study.sweeps.figures import TITLE_LETTERS
+from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE
 from tests.conftest import chromium
 from tests.processor_time import HANGS_S
 from tests.study.studies import SHIFT, shifted, small_scene
@@ -90,3 +93,18 @@ def test_a_report_names_a_parameter_in_one_way_and_says_why_a_table_is_empty(fol
     assert page.count(SHIFT) == 1
     assert page.count("decentre = 0.05 mm") > 1
     assert "No sensitivity: it takes three points" in page
+
+
+def test_tables_are_no_wider_than_a_page_and_every_column_is_in_one(tmp_path: Path) -> None:
+    """Columns that no point knows are in the table alone, not drawn."""
+    shifted(3, ("psnr", "ssim", "light", "ghosts", "chief_rays", "noise")).run(tmp_path, workers=0)
+    page = (tmp_path / "report.html").read_text()
+    rows = re.findall(r"<tr>(.*?)</tr>", page, flags=re.S)
+    assert max(row.count("<td>") for row in rows) <= 3 + ABREAST
+    points = html.unescape(page[page.index("All points") :])
+    heads = re.findall(r"<th>(.*?)</th>", points)
+    assert heads.count("point") > 1
+    columns = columns_of(("psnr", "ssim", "light", "ghosts", "chief_rays", "noise"))
+    assert set(heads) - {"point", "camera"} == {each.title for each in columns if not each.name.endswith(NO_FIGURE)}
+    # Each part names all of the points.
+    assert all(points.count(f"<tr><td>{number}</td>") == heads.count("point") for number in range(4))

@@ -1,0 +1,66 @@
+"""The outcome of an optimisation as one HTML page that loads nothing: figures, variables, both cameras drawn."""
+
+from pathlib import Path
+
+import lfmesh
+from lfmesh.errors import LfmeshError
+from lfmesh.scene import Scene
+from lfmesh.study.optimise.design_file import Constraint
+from lfmesh.study.optimise.optimise import Optimum, TermResult, shown_number
+from lfmesh.templates import filled
+from lfmesh.view.layout.content import layout
+from lfmesh.view.layout.figure import encoded
+from lfmesh.view.pictures import file_url
+
+TEMPLATE = Path(__file__).parents[1] / "templates" / "optimum.html"
+
+
+def page(found: Optimum) -> str:
+    """Return the whole page."""
+    name = found.first.name or "a camera"
+    return filled(
+        TEMPLATE,
+        title=f"The best of {name}",
+        made_by=f"lfmesh {lfmesh.__version__}",
+        effort=found.effort,
+        in_short=_in_short(found),
+        missed=found.missed,
+        figures=[_cells(each) for each in (*found.terms, *found.constraints)],
+        variables=[
+            [each.variable.title, shown_number(each.before), shown_number(each.after), each.note]
+            for each in found.variables
+        ],
+        cameras=[*_drawn("before", found.first), *_drawn("after", found.scene)],
+        notes=found.notes,
+    )
+
+
+def _in_short(found: Optimum) -> list[str]:
+    lines = [f"The merit was {found.merit_before:.4g} and is {found.merit_after:.4g}."]
+    if found.terms:
+        worst = max(found.terms, key=lambda each: each.share_after)
+        share = worst.share_after / found.merit_after if found.merit_after else 0.0
+        if share and len(found.terms) > 1:
+            lines.append(f"{100.0 * share:.0f} % of it is of {worst.goal.title}, which is {worst.after:.6g}.")
+    if found.constraints:
+        lines.append(f"{len(found.constraints) - len(found.violated)} of {len(found.constraints)} limits are kept.")
+    ends = [each.variable.title for each in found.variables if each.note.startswith("at the")]
+    if ends:
+        lines.append(f"At an end of their ranges: {', '.join(ends)}; wider ranges may give better cameras.")
+    return lines
+
+
+def _cells(result: TermResult) -> list[str]:
+    goal = result.goal
+    is_limit = isinstance(goal, Constraint)
+    asked = goal.in_words if isinstance(goal, Constraint) else f"{goal.wanted:.6g}"
+    shares = ["", ""] if is_limit else [f"{share:.4g}" for share in (result.share_before, result.share_after)]
+    return [goal.title, asked, f"{result.before:.6g}", f"{result.after:.6g}", *shares]
+
+
+def _drawn(words: str, scene: Scene) -> list[tuple[str, str]]:
+    """Return a camera's layout as the address of an image, with its words; nothing where it cannot be drawn."""
+    try:
+        return [(words, file_url(encoded(layout(scene), "svg"), "image/svg+xml"))]
+    except LfmeshError:
+        return []

@@ -269,7 +269,13 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         )
         disks.append(("lens's", facts.working_f_number, facts.airy_disk_samples, sample, advice))
     if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None and not traced:
-        advice = '; take transport.diffraction = "lenslets", which is right to 2 % for extended light'
+        error = facts.kick_error
+        advice = '; transport.diffraction = "lenslets" follows it'
+        if error is not None and error.white_with >= error.white_without:
+            advice += f", but white pictures are no nearer: off by {error.white_with:.1%} for {error.white_without:.1%}"
+        elif error is not None:
+            edges = "" if error.edge_with is None else f", of edges {error.edge_with:.1%}"
+            advice += f", with an error of white pictures of {error.white_with:.1%}{edges}"
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))
     for whose, f_number, width, samples, advice in disks:
         if 1.0 < width < math.inf:

@@ -9,6 +9,7 @@ from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
+from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslets import LensletSection, lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
@@ -173,6 +174,7 @@ class FirstOrder(Shown):
                 f"at {self.airy_wavelength_nm:g} nm",
             ),
             *([("Airy disk, lenslet", self._lenslet_disk)] if mla else []),
+            *self._waves_in_words(),
             ("refocus range" if standard else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         if self.view_spacing_mm is not None:
@@ -208,6 +210,37 @@ class FirstOrder(Shown):
     def _lenslet_disk(self) -> str:
         """Diffraction at the lenslets, in words."""
         return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
+
+    @property
+    def kick_error(self) -> KickError | None:
+        """Errors of pictures of extended light without and with the lenslets' diffraction; None where not known."""
+        if self.microlens_fresnel_number is None:
+            return None
+        # Over the focal length: 1/a + 1/d = 1/f.
+        distance = 1.0 + 1.0 / middle_of(self.focused).virtual_depth if self.focused else 1.0
+        return kick_error(self.microlens_fresnel_number, distance)
+
+    def _waves_in_words(self) -> Iterator[tuple[str, str]]:
+        """Yield what the lenslets' diffraction changes, and the setting that is advised."""
+        if self.microlens_fresnel_number is None:
+            return
+        error = self.kick_error
+        if error is None:
+            yield "diffraction, lenslets", "no table of errors for such lenslets: compare with lf.point_spread"
+        else:
+            better = error.white_with < error.white_without
+            edges = "" if error.edge_with is None else f", edges in focus {error.edge_with:.1%}"
+            without = "" if error.edge_without is None else f", edges in focus {error.edge_without:.1%}"
+            yield (
+                "diffraction, lenslets",
+                f"white pictures are off by {error.white_without:.1%} of their light{without}; with "
+                f'transport.diffraction = "lenslets" {error.white_with:.1%}{edges}{"" if better else ": no nearer"}',
+            )
+        lit = self.views_across if self.views_across is not None else math.nan
+        where = f"{lit:.3g} lenslets across at the ends of the refocus range"
+        if self.focused:
+            where = f"{middle_of(self.focused).seen_by:.3g} lenslets where it is sharp"
+        yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
 
     def lines(self) -> list[str]:
         """Return the report, a line a property, warnings last."""

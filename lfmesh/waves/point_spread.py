@@ -193,7 +193,7 @@ def point_spread(
     each = [_Monochrome(camera, world, point, wavelength, pixels).converged(tolerance) for wavelength in nm]
     mean = sum(share * one.mean for share, one in zip(shares, each, strict=True))
     if not np.any(mean > 0.0):
-        raise LfmeshError(
+        raise NoLightError(
             f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
         )
     # Figures of one wavelength are those of the weightiest.
@@ -207,6 +207,10 @@ def point_spread(
         middle.peak_w_mm2, middle.strehl, middle.airy_radius_mm, middle.lenslets,
         max(one.change for one in each), max(one.misfit_waves for one in each),
     )  # fmt: skip
+
+
+class NoLightError(LfmeshError):
+    """No light of a point falls on the sensor."""
 
 
 class _Found(NamedTuple):

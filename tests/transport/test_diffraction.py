@@ -177,13 +177,6 @@ def test_geometric_optics_is_far_from_that() -> None:
     assert np.abs(share - white_picture(5.6, 0.14, 14, 1.0)).sum() > 0.05
 
 
-POINT = {
-    "count": 1,
-    "bounds": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)},
-    "position_mm": (0.0, 0.0, -1e4),
-    "intensity_w_sr": 1.0,
-}
-
 SMALL = {
     "square": {},
     "hexagonal": {"layout": "hexagonal"},
@@ -278,13 +271,6 @@ def test_check_names_the_key_and_is_silent_with_it() -> None:
     assert any('take transport.diffraction = "lenslets"' in line for line in facts.warnings)
     facts = lf.first_order(camera(5.6, 0.14, 0.010, f_number=40.0))
     assert not any("microlenses' Airy disk" in line for line in facts.warnings)
-
-
-def test_particles_with_diffraction_are_warned_of() -> None:
-    scene = camera(across=3)
-    lit = Scene(camera=scene.camera, transport=scene.transport, particles=[POINT])
-    said = lf.first_order(lit).warnings
-    assert any("particles are points" in line for line in said)
 
 
 @pytest.mark.parametrize("kind", SMALL)

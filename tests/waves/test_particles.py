@@ -74,8 +74,8 @@ def test_particles_beside_the_field_are_dark() -> None:
     ("changes", "words"),
     [
         ({"particles": [POINT | {"count": 2001}]}, "2,001 point spreads"),
-        ({"media": [{"absorption_per_mm": 1e-4}]}, "media"),
-        ({"camera.sensor.bands": [{"name": "r", "range_nm": (500.0, 600.0)}]}, "bands"),
+        ({"media": [{"absorption_per_mm": 1e-4}]}, "media: a point spread"),
+        ({"camera.sensor.bands": [{"name": "r", "center_nm": 600.0, "fwhm_nm": 50.0}]}, "leave bands out"),
     ],
 )
 def test_particles_that_waves_do_not_follow_are_refused(changes: dict[str, Any], words: str) -> None:

@@ -17,6 +17,7 @@ POINT = {
     "intensity_w_sr": 3.0,
     "samples": 20_000,
 }
+BANDS = {"diffraction": "stop", "split": "transmit", "samples": 8, "replicates": 4}
 PLANE = {
     "shape": {"kind": "plane", "width_mm": 400.0, "height_mm": 400.0},
     "position_mm": (0.0, 0.0, -2.0 * FAR),
@@ -75,7 +76,13 @@ def test_particles_beside_the_field_are_dark() -> None:
     [
         ({"particles": [POINT | {"count": 2001}]}, "2,001 point spreads"),
         ({"media": [{"absorption_per_mm": 1e-4}]}, "media: a point spread"),
-        ({"camera.sensor.bands": [{"name": "r", "center_nm": 600.0, "fwhm_nm": 50.0}]}, "leave bands out"),
+        (
+            {
+                "transport": BANDS,
+                "camera.sensor.bands": [{"name": "r", "center_nm": 600.0, "fwhm_nm": 50.0}],
+            },
+            "leave bands out",
+        ),
     ],
 )
 def test_particles_that_waves_do_not_follow_are_refused(changes: dict[str, Any], words: str) -> None:

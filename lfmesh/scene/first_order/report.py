@@ -124,7 +124,7 @@ class FirstOrder(Shown):
     """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
     the lenslets above are those of the section in which the curved face bends rays."""
     poses: tuple[str, ...] = ()
-    """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
+    """Lens elements, array and sensor with a pose, a line each; every figure is that of the camera without them."""
     warnings: tuple[str, ...] = ()
     """What is likely to disappoint, in plain words."""
 
@@ -199,7 +199,7 @@ class FirstOrder(Shown):
             rows.append(("", "the figures above are those of the section y–z"))
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
-            rows.append(("", "the figures above are those of the lens without poses"))
+            rows.append(("", "the figures above are those of the camera without poses"))
         return rows
 
     def _lenslets_in_words(self) -> str:
@@ -485,16 +485,19 @@ def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, floa
 
 
 def _pose_lines(camera: Camera) -> Iterator[str]:
-    """Yield the pose of every lens element that is not in its place."""
+    """Yield the pose of every lens element, of array and sensor, that is not in its place."""
+    posed = []
     for element in camera.lens.elements:
-        shift, tilt = element.pose.shift_mm, element.pose.tilt_deg
-        if any(shift) or any(tilt):
-            first, last = element.surfaces[0], element.surfaces[-1]
-            which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
-            yield (
-                f"{which}: shift {' '.join(f'{x:g}' for x in shift)} mm, "
-                f"tilt {' '.join(f'{x:g}' for x in tilt)} degrees about the vertex of surface {first}"
-            )
+        first, last = element.surfaces[0], element.surfaces[-1]
+        which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
+        posed.append((which, element.pose, f"the vertex of surface {first}"))
+    if camera.mla is not None:
+        posed.append(("the array", camera.mla.pose, "its centre"))
+    posed.append(("the sensor", camera.sensor.pose, "its centre"))
+    for which, pose, centre in posed:
+        if any(pose.shift_mm) or any(pose.tilt_deg):
+            shift, tilt = (" ".join(f"{x:g}" for x in each) for each in (pose.shift_mm, pose.tilt_deg))
+            yield f"{which}: shift {shift} mm, tilt {tilt} degrees about {centre}"
 
 
 def _mm(length: float) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.render import render as trace_alone
 
 WAVE_NM, FAR = 550.0, 2000.0
@@ -94,3 +95,5 @@ def test_particles_that_waves_do_not_follow_are_refused(changes: dict[str, Any],
 def test_rays_alone_do_not_leave_particles_out_without_a_word() -> None:
     with pytest.raises(lf.LfmeshError, match="particles are pictured by point spreads"):
         trace_alone(scene())
+    with pytest.raises(lf.LfmeshError, match="particles are pictured by point spreads"):
+        Renderer(lf.build(scene())).image()

@@ -94,10 +94,8 @@ def render(
         with compiled_ahead(scene, report) as ahead:
             world = build(scene)
             ahead.join(world)
-        film = untraced_light(world, untraced)
-        renderer = Renderer(world, progress=report)
-        image = warned(renderer, lambda: renderer.image(saved, keep))
-        return image if film is None else image.with_light(film)
+        renderer = Renderer(world, progress=report, film=untraced_light(world, untraced))
+        return warned(renderer, lambda: renderer.image(saved, keep))
 
 
 def untraced_light(world: World, untraced: Untraced | None) -> Array | None:
@@ -154,13 +152,18 @@ class Renderer(Tracer):
     Attributes
     ----------
     progress : callable, optional
+    film : (H, W, wavelengths) float64, W, optional
+        Light that is not traced, see `untraced_light`.
     """
 
     progress: Callable[[Progress], None] | None = None
+    film: Array | None = None
     _last_report: float = 0.0
 
     def image(self, saved: Mapping[str, NDArray[Any]] | None = None, keep: Keeper | None = None) -> Image:
         """Render all replicates, or until Ctrl-C; see `render`."""
+        if self.film is None:
+            untraced_light(self.world, None)
         state = self.layout.state(saved)
         clock = Clock(state)
         with self.pool() as pool:
@@ -178,7 +181,8 @@ class Renderer(Tracer):
                     state.partial = None
                     yield tally
 
-            return folded(self, state, tallies, clock, keep)
+            image = folded(self, state, tallies, clock, keep)
+        return image if self.film is None else image.with_light(self.film)
 
     def _begun(self, state: RenderState, first: int, levels: Counts | None) -> Iterator[tuple[Tally, int]]:
         """Yield a stage's replicates that are not finished, in the memory of a single tally, with their places.

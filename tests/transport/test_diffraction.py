@@ -295,7 +295,7 @@ def test_two_wavelengths_are_each_blurred_by_their_own_pattern() -> None:
     """Of one run, whose rays share random numbers: 450 nm spreads half as far as 900 nm."""
     given, _, _ = CASES["A"]
     nm = (450.0, 900.0)
-    image = lf.render(camera(**given, samples=400, replicates=64, wavelengths_nm=nm))
+    image = lf.render(camera(**given, samples=1600, replicates=64, wavelengths_nm=nm))
     pupil = given["focal_mm"] / given["f_number"] / 0.14
     truths = [white_picture(given["focal_mm"], 0.14, 10, pupil, nm=each) for each in nm]
     for channel in range(2):

@@ -112,13 +112,13 @@ if TYPE_CHECKING:
     from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
-    from lfmesh.transport.render.render import render
     from lfmesh.transport.trace import Paths, Status, trace
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.show import show
     from lfmesh.waves.point_spread import PointSpread, point_spread
+    from lfmesh.waves.render import render
     from lfmesh.waves.wavefront import Wavefront, wavefront
 
 __all__ = [
@@ -326,13 +326,13 @@ _HOMES = {
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger"],
     "lfmesh.transport.render.progress": ["Progress"],
-    "lfmesh.transport.render.render": ["render"],
     "lfmesh.transport.trace": ["Paths", "Status", "trace"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.show": ["show"],
     "lfmesh.waves.point_spread": ["PointSpread", "point_spread"],
+    "lfmesh.waves.render": ["render"],
     "lfmesh.waves.wavefront": ["Wavefront", "wavefront"],
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

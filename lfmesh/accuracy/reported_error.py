@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.render import render
+from lfmesh.waves.render import render
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,7 +1,8 @@
 """`lf.analyse`: all figures of the lens sheet, with their definitions."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from lfmesh.analysis.field_curves import FieldCurves, field_curves, paraxial_sca
 from lfmesh.analysis.light_field import LightFieldAnalysis, analyse_light_field
 from lfmesh.analysis.spots import Spot
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.report import airy_disk_mm
@@ -106,8 +107,8 @@ class LensAnalysis(Shown):
         Tangential, sagittal.
     diffraction_limit : (f,) float64
         MTF of a perfect lens on the axis.
-    waves : list of FieldWaves or str
-        One a field, or why waves cannot be followed there.
+    rays : LensRays
+        From the object plane through the lens.
     airy_radius_mm : float
         1.22 λ N at the primary wavelength.
     light_field : LightFieldAnalysis or None
@@ -130,10 +131,15 @@ class LensAnalysis(Shown):
     frequencies_per_mm: Array
     mtf: Array
     diffraction_limit: Array
-    waves: list[FieldWaves | str]
+    rays: LensRays = field(repr=False)
     airy_radius_mm: float
     light_field: LightFieldAnalysis | None = None
     no_light_field: str = ""
+
+    @cached_property
+    def waves(self) -> list[FieldWaves | str]:
+        """One a field, or why waves cannot be followed there; computed when asked for."""
+        return [_waves(self.rays, spot, self.wavelengths_nm) for spot in self.spots]
 
     @property
     def primary_nm(self) -> float:
@@ -284,15 +290,16 @@ def analyse(
         frequencies_per_mm=frequencies,
         mtf=np.array([[spot.mtf(frequencies, tangential=t) for t in (True, False)] for spot in spots]),
         diffraction_limit=diffraction_limit(frequencies, waves, facts.working_f_number),
-        waves=[_waves(rays, camera, spot, waves) for spot in spots],
+        rays=rays,
         airy_radius_mm=0.5 * airy_disk_mm(primary, facts.working_f_number),
         light_field=light_field,
         no_light_field=why_not,
     )
 
 
-def _waves(rays: LensRays, camera: SolvedCamera, spot: Spot, wavelengths_nm: tuple[float, ...]) -> FieldWaves | str:
+def _waves(rays: LensRays, spot: Spot, wavelengths_nm: tuple[float, ...]) -> FieldWaves | str:
     """Return a field's image by waves, or why there is none."""
+    camera = solved_camera(rays.world.scene)
     try:
         return field_waves(rays, camera, spot.slope_y, wavelengths_nm, spot.geo_mm, np.linspace(-1.0, 1.0, FAN))
     except LfmeshError as error:

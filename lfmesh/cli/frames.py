@@ -42,7 +42,7 @@ def frames(
     moves = [particle_vectors(frame) for frame in scenes[:-1]]
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.transport.render.render import render
+        from lfmesh.waves.render import render
 
     folders = [out / f"frame_{number}" for number in range(len(scenes))]
     for folder in folders:

@@ -10,6 +10,7 @@ from lfmesh.cli.interrupts import defer_interrupt
 from lfmesh.cli.options import SceneFile, Whole
 from lfmesh.cli.printing import list_files
 from lfmesh.cli.progress import status
+from lfmesh.errors import LfmeshError
 from lfmesh.wrapping import wrapped
 
 
@@ -32,6 +33,7 @@ def psf(
     wavelengths_nm: Annotated[
         list[float] | None, Parameter(help="One or more, summed evenly.", consume_multiple=True, negative=())
     ] = None,
+    band: Annotated[str | None, Parameter(help="A band of the sensor by its name, in place of wavelengths.")] = None,
     window: Annotated[Whole | None, Parameter(help="Pixels on a side about the light; else the whole sensor.")] = None,
     oversample: Annotated[Whole, Parameter(help="Parts along each side of a pixel.")] = 1,
     tolerance: Annotated[float | None, Parameter(help="Change of the picture at which grids are fine enough.")] = None,
@@ -41,14 +43,18 @@ def psf(
     The picture is logarithmic over four decades.
     """
     with defer_interrupt():
-        from lfmesh.files.point_spread import write_point_spread
+        from lfmesh.files.point_spread import prepare, write_point_spread
         from lfmesh.scene import load
         from lfmesh.waves.point_spread import TOLERANCE, point_spread
     loaded = load(scene)
+    if band is not None and wavelengths_nm is not None:
+        raise LfmeshError(f"--band {band}: leave --wavelengths-nm out, or the band")
+    # What is wrong with the folder is said before the waves are followed.
+    prepare(out)
     with status() as report:
         report("following the waves")
         found = point_spread(
-            loaded, point_mm, wavelengths_nm, window=window, oversample=oversample,
+            loaded, point_mm, band if band is not None else wavelengths_nm, window=window, oversample=oversample,
             tolerance=TOLERANCE if tolerance is None else tolerance,
         )  # fmt: skip
     files = write_point_spread(found, out)

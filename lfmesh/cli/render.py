@@ -254,7 +254,8 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
     with defer_interrupt():
         from lfmesh.files import run
         from lfmesh.files.checkpoint import Checkpoints
-        from lfmesh.transport.render.render import render as trace_image
+        from lfmesh.waves.particles import particle_film
+        from lfmesh.waves.render import render as trace_image
 
     scene = scene.pinned()
     keep = Checkpoints(folder, run.scene_metadata(scene, folder))
@@ -265,7 +266,7 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
             else:
                 from lfmesh.transport.render.on_cluster import render_on_cluster
 
-                image = render_on_cluster(scene, dask, progress=report, saved=saved, keep=keep)
+                image = render_on_cluster(scene, dask, progress=report, saved=saved, keep=keep, untraced=particle_film)
     except KeyboardInterrupt:
         if not keep.written:
             raise

@@ -2,11 +2,13 @@
 
 import io
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 
+from lfmesh.errors import FileError
 from lfmesh.files.exr import write_maps
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.whole import make_folder, write_whole
@@ -17,6 +19,25 @@ DECADES = 4.0
 
 LEAST_PX = 480
 """Pictures whose longer side is shorter are enlarged to about this."""
+
+
+NAMES = tuple(f"spread.{kind}" for kind in ("exr", "png", "json"))
+
+
+def prepare(folder: Path) -> None:
+    """Check that a point spread can be written into a folder; leave nothing behind.
+
+    Raises
+    ------
+    FileError
+        It holds one already, or cannot be written.
+    """
+    there = next((name for name in NAMES if (folder / name).exists()), None)
+    if there is not None:
+        raise FileError(f"{folder / there} is there already: move it, or choose another folder")
+    nearest = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise FileError(f"{folder} cannot be written: {nearest} is no folder that takes files")
 
 
 def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
@@ -34,7 +55,7 @@ def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
         It cannot be written.
     """
     make_folder(folder)
-    exr, png, facts = (folder / f"spread.{kind}" for kind in ("exr", "png", "json"))
+    exr, png, facts = (folder / name for name in NAMES)
     known = plain_json(spread.facts())
     write_maps(exr, {"W": spread.mean}, known)
     floor = 10.0**-DECADES

@@ -48,7 +48,8 @@ class Noise:
 def noise(image: Image) -> Noise:
     """Measure the noise of an image over pixels and wavelengths."""
     received = image.mean > 0.0
-    without = None if image.hits is None else int((~image.hits.any(axis=2)).sum())
+    # What is added to the traced light has no hits.
+    without = None if image.hits is None else int((~(image.hits.any(axis=2) | received.any(axis=2))).sum())
     if not received.any():
         return Noise(0.0, 0.0, None, without, None)
     lit = lit_pixels(image.mean)

@@ -256,11 +256,6 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
     """Say where diffraction that is not traced blurs more than what samples the image, or is traced for points."""
     chosen = scene.transport.diffraction
     traced = chosen == "lenslets"
-    if traced and scene.particles:
-        yield DiffractionWarning(
-            'particles are points, whose waves interfere behind the lenslets: diffraction = "lenslets" adds no waves, '
-            "and their images on the sensor may be wrong by more than without it"
-        )
     sample = "lenslets" if facts.microlens_f_number is not None and not facts.focused else "pixels"
     disks = []
     if chosen != "stop":
@@ -269,7 +264,14 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         )
         disks.append(("lens's", facts.working_f_number, facts.airy_disk_samples, sample, advice))
     if facts.microlens_f_number is not None and facts.microlens_airy_disk_px is not None and not traced:
-        advice = '; take transport.diffraction = "lenslets", which is right to 2 % for extended light'
+        error = facts.kick_error
+        advice = '; take transport.diffraction = "lenslets"'
+        if error is not None and error.white_with >= error.white_without:
+            shares = f"off by {error.white_with:.1%} of their light for {error.white_without:.1%}"
+            advice = f'; with transport.diffraction = "lenslets" white pictures are no nearer: {shares}'
+        elif error is not None:
+            edges = "" if error.edge_with is None else f", of edges {error.edge_with:.1%}"
+            advice += f", with an error of white pictures of {error.white_with:.1%}{edges}"
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))
     for whose, f_number, width, samples, advice in disks:
         if 1.0 < width < math.inf:

@@ -8,7 +8,6 @@ is made finer and wider until the picture stands.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -23,6 +22,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.trace import at_wavelength, trace
 from lfmesh.transport.world import World, build
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
@@ -148,7 +148,7 @@ class PointSpread(Shown):
 
 
 def point_spread(
-    scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | None = None, *,
+    scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None, *,
     weights: Sequence[float] | None = None, window: int | None = None, oversample: int = 1,
     tolerance: float = TOLERANCE,
 ) -> PointSpread:  # fmt: skip
@@ -161,7 +161,8 @@ def point_spread(
     point_mm : (3,) float
         x, y and z in the camera frame; z below 0.
     wavelengths_nm : float or sequence of float, optional
-        Irradiances of several are summed. The scene's primary one if left out.
+        Irradiances of several are summed. The name of one of the sensor's bands stands for the wavelengths by which
+        it is traced, weighted by its response. The scene's primary one if left out.
     weights : sequence of float, optional
         Of the wavelengths, even if left out; they are scaled to add up to 1.
     window : int, optional
@@ -181,6 +182,10 @@ def point_spread(
     if not isinstance(scene, Scene):
         raise LfmeshError(f"scene = {scene!r}: must be a Scene; read a file by lf.load")
     point = _numbers("point_mm", point_mm)
+    if isinstance(wavelengths_nm, str):
+        if weights is not None:
+            raise LfmeshError(f'wavelengths_nm = "{wavelengths_nm}": a band has weights of its own; leave weights out')
+        wavelengths_nm, weights = _lines_of_band(scene, wavelengths_nm)
     nm = tuple(_numbers("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = _shares(nm, _numbers("weights", [1.0] * len(nm) if weights is None else weights).tolist())
     _refuse_values(scene, point, window, oversample, tolerance)
@@ -189,51 +194,51 @@ def point_spread(
     world = build(camera.scene.camera_alone())
     if scene.targets:
         _refuse_hidden(camera, world, point, nm[len(nm) // 2])
-    pixels = _pixels(camera, world, point, nm[len(nm) // 2], (window, oversample))
-    each = [_Monochrome(camera, world, point, wavelength, pixels).converged(tolerance) for wavelength in nm]
-    mean = sum(share * one.mean for share, one in zip(shares, each, strict=True))
+    pupils = [pupil_waves(world, camera, point, wavelength) for wavelength in nm]
+    pixels = _pixels(camera, world, pupils[len(nm) // 2], (window, oversample))
+    each = [
+        _Monochrome(camera, world, point, wavelength, pupil, pixels).converged(tolerance)
+        for wavelength, pupil in zip(nm, pupils, strict=True)
+    ]
+    mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
-        raise LfmeshError(
+        raise NoLightError(
             f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
         )
     # Figures of one wavelength are those of the weightiest.
-    middle = each[int(np.argmax(shares))]
-    x, y = (pixels.first_mm[axis] + pixels.step_mm * np.arange(pixels.size[axis]) for axis in (0, 1))
-    return PointSpread(
-        np.asarray(mean), x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])), nm, shares,
-        oversample,
-        sum(share * one.entered_w for share, one in zip(shares, each, strict=True)),
-        sum(share * one.power_w for share, one in zip(shares, each, strict=True)),
-        middle.peak_w_mm2, middle.strehl, middle.airy_radius_mm, middle.lenslets,
-        max(one.change for one in each), max(one.misfit_waves for one in each),
-    )  # fmt: skip
+    return replace(
+        each[int(np.argmax(shares))],
+        mean=mean,
+        wavelengths_nm=nm,
+        weights=shares,
+        entered_w=sum(share * one.entered_w for share, one in zip(shares, each, strict=True)),
+        power_w=sum(share * one.power_w for share, one in zip(shares, each, strict=True)),
+        change=max(one.change for one in each),
+        misfit_waves=max(one.misfit_waves for one in each),
+    )
 
 
-class _Found(NamedTuple):
-    """The point spread at one wavelength, see `PointSpread`."""
-
-    mean: Array
-    entered_w: float
-    power_w: float
-    peak_w_mm2: float
-    strehl: float | None
-    airy_radius_mm: float
-    lenslets: int
-    change: float
-    misfit_waves: float
+class NoLightError(LfmeshError):
+    """No light of a point falls on the sensor."""
 
 
 class _Monochrome:
     """The point spread at one wavelength, on grids of any fineness."""
 
     def __init__(
-        self, camera: SolvedCamera, world: World, point: Array, wavelength_nm: float, pixels: Sampling
+        self,
+        camera: SolvedCamera,
+        world: World,
+        point: Array,
+        wavelength_nm: float,
+        pupil: PupilWaves,
+        pixels: Sampling,
     ) -> None:
-        self.camera, self.pixels = camera, pixels
+        self.camera, self.point, self.wavelength_nm = camera, point, wavelength_nm
+        self.pupil, self.pixels = pupil, pixels
         tables = at_wavelength(world, wavelength_nm)
         self.sensor = tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
         self.faces = faces_before_sensor(camera.scene, tables, wavelength_nm)
-        self.pupil = pupil_waves(world, camera, point, wavelength_nm)
         self.words = f"point_mm = {point.tolist()}"
 
     @property
@@ -248,7 +253,7 @@ class _Monochrome:
         way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
         return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
-    def converged(self, tolerance: float) -> _Found:
+    def converged(self, tolerance: float) -> PointSpread:
         """Return the point spread on the first grid by which it changes less than the tolerance."""
         first, change, fineness = self._on_grid(self._grid(1.0)), math.inf, 1.0
         while change > tolerance:
@@ -256,7 +261,7 @@ class _Monochrome:
             finer = self._on_grid(self._grid(fineness))
             change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
             first = finer
-        return first._replace(change=change)
+        return replace(first, change=change)
 
     def _grid(self, fineness: float) -> Grid:
         """Return a grid that is finer and wider than the first one by a factor.
@@ -292,7 +297,7 @@ class _Monochrome:
         n = scipy.fft.next_fast_len(places // 2) * 2
         return Grid(n, step, wavelength, pupil.middle)
 
-    def _on_grid(self, grid: Grid) -> _Found:
+    def _on_grid(self, grid: Grid) -> PointSpread:
         """Return the point spread by one grid; its change is not known."""
         pupil = _in_pupil(self.pupil, grid)
         light = _seen_from_focus(self.pupil, pupil)
@@ -307,8 +312,12 @@ class _Monochrome:
         in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
         in_phase /= (1.0 + self._beyond_focus / self.pupil.radius_mm) ** 2
         peak = irradiance.peak()
-        return _Found(
-            self._on_pixels(irradiance), self.pupil.power_w, light.power_w, peak,
+        pixels, point = self.pixels, self.point
+        x, y = (pixels.first_mm[axis] + pixels.step_mm * np.arange(pixels.size[axis]) for axis in (0, 1))
+        parts = round(self.camera.scene.camera.sensor.pixel_mm / pixels.step_mm)
+        return PointSpread(
+            self._on_pixels(irradiance), x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])),
+            (self.wavelength_nm,), (1.0,), parts, self.pupil.power_w, light.power_w, peak,
             None if self._relief else peak / in_phase, self._airy_radius(), self._lenslets(), math.inf,
             self.pupil.misfit_waves,
         )  # fmt: skip
@@ -362,17 +371,14 @@ def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectru
     return replace(light, waves=light.waves * math.exp(-0.5 * behind.absorption_per_mm * way))
 
 
-def _pixels(
-    camera: SolvedCamera, world: World, point: Array, wavelength_nm: float, asked: tuple[int | None, int]
-) -> Sampling:
+def _pixels(camera: SolvedCamera, world: World, pupil: PupilWaves, asked: tuple[int | None, int]) -> Sampling:
     """Return the pixels, or parts of pixels, of the sensor's frame: all, or of a window about the light."""
     sensor = camera.scene.camera.sensor
     window, oversample = asked
     count, first = list(sensor.pixels), [0, 0]
     if window is not None:
-        tables = at_wavelength(world, wavelength_nm)
-        place = tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
-        light = pupil_waves(world, camera, point, wavelength_nm).places_at(float(place[2])).mean(axis=0) - place[:2]
+        place = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
+        light = pupil.places_at(float(place[2])).mean(axis=0) - place[:2]
         for axis in (0, 1):
             size = min(window, count[axis])
             middle = light[axis] / sensor.pixel_mm + 0.5 * count[axis]
@@ -382,6 +388,18 @@ def _pixels(
     # Of the first part of the first pixel.
     corner = [(number - 0.5 * whole) * sensor.pixel_mm for number, whole in zip(first, sensor.pixels, strict=True)]
     return Sampling(np.asarray(corner) + 0.5 * step, step, (count[0] * oversample, count[1] * oversample))
+
+
+def _lines_of_band(scene: Scene, name: str) -> tuple[list[float], list[float]]:
+    """Return wavelengths, nm, and weights of a band of the sensor."""
+    names = list(scene.channel_names)
+    if name not in names:
+        known = f"a band of the scene: {', '.join(names)}" if names else "a number: the scene has no bands"
+        raise LfmeshError(f'wavelengths_nm = "{name}": must be {known}')
+    lines = Lines.of(scene)
+    nodes = lines.nodes[names.index(name)]
+    chances = np.diff(nodes.until, prepend=0.0)
+    return list(lines.wavelengths_nm[nodes.first : nodes.first + len(chances)]), chances.tolist()
 
 
 def _shares(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[float, ...]:

@@ -99,3 +99,17 @@ def test_fields_that_waves_cannot_be_followed_for_say_why() -> None:
     assert all(isinstance(each, str) and "collimated" in each for each in found.waves)
     assert any("no waves: " in line for line in found.lines())
     assert found.as_dict()["fields"][0]["strehl"] is None
+
+
+def test_waves_are_followed_only_where_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def followed(*_: object) -> str:
+        asked.append(1)
+        return "not here"
+
+    monkeypatch.setattr("lfmesh.analysis.analysis._waves", followed)
+    found = lf.analyse(lf.load(asset_path("scenes/conventional.toml")))
+    assert found.spots
+    assert not asked
+    assert found.waves == ["not here"] * len(found.spots)

@@ -33,3 +33,26 @@ def test_points_that_cannot_be_are_refused_in_one_line(
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert words in said
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_wrong_with_the_folder_is_said_before_the_waves_are_followed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object, **__: object) -> None:
+        pytest.fail("the waves were followed")
+
+    monkeypatch.setattr("lfmesh.waves.point_spread.point_spread", never)
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "spread.png").write_text("mine")
+    for folder, words in ((tmp_path / "file" / "out", "is no folder"), (tmp_path, "spread.png is there already")):
+        assert main(["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(folder)]) == 2
+        assert words in " ".join(capsys.readouterr().err.split())
+    assert (tmp_path / "spread.png").read_text() == "mine"
+
+
+def test_a_band_is_taken_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    point = ["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(tmp_path), "--band", "red"]
+    assert main([*point, "--wavelengths-nm", "500"]) == 2
+    assert "leave --wavelengths-nm out" in " ".join(capsys.readouterr().err.split())
+    assert main(point) == 2
+    assert "the scene has no bands" in " ".join(capsys.readouterr().err.split())

@@ -32,6 +32,16 @@ def test_one_number_of_a_pose_can_be_changed() -> None:
         assert turned.camera.lens.elements[0].pose.shift_mm == (0.0, 0.01, 0.0)
 
 
+def test_check_says_that_array_and_sensor_are_out_of_place() -> None:
+    array = {"count": [9, 9], "pitch_mm": 0.1, "focal_length_mm": 0.5, "index": 1.5, "thickness_mm": 0.1}
+    placed = scene().changed({"camera.mla": array, "camera.sensor.distance_mm": None})
+    shifted = placed.changed({"camera.mla.pose.shift_mm": (0.0, 0.0, 0.2), "camera.sensor.pose.tilt_deg": (1.0, 0, 0)})
+    assert not first_order(placed).poses
+    lines = [line for line in first_order(shifted).lines() if "about its centre" in line]
+    assert "the array: shift 0 0 0.2 mm, tilt 0 0 0 degrees" in lines[0]
+    assert "the sensor: shift 0 0 0 mm, tilt 1 0 0 degrees" in lines[1]
+
+
 def test_first_order_optics_are_those_of_the_lens_without_poses() -> None:
     plain, posed = first_order(scene()), first_order(scene(TILTED))
     assert posed.poses

@@ -161,9 +161,9 @@ def test_thick_lenslets_diffract_at_their_front_by_their_focal_length() -> None:
     assert abs(image.ledger.imbalance) < 1e-12
 
 
-def shows(image: lf.Image, truth: Array) -> bool:
-    """Compare an image with the truth up to a factor by t-tests of all pixels with a bound for the worst."""
-    mean, error = image.mean.reshape(truth.shape), image.error.reshape(truth.shape)
+def shows(image: lf.Image, truth: Array, channel: int = 0) -> bool:
+    """Compare a wavelength with the truth up to a factor by t-tests of all pixels with a bound for the worst."""
+    mean, error = image.mean[:, :, channel], image.error[:, :, channel]
     scale = (mean * truth / error**2).sum() / (truth**2 / error**2).sum()
     t = np.abs(mean - scale * truth) / error
     return bool(2.0 * stats.t.sf(t.max(), image.replicates - 1) * t.size > LEVEL)
@@ -176,13 +176,6 @@ def test_geometric_optics_is_far_from_that() -> None:
     share = image.mean.reshape(14, 14) / image.mean.sum()
     assert np.abs(share - white_picture(5.6, 0.14, 14, 1.0)).sum() > 0.05
 
-
-POINT = {
-    "count": 1,
-    "bounds": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)},
-    "position_mm": (0.0, 0.0, -1e4),
-    "intensity_w_sr": 1.0,
-}
 
 SMALL = {
     "square": {},
@@ -280,13 +273,6 @@ def test_check_names_the_key_and_is_silent_with_it() -> None:
     assert not any("microlenses' Airy disk" in line for line in facts.warnings)
 
 
-def test_particles_with_diffraction_are_warned_of() -> None:
-    scene = camera(across=3)
-    lit = Scene(camera=scene.camera, transport=scene.transport, particles=[POINT])
-    said = lf.first_order(lit).warnings
-    assert any("particles are points" in line for line in said)
-
-
 @pytest.mark.parametrize("kind", SMALL)
 def test_the_aim_holds_all_but_a_thousandth_of_the_diffracted_light(kind: str) -> None:
     world = lf.build(real_size(SMALL[kind]))
@@ -303,3 +289,26 @@ def test_the_aim_holds_all_but_a_thousandth_of_the_diffracted_light(kind: str) -
     unmoved = beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0
     # Aimed as if rays had not changed their directions, far more of them would lie outside.
     assert np.count_nonzero(~held) < 0.2 * np.count_nonzero(~unmoved)
+
+
+def test_two_wavelengths_are_each_blurred_by_their_own_pattern() -> None:
+    """Of one run, whose rays share random numbers: 450 nm spreads half as far as 900 nm."""
+    given, _, _ = CASES["A"]
+    nm = (450.0, 900.0)
+    image = lf.render(camera(**given, samples=1600, replicates=64, wavelengths_nm=nm))
+    pupil = given["focal_mm"] / given["f_number"] / 0.14
+    truths = [white_picture(given["focal_mm"], 0.14, 10, pupil, nm=each) for each in nm]
+    for channel in range(2):
+        assert shows(image, truths[channel], channel)
+        assert not shows(image, truths[1 - channel], channel)
+
+
+@pytest.mark.parametrize("f_number", [11.0, 16.0])
+def test_light_behind_a_lenslet_falls_with_the_square_of_the_f_number(f_number: float) -> None:
+    """By π L / (4 N² + 1) on the axis, from f/8 on, lens and lenslets alike: neighbours bring what a lenslet loses."""
+    bright, dark = (lf.render(camera(0.14 * number, samples=800, replicates=32)) for number in (8.0, f_number))
+    wanted = (4.0 * 8.0**2 + 1.0) / (4.0 * f_number**2 + 1.0)
+    found = dark.mean.sum() / bright.mean.sum()
+    error = np.hypot(*(np.sqrt((image.stderr**2).sum()) / image.mean.sum() for image in (bright, dark)))
+    assert error < 0.005
+    assert abs(found / wanted - 1.0) < 4.5 * error

@@ -199,7 +199,7 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
         ({"point_mm": "here"}, "point_mm = 'here': must be a number, or a list of numbers"),
         ({"point_mm": (0.0, 0.0, -1e300)}, r"z must be -1e\+15 or more"),
         ({"point_mm": (1000.0, 0.0, -FAR)}, "no light falls on the sensor's pixels"),
-        ({"wavelengths_nm": "red"}, "wavelengths_nm = 'red'"),
+        ({"wavelengths_nm": "red"}, 'wavelengths_nm = "red": must be a number: the scene has no bands'),
         ({"wavelengths_nm": [[550.0]]}, "wavelengths_nm = "),
         ({"wavelengths_nm": 0.001}, "wavelengths_nm = 0.001: must be from 100 to 20000"),
         ({"wavelengths_nm": [500.0, 600.0], "weights": [1e308, 1e308]}, "weights = "),
@@ -240,6 +240,20 @@ def test_out_of_focus_no_more_passes_an_array_than_fresnel_lets_pass() -> None:
     scene = lf.load(asset_path("scenes/first_light.toml")).changed({"camera.lens.stop_semi_diameter_mm": 2.4})
     found = lf.point_spread(scene, (0.0, 0.0, -480.0), window=64, tolerance=0.05)
     assert 0.96**2 * 0.99 < found.power_w / found.entered_w < 0.96**2
+
+
+def test_the_spread_of_a_band_is_about_that_of_its_middle() -> None:
+    band = {"name": "green", "center_nm": 530.0, "fwhm_nm": 60.0}
+    camera = conventional(1.25, 50.0, 0.005, 15).changed({"camera.sensor.bands": [band]})
+    found = lf.point_spread(camera, (0.0, 0.0, -FAR), "green")
+    assert len(found.wavelengths_nm) > 1
+    assert np.average(found.wavelengths_nm, weights=found.weights) == pytest.approx(530.0, abs=0.1)
+    middle = lf.point_spread(camera, (0.0, 0.0, -FAR), 530.0)
+    assert np.abs(found.mean - middle.mean).sum() < 0.02 * middle.power_w
+    with pytest.raises(lf.LfmeshError, match='wavelengths_nm = "red": must be a band of the scene: green'):
+        lf.point_spread(camera, (0.0, 0.0, -FAR), "red")
+    with pytest.raises(lf.LfmeshError, match="a band has weights of its own"):
+        lf.point_spread(camera, (0.0, 0.0, -FAR), "green", weights=[1.0])
 
 
 def test_figures_of_several_wavelengths_are_those_of_the_weightiest() -> None:

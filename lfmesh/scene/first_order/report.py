@@ -9,6 +9,7 @@ from lfmesh.notebook import Shown
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
+from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslets import LensletSection, lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
@@ -123,7 +124,7 @@ class FirstOrder(Shown):
     """Lenslets section by section, where they are cylinders, and those of two faces; empty for others. The figures of
     the lenslets above are those of the section in which the curved face bends rays."""
     poses: tuple[str, ...] = ()
-    """Lens elements with a pose, a line each; every figure of this report is that of the lens without them."""
+    """Lens elements, array and sensor with a pose, a line each; every figure is that of the camera without them."""
     warnings: tuple[str, ...] = ()
     """What is likely to disappoint, in plain words."""
 
@@ -173,6 +174,7 @@ class FirstOrder(Shown):
                 f"at {self.airy_wavelength_nm:g} nm",
             ),
             *([("Airy disk, lenslet", self._lenslet_disk)] if mla else []),
+            *self._waves_in_words(),
             ("refocus range" if standard else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
         ]
         if self.view_spacing_mm is not None:
@@ -197,7 +199,7 @@ class FirstOrder(Shown):
             rows.append(("", "the figures above are those of the section y–z"))
         rows += [("posed element", text) for text in self.poses]
         if self.poses:
-            rows.append(("", "the figures above are those of the lens without poses"))
+            rows.append(("", "the figures above are those of the camera without poses"))
         return rows
 
     def _lenslets_in_words(self) -> str:
@@ -208,6 +210,37 @@ class FirstOrder(Shown):
     def _lenslet_disk(self) -> str:
         """Diffraction at the lenslets, in words."""
         return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
+
+    @property
+    def kick_error(self) -> KickError | None:
+        """Errors of pictures of extended light without and with the lenslets' diffraction; None where not known."""
+        if self.microlens_fresnel_number is None:
+            return None
+        # Over the focal length: 1/a + 1/d = 1/f.
+        distance = 1.0 + 1.0 / middle_of(self.focused).virtual_depth if self.focused else 1.0
+        return kick_error(self.microlens_fresnel_number, distance)
+
+    def _waves_in_words(self) -> Iterator[tuple[str, str]]:
+        """Yield what the lenslets' diffraction changes, and the setting that is advised."""
+        if self.microlens_fresnel_number is None:
+            return
+        error = self.kick_error
+        if error is None:
+            yield "diffraction, lenslets", "no table of errors for such lenslets: compare with lf.point_spread"
+        else:
+            better = error.white_with < error.white_without
+            edges = "" if error.edge_with is None else f", edges in focus {error.edge_with:.1%}"
+            without = "" if error.edge_without is None else f", edges in focus {error.edge_without:.1%}"
+            yield (
+                "diffraction, lenslets",
+                f"white pictures are off by {error.white_without:.1%} of their light{without}; with "
+                f'transport.diffraction = "lenslets" {error.white_with:.1%}{edges}{"" if better else ": no nearer"}',
+            )
+        lit = self.views_across if self.views_across is not None else math.nan
+        where = f"{lit:.3g} lenslets across at the ends of the refocus range"
+        if self.focused:
+            where = f"{middle_of(self.focused).seen_by:.3g} lenslets where it is sharp"
+        yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
 
     def lines(self) -> list[str]:
         """Return the report, a line a property, warnings last."""
@@ -452,16 +485,19 @@ def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, floa
 
 
 def _pose_lines(camera: Camera) -> Iterator[str]:
-    """Yield the pose of every lens element that is not in its place."""
+    """Yield the pose of every lens element, of array and sensor, that is not in its place."""
+    posed = []
     for element in camera.lens.elements:
-        shift, tilt = element.pose.shift_mm, element.pose.tilt_deg
-        if any(shift) or any(tilt):
-            first, last = element.surfaces[0], element.surfaces[-1]
-            which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
-            yield (
-                f"{which}: shift {' '.join(f'{x:g}' for x in shift)} mm, "
-                f"tilt {' '.join(f'{x:g}' for x in tilt)} degrees about the vertex of surface {first}"
-            )
+        first, last = element.surfaces[0], element.surfaces[-1]
+        which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
+        posed.append((which, element.pose, f"the vertex of surface {first}"))
+    if camera.mla is not None:
+        posed.append(("the array", camera.mla.pose, "its centre"))
+    posed.append(("the sensor", camera.sensor.pose, "its centre"))
+    for which, pose, centre in posed:
+        if any(pose.shift_mm) or any(pose.tilt_deg):
+            shift, tilt = (" ".join(f"{x:g}" for x in each) for each in (pose.shift_mm, pose.tilt_deg))
+            yield f"{which}: shift {shift} mm, tilt {tilt} degrees about {centre}"
 
 
 def _mm(length: float) -> str:

@@ -75,7 +75,8 @@ class Transport(Model):
     diffraction: Literal["none", "lenslets", "stop"] = "none"
     """"lenslets": light that passes a lenslet turns by chance, by the Fraunhofer pattern of its aperture. Right to some
     per cent for extended light; not for points, whose waves interfere between lenslets. "stop": at the lens's stop, of
-    cameras without an array, along the image path (split = "transmit"). Rays that are given are traced without it."""
+    cameras without an array, along the image path (split = "transmit"). With either, particles are not traced but
+    pictured by point spreads. Rays that are given are traced without it."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
     lenslet weighs far more than one that is; the latter's weight counts."""

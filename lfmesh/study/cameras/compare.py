@@ -29,7 +29,7 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.study.metrics.resolution import edge_mtf50, point_width
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.render import render
+from lfmesh.waves.render import render
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,7 @@ from lfmesh.provenance import difference, program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.render import render
+from lfmesh.waves.render import render
 
 ITEMS, CAMERAS, FACTS, CAMERA_MODEL = "items", "cameras", "item.json", "camera.exr"
 

@@ -1,7 +1,7 @@
 """The result of a render: mean and standard error of every pixel, and the ledger."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,6 +155,16 @@ class Image(Pictured):
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
         return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.replicates)
+
+    def with_light(self, film: NDArray[np.float64]) -> "Image":
+        """Return the image with light that has no noise, (H, W, wavelengths) W, added to each pixel.
+
+        Parameters
+        ----------
+        film : (H, W, wavelengths) float64, W
+        """
+        certainty = Certainty(self.error, self.upper + film)
+        return replace(self, mean=self.mean + film, certainty=certainty)
 
     def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
         """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""

@@ -15,7 +15,7 @@ from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.plan import Block
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.render.render import Clock, Keeper, folded, number_of, warned
+from lfmesh.transport.render.render import Clock, Keeper, Untraced, folded, number_of, untraced_light, warned
 from lfmesh.transport.render.tally import Piece, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.world import build
@@ -126,7 +126,7 @@ def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUN
 
 def reduced(
     scene: Scene, reduce: Reduce, blocks: int = 1, chunk: int = CHUNK, keep: Keeper | None = None,
-    saved: Mapping[str, NDArray[Any]] | None = None, progress: Report | None = None,
+    saved: Mapping[str, NDArray[Any]] | None = None, progress: Report | None = None, untraced: Untraced | None = None,
 ) -> Image:  # fmt: skip
     """Render a scene in jobs whose pieces may come back joined; the image is bitwise that of `lf.render`.
 
@@ -145,8 +145,11 @@ def reduced(
         State that `keep` was given, to go on from.
     progress : callable, optional
         Called after every replicate.
+    untraced : callable, optional
+        As for `lfmesh.transport.render.render.render`.
     """
     tracer = Tracer(build(scene), chunk)
+    film = untraced_light(tracer.world, untraced)
     replicates = scene.transport.replicates
     state = tracer.layout.state(saved)
     clock = Clock(state)
@@ -165,4 +168,5 @@ def reduced(
                 stage = "tracing" if levels is None else "refining"
                 progress(Progress(done * one, replicates * one, clock.seconds, done, replicates, stage))
 
-    return warned(tracer, lambda: folded(tracer, state, tallies, clock, keep))
+    image = warned(tracer, lambda: folded(tracer, state, tallies, clock, keep))
+    return image if film is None else image.with_light(film)

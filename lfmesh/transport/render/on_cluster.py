@@ -21,7 +21,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.jobs import Job, reduced, traced
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.render.render import Keeper
+from lfmesh.transport.render.render import Keeper, Untraced
 from lfmesh.transport.render.tally import Piece, joined
 
 JOBS = 2
@@ -37,7 +37,7 @@ WIDTH = 4
 def render_on_cluster(
     scene: Scene, address: str = LOCAL, workers: int | None = None, *,
     progress: Callable[[Progress], None] | None = None, saved: Mapping[str, NDArray[Any]] | None = None,
-    keep: Keeper | None = None,
+    keep: Keeper | None = None, untraced: Untraced | None = None,
 ) -> Image:  # fmt: skip
     """Render a scene with dask; the image is bitwise that of `lf.render`.
 
@@ -51,8 +51,8 @@ def render_on_cluster(
         Processes of a local cluster; as many as this machine has cores if omitted.
     progress : callable, optional
         Called after every replicate.
-    saved, keep
-        As for `lf.render`.
+    saved, keep, untraced
+        As for `lfmesh.transport.render.render.render`.
 
     Raises
     ------
@@ -62,7 +62,9 @@ def render_on_cluster(
     with connected(address, workers or os.cpu_count() or 1) as client:
         threads = threads_of(client)
         blocks = max(1, -(-JOBS * threads // scene.transport.replicates))
-        return reduced(scene, partial(_pieces, client), blocks, keep=keep, saved=saved, progress=progress)
+        return reduced(
+            scene, partial(_pieces, client), blocks, keep=keep, saved=saved, progress=progress, untraced=untraced
+        )
 
 
 def _pieces(client: Any, jobs: Iterable[Job]) -> Iterator[Piece]:

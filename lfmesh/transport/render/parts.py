@@ -252,11 +252,16 @@ def _from_lamps(number: int, world: World, objects: ObjectTables, through: Glass
     return Part(number, options, tables, book=LAMP_BOOK)
 
 
+def adds_particles(world: World) -> bool:
+    """Tell whether the light of particles is added to the image, for diffraction makes waves of it."""
+    return bool(world.particles) and world.scene.transport.diffraction != "none"
+
+
 def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     """Return the parts of an image that are traced from particles.
 
     Targets hide particles. As no packet goes from particles to targets on purpose, those that fall there by chance are
-    not followed: the tables of these parts have black targets.
+    not followed: the tables of these parts have black targets. With diffraction there are none, see `adds_particles`.
 
     Parameters
     ----------
@@ -264,7 +269,7 @@ def particle_parts(world: World, through: GlassAim | None) -> tuple[Part, ...]:
     through : GlassAim or None
         See `glass_aim`.
     """
-    if not world.particles:
+    if not world.particles or adds_particles(world):
         return ()
     options = options_of(world)._replace(adjoint=False, importance=False, bounce=False)
     objects = world.tables.objects
@@ -310,4 +315,6 @@ def in_words(scene: Scene, parts: tuple[Part, ...]) -> str:
         words += "; lamps' light through glass forward"
     if any(part.options.paths == LAMP_ON_CAMERA for part in parts):
         words += "; lamps' light on the camera's rough surfaces forward"
+    if scene.particles and scene.transport.diffraction != "none":
+        words += "; particles by point spreads"
     return f"{words}; particles forward" if any(part.particles is not None for part in parts) else words

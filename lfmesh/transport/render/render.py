@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import PictureWarning, in_order, warn_caller
+from lfmesh.errors import LfmeshError, PictureWarning, in_order, warn_caller
 from lfmesh.notebook import watched
 from lfmesh.scene import Scene
 from lfmesh.transport.checks.foreseen import foreseen
@@ -21,18 +21,24 @@ from lfmesh.transport.render.adaptive import Counts, Refinement, combine, sample
 from lfmesh.transport.render.certainty import Certainty, Estimate
 from lfmesh.transport.render.compile_ahead import compiled_ahead
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.render.parts import finds_all, in_words
+from lfmesh.transport.render.parts import adds_particles, finds_all, in_words
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.tables.interfaces import coating_errors
 from lfmesh.transport.threads import Threads
-from lfmesh.transport.world import build
+from lfmesh.transport.world import World, build
+
+Array = NDArray[np.float64]
 
 PROGRESS_SECONDS = 0.2
 
 Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 """Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
+
+
+Untraced = Callable[[World], Array]
+"""Computes light that is not traced, (H, W, wavelengths) W: of particles, whose waves diffraction follows."""
 
 
 class Keeper(Protocol):
@@ -48,6 +54,7 @@ def render(
     *,
     saved: Mapping[str, NDArray[Any]] | None = None,
     keep: Keeper | None = None,
+    untraced: Untraced | None = None,
 ) -> Image:
     """Trace a scene's raw sensor image.
 
@@ -62,6 +69,8 @@ def render(
         continues from there, and its image is bitwise that of an uninterrupted one.
     keep : Keeper, optional
         Called with the state after every replicate.
+    untraced : callable, optional
+        See `Untraced`; needed by particles with diffraction.
 
     Returns
     -------
@@ -85,8 +94,26 @@ def render(
         with compiled_ahead(scene, report) as ahead:
             world = build(scene)
             ahead.join(world)
-        renderer = Renderer(world, progress=report)
+        renderer = Renderer(world, progress=report, film=untraced_light(world, untraced))
         return warned(renderer, lambda: renderer.image(saved, keep))
+
+
+def untraced_light(world: World, untraced: Untraced | None) -> Array | None:
+    """Return light that is added to the image of a world, (H, W, wavelengths) W; None where there is none.
+
+    Raises
+    ------
+    LfmeshError
+        There is some, and nothing to compute it by.
+    """
+    if not adds_particles(world):
+        return None
+    if untraced is None:
+        raise LfmeshError(
+            f'transport.diffraction = "{world.scene.transport.diffraction}": particles are pictured by point spreads, '
+            "which lf.render computes, and this render has none"
+        )
+    return untraced(world)
 
 
 def warned(tracer: Tracer, image: Callable[[], Image]) -> Image:
@@ -125,13 +152,18 @@ class Renderer(Tracer):
     Attributes
     ----------
     progress : callable, optional
+    film : (H, W, wavelengths) float64, W, optional
+        Light that is not traced, see `untraced_light`.
     """
 
     progress: Callable[[Progress], None] | None = None
+    film: Array | None = None
     _last_report: float = 0.0
 
     def image(self, saved: Mapping[str, NDArray[Any]] | None = None, keep: Keeper | None = None) -> Image:
         """Render all replicates, or until Ctrl-C; see `render`."""
+        if self.film is None:
+            untraced_light(self.world, None)
         state = self.layout.state(saved)
         clock = Clock(state)
         with self.pool() as pool:
@@ -149,7 +181,8 @@ class Renderer(Tracer):
                     state.partial = None
                     yield tally
 
-            return folded(self, state, tallies, clock, keep)
+            image = folded(self, state, tallies, clock, keep)
+        return image if self.film is None else image.with_light(self.film)
 
     def _begun(self, state: RenderState, first: int, levels: Counts | None) -> Iterator[tuple[Tally, int]]:
         """Yield a stage's replicates that are not finished, in the memory of a single tally, with their places.

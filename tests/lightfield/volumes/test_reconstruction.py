@@ -65,6 +65,26 @@ def test_mart_goes_to_the_volume_of_largest_entropy_of_all_that_give_the_image()
     assert np.abs(beside).max() < 1e-9 * np.abs(logs).max()
 
 
+def test_richardson_lucy_keeps_the_light_and_raises_the_likelihood() -> None:
+    random = np.random.default_rng(5)
+    full = random.random((40, 12)) * (random.random((40, 12)) < 0.5)
+    b = random.poisson(20.0 * full @ random.random(12)).astype(np.float64)
+    b[full.sum(axis=1) == 0.0] = 0.0
+    likelihood = []
+    for rounds in (1, 2, 5, 20, 100):
+        x = lf.reconstruct(sparse.csr_array(full), b, "rl", rounds).volume
+        assert (full @ x).sum() == pytest.approx(b.sum())
+        shown = full @ x
+        lit = b > 0.0
+        likelihood.append((b[lit] * np.log(shown[lit])).sum() - shown.sum())
+    assert (np.diff(likelihood) > 0.0).all()
+    first = lf.reconstruct(sparse.csr_array(full), b, "rl", 1).volume
+    flat = np.full(12, b.sum() / full.sum())
+    sums = full.sum(axis=1)
+    ratio = np.divide(b, sums * flat[0], out=np.zeros(40), where=sums > 0.0)
+    np.testing.assert_allclose(first, flat * (full.T @ ratio) / full.sum(axis=0))
+
+
 def test_sart_goes_to_least_squares_with_rows_over_their_sums():
     """Jiang & Wang (2003), on a system that no volume solves; the best one is positive."""
     full, x, b = system(14, 6, 4)
@@ -90,7 +110,7 @@ def test_nnls_is_scipys_also_where_the_matrix_is_too_large_for_it(monkeypatch):
     np.testing.assert_allclose(found.volume, best, atol=1e-5 * best.max())
 
 
-@pytest.mark.parametrize("method", ["mart", "sart", "nnls"])
+@pytest.mark.parametrize("method", ["mart", "rl", "sart", "nnls"])
 def test_zero_rows_and_columns_change_nothing_and_give_dark_voxels(method):
     full, x, b = system(12, 8, 8)
     wide = np.insert(np.insert(full, 5, 0.0, axis=0), 3, 0.0, axis=1)
@@ -106,7 +126,7 @@ def test_zero_rows_and_columns_change_nothing_and_give_dark_voxels(method):
     assert found.quality(np.insert(x, 3, 0.0)) > 0.99
 
 
-@pytest.mark.parametrize("method", ["mart", "sart", "nnls"])
+@pytest.mark.parametrize("method", ["mart", "rl", "sart", "nnls"])
 def test_the_unit_of_matrix_and_image_does_not_matter(method):
     full, _, b = system(8, 6, 9)
     plain = lf.reconstruct(sparse.csr_array(full), b, method, 40).volume
@@ -138,7 +158,7 @@ def test_quality_is_the_cosine_of_two_volumes():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "art"}, 'method = "art": use one of mart, sart, nnls'),
+        ({"method": "art"}, 'method = "art": use one of mart, rl, sart, nnls'),
         ({"method": 3}, "method = 3: use one of"),
         ({"image": [1.0, 2.0]}, r"the image has the shape \(2,\) and the matrix 3 rows"),
         ({"image": np.ones((1, 1, 3))}, "the matrix 3 rows, one a pixel"),

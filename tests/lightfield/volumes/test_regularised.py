@@ -392,7 +392,7 @@ def test_the_discrepancy_principle_takes_honest_images_whose_noise_is_a_little_m
         lf.reconstruct(given, full @ true + 2.0 * noise * unit, "tikhonov", noise=noise, strength="discrepancy")
 
 
-@pytest.mark.parametrize("method", ["mart", "sart", "nnls", "tikhonov", "tv"])
+@pytest.mark.parametrize("method", ["mart", "rl", "sart", "nnls", "tikhonov", "tv"])
 def test_images_have_the_shape_of_the_rectangle_of_pixels_or_stand_in_a_row(method):
     full, _, b = system(12, 4, 1)
     whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))

@@ -35,7 +35,7 @@ def test_the_effective_rank_counts_singular_values_above_a_hundredth(monkeypatch
     assert resolution.effective_rank(full) == pytest.approx(true, rel=0.07)
 
 
-METHODS = ["mart", "sart", "nnls", "tikhonov", "tv"]
+METHODS = ["mart", "rl", "sart", "nnls", "tikhonov", "tv"]
 
 
 @pytest.mark.parametrize("method", METHODS)

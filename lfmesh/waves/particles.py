@@ -1,0 +1,70 @@
+"""Pictures of particles by their point spreads: each is a point whose waves pass lens and lenslets coherently.
+
+Light of different particles does not interfere, so their pictures add up. Spreads are not interpolated: they change
+within a resolved length of the camera, so that a grid of them has more points than nearly all scenes have particles.
+"""
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.scene.media.phase import IsotropicPhase
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.world import World
+from lfmesh.waves.point_spread import NoLightError, point_spread
+
+Array = NDArray[np.float64]
+
+MOST_SPREADS = 2000
+"""Point spreads of a picture: they take seconds each."""
+
+
+def particle_film(world: World) -> Array:
+    """Return the light of a scene's particles on each pixel, (rows, columns, wavelengths) W.
+
+    Parameters
+    ----------
+    world : World
+
+    Raises
+    ------
+    LfmeshError
+        Bands, particles that scatter unevenly, too many of them, or what `lf.point_spread` refuses.
+    """
+    scene = world.scene
+    _refuse(world)
+    columns, rows = scene.camera.sensor.pixels
+    film = np.zeros((rows, columns, scene.channels))
+    into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    for table in world.particles:
+        for point, strength in zip(frames.points(into_camera, table.points), table.strength, strict=True):
+            # Power over all directions, of which an even share goes each way.
+            for channel, power in enumerate(strength * table.scale):
+                with suppress(NoLightError):
+                    spread = point_spread(scene, point, scene.wavelengths_nm[channel])
+                    film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
+    return film
+
+
+def _refuse(world: World) -> None:
+    scene, chosen = world.scene, f'transport.diffraction = "{world.scene.transport.diffraction}"'
+    if scene.camera.sensor.bands:
+        raise LfmeshError(
+            f"camera.sensor.bands: particles with {chosen} are pictured at single wavelengths; leave bands out"
+        )
+    for table in world.particles:
+        phase = scene.particles[table.entry].phase
+        if not isinstance(phase, IsotropicPhase):
+            raise LfmeshError(
+                f'particles[{table.entry}].phase.kind = "{phase.kind}": with {chosen} particles send light evenly; '
+                'take "isotropic", or transport.diffraction = "none"'
+            )
+    spreads = scene.channels * sum(len(table.points) for table in world.particles)
+    if spreads > MOST_SPREADS:
+        raise LfmeshError(
+            f"{chosen}: particles need {spreads:,} point spreads, some seconds each, {MOST_SPREADS:,} are possible; "
+            'give fewer particles, or transport.diffraction = "none"'
+        )

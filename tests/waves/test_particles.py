@@ -1,0 +1,99 @@
+"""Particles with diffraction: their light is that of their point spreads, and no ray adds to it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfmesh as lf
+from lfmesh.transport.render.render import Renderer
+from lfmesh.transport.render.render import render as trace_alone
+
+WAVE_NM, FAR = 550.0, 2000.0
+
+POINT = {
+    "count": 2,
+    "bounds": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)},
+    "position_mm": (0.0, 0.0, -FAR),
+    "intensity_w_sr": 3.0,
+    "samples": 20_000,
+}
+BANDS = {"diffraction": "stop", "split": "transmit", "samples": 8, "replicates": 4}
+PLANE = {
+    "shape": {"kind": "plane", "width_mm": 400.0, "height_mm": 400.0},
+    "position_mm": (0.0, 0.0, -2.0 * FAR),
+    "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
+}
+
+
+def scene(**changes: Any) -> lf.Scene:
+    """A camera at f/25 without an array, and two particles about the plane in focus."""
+    image = 50.0
+    lens = [{
+        "paraxial": True, "focal_length_mm": 1.0 / (1.0 / image + 1.0 / FAR), "stop": True, "semi_diameter_mm": 1.0,
+    }]  # fmt: skip
+    given = {
+        "schema_version": 1,
+        "camera": {"lens": {"surfaces": lens}, "sensor": {"pixels": [40, 40], "pixel_mm": 0.01, "distance_mm": image}},
+        "particles": [POINT],
+        "transport": {
+            "diffraction": "stop", "split": "transmit", "wavelengths_nm": [WAVE_NM], "samples": 8, "replicates": 4,
+        },
+    }  # fmt: skip
+    return lf.Scene.model_validate(given).changed(changes)
+
+
+def test_particles_are_pictured_by_their_point_spreads() -> None:
+    given = scene()
+    film = sum(3.0 * lf.point_spread(given, point).mean for point in lf.build(given).particles[0].points)
+    image = lf.render(given)
+    np.testing.assert_allclose(image.mean[:, :, 0], film, rtol=1e-12)
+    assert (image.error == 0.0).all()
+    assert "particles by point spreads" in image.engine
+    # Rays that diffraction does not turn bring the same light to as few pixels as there are particles.
+    plain = lf.render(scene(**{"transport.diffraction": "none"}))
+    error = np.sqrt((plain.stderr**2).sum())
+    tails = 0.015 * plain.mean.sum()
+    assert abs(image.mean.sum() - plain.mean.sum()) < 4.0 * error + tails
+    assert image.mean.max() < 0.8 * plain.mean.max()
+
+
+def test_particles_add_to_what_is_traced() -> None:
+    both = lf.render(scene(targets=[PLANE]))
+    traced = lf.render(scene(targets=[PLANE], particles=[]))
+    alone = lf.render(scene())
+    np.testing.assert_allclose(both.mean, traced.mean + alone.mean, rtol=1e-9)
+    np.testing.assert_array_equal(both.stderr, traced.stderr)
+    np.testing.assert_allclose(both.upper, traced.upper + alone.mean, rtol=1e-9)
+
+
+def test_particles_beside_the_field_are_dark() -> None:
+    image = lf.render(scene(particles=[POINT | {"position_mm": (1000.0, 0.0, -FAR)}]))
+    assert not image.mean.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"particles": [POINT | {"count": 2001}]}, "2,001 point spreads"),
+        ({"media": [{"absorption_per_mm": 1e-4}]}, "media: a point spread"),
+        (
+            {
+                "transport": BANDS,
+                "camera.sensor.bands": [{"name": "r", "center_nm": 600.0, "fwhm_nm": 50.0}],
+            },
+            "leave bands out",
+        ),
+    ],
+)
+def test_particles_that_waves_do_not_follow_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(lf.LfmeshError, match=words) as error:
+        lf.render(scene(**changes))
+    assert "\n" not in str(error.value)
+
+
+def test_rays_alone_do_not_leave_particles_out_without_a_word() -> None:
+    with pytest.raises(lf.LfmeshError, match="particles are pictured by point spreads"):
+        trace_alone(scene())
+    with pytest.raises(lf.LfmeshError, match="particles are pictured by point spreads"):
+        Renderer(lf.build(scene())).image()

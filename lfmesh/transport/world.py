@@ -9,7 +9,7 @@ import numpy as np
 
 from lfmesh.errors import ClosedGapWarning, CutBodiesWarning, LfmeshError, PictureWarning, SceneError, warn_caller
 from lfmesh.geometry import frame
-from lfmesh.geometry.array.lenslets import mla_mesh
+from lfmesh.geometry.array.array_mesh import mla_mesh
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.lens.solved_camera import solved_camera

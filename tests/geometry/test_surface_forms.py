@@ -9,16 +9,8 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry.lens.air_gaps import cap_on, circles_of
-from lfmesh.geometry.surfaces.surface import (
-    distance_to,
-    form_at,
-    gradients,
-    heights,
-    is_revolved,
-    normal_at,
-    sag,
-    surface_of,
-)
+from lfmesh.geometry.surfaces.sag import gradients, heights, sag
+from lfmesh.geometry.surfaces.surface import distance_to, form_at, is_revolved, normal_at, surface_of
 from lfmesh.geometry.surfaces.tessellation import cap, chord_error, rim_radius
 
 SURFACES: dict[str, dict[str, Any]] = {

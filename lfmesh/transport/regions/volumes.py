@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
 from lfmesh.geometry.meshes.levels import PATCH
+from lfmesh.geometry.ray import Ray, along
 from lfmesh.geometry.surfaces.surface import distance_to
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
@@ -20,7 +21,8 @@ from lfmesh.transport.events.bodies import RANK, bodies_round
 from lfmesh.transport.events.crossing import box_entry, deposit, end_here, meets_patch, record, too_deep, windowed
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.volume import Line, Ray, along, pass_through, ray_of, scattering_point
+from lfmesh.transport.events.scattering_point import scattering_point
+from lfmesh.transport.events.volume import Line, pass_through, ray_of
 from lfmesh.transport.lights.combine import (
     IN_MEDIUM,
     ask_lamps_on_line,

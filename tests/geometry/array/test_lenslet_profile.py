@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.array.array_mesh import cell_mesh, mla_mesh
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslet_profile import (
     first_crossing,
@@ -14,16 +15,7 @@ from lfmesh.geometry.array.lenslet_profile import (
     profile_shape,
     sag_slope_bend,
 )
-from lfmesh.geometry.array.lenslets import (
-    cell_mesh,
-    face_normal,
-    face_sag,
-    faces_at,
-    lenslets,
-    mla_mesh,
-    shape_of,
-    type_of,
-)
+from lfmesh.geometry.array.lenslets import face_normal, face_sag, faces_at, lenslets, shape_of, type_of
 
 SQUARE = Lattice(False, 0.125, 5, 4)
 HEXAGONAL = Lattice(True, 0.125, 5, 4)

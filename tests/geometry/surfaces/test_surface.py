@@ -4,17 +4,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.surface import (
-    distance_to,
-    half_slope_at,
-    normal_at,
-    normals,
-    reach,
-    sag,
-    sag_at,
-    slope,
-    surface,
-)
+from lfmesh.geometry.surfaces.sag import normals, reach, sag, slope
+from lfmesh.geometry.surfaces.surface import distance_to, half_slope_at, normal_at, sag_at, surface
 
 SURFACES = {
     "plane": (np.inf, 0.0, ()),

@@ -1,6 +1,6 @@
 """A ray: a point and a unit direction, as kernels hand it on."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from lfmesh.kernels.decorators import inlined
 
@@ -26,3 +26,14 @@ def along(ray: Ray, t: float) -> tuple[float, float, float]:
     t : float, mm
     """
     return ray.x + t * ray.dx, ray.y + t * ray.dy, ray.z + t * ray.dz
+
+
+@inlined
+def ray_of(packet: Any) -> Ray:
+    """Return the ray of a packet.
+
+    Parameters
+    ----------
+    packet : PACKET
+    """
+    return Ray(packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)

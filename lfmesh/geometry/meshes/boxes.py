@@ -3,7 +3,8 @@
 import numpy as np
 
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.kernels.decorators import inlined
+from lfmesh.geometry.ray import Ray
+from lfmesh.kernels.decorators import inlined, kernel
 
 
 @inlined
@@ -47,3 +48,25 @@ def meets_box(
         begin, end = part_inside(d, high[axis] - o, begin, end)
         begin, end = part_inside(-d, o - low[axis], begin, end)
     return begin <= end
+
+
+@kernel
+def box_entry(low: Array, high: Array, ray: Ray) -> float:
+    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
+
+    Parameters
+    ----------
+    low, high : (3,) float64, mm
+        Corners of the box.
+    ray : Ray
+    """
+    near, far = 0.0, np.inf
+    for axis in range(3):
+        p, d = ray[axis], ray[3 + axis]
+        if d == 0.0:
+            if p < low[axis] or p > high[axis]:
+                return np.inf
+        else:
+            a, b = (low[axis] - p) / d, (high[axis] - p) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf

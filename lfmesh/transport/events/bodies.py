@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import crosses
+from lfmesh.transport.events.facets import crosses
 from lfmesh.transport.packets.packet import NO_SURFACE
 from lfmesh.transport.tables.tables import AIR, GlassTables, ObjectTables
 

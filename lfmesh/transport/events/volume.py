@@ -121,17 +121,6 @@ class Step(NamedTuple):
 
 
 @inlined
-def ray_of(packet: Any) -> Ray:
-    """Return the ray of a packet.
-
-    Parameters
-    ----------
-    packet : PACKET
-    """
-    return Ray(packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
-
-
-@inlined
 def _corner(row: Any, axis: int, p: float, middle: float) -> tuple[int, int, float]:
     """Return the two voxels along an axis between whose centres a point lies, and the share of the second.
 

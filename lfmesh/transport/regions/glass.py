@@ -18,21 +18,8 @@ from lfmesh.transport.events.bodies import (
     medium_of,
     set_bodies,
 )
-from lfmesh.transport.events.crossing import (
-    AIM_DISK,
-    AIM_U,
-    AIM_V,
-    clear_of,
-    draw,
-    facet_normal,
-    lose,
-    meets_patch,
-    nearest_on_facet,
-    next_query_from,
-    reflected,
-    refracted,
-    requery,
-)
+from lfmesh.transport.events.crossing import AIM_DISK, AIM_U, AIM_V, draw, lose, reflected, refracted, requery
+from lfmesh.transport.events.facets import clear_of, facet_normal, meets_patch, nearest_on_facet, next_query_from
 from lfmesh.transport.events.interface import (
     divided,
     is_coated,

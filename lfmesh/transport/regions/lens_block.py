@@ -15,7 +15,8 @@ from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
+from lfmesh.transport.events.crossing import reflected, refracted
+from lfmesh.transport.events.facets import safely_behind
 from lfmesh.transport.sequences.lens_surfaces import conic_distance, conic_normal
 
 Array = NDArray[np.float64]

@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
+from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.levels import PATCH
-from lfmesh.geometry.ray import Ray, along
+from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.geometry.surfaces.surface import distance_to
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.events.bodies import RANK, bodies_round
-from lfmesh.transport.events.crossing import box_entry, deposit, end_here, meets_patch, record, too_deep, windowed
+from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
+from lfmesh.transport.events.facets import meets_patch
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering_point import scattering_point
-from lfmesh.transport.events.volume import Line, pass_through, ray_of
+from lfmesh.transport.events.volume import Line, pass_through
 from lfmesh.transport.lights.combine import (
     IN_MEDIUM,
     ask_lamps_on_line,
@@ -145,7 +147,7 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
 
     Where the front is hollow, the medium reaches into the hollow, beyond the border of the lens's box.
     """
-    enters = box_entry(lens.box_low, lens.box_high, x, y, z, dx, dy, dz)
+    enters = box_entry(lens.box_low, lens.box_high, Ray(x, y, z, dx, dy, dz))
     if enters == np.inf or lens.convex_front:
         return enters
     front = lens.surfaces[0]

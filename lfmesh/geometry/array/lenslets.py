@@ -22,6 +22,7 @@ from lfmesh.geometry.array.lenslet_profile import (
     sag_slope_bend,
 )
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
@@ -302,13 +303,14 @@ def face_normal(
         From `shape_of`.
     x, y, z : float, mm
     """
-    return _normal_by(mla.profile, mla, column, row, curvature, x, y, z)
+    return _normal_by(mla.profile, mla, column, row, curvature, (x, y, z))
 
 
 @inlined
 def _normal_by(
-    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, place: tuple[float, float, float]
 ) -> tuple[float, float, float]:
+    x, y, z = place
     if profile is None:
         return -curvature * x, -curvature * y, 1.0 - curvature * z
     _, gx, gy = profile_shape(profile, type_of(mla, column, row), curvature, x, y)
@@ -318,9 +320,8 @@ def _normal_by(
 
 @inlined
 def meets_profile(
-    profile: Any, mla: Lenslets, column: int, row: int, x: float, y: float, z: float,
-    dx: float, dy: float, dz: float, in_air: bool, begin: float, end: float,
-) -> tuple[bool, float]:  # fmt: skip
+    profile: Any, mla: Lenslets, column: int, row: int, ray: Ray, in_air: bool, begin: float, end: float
+) -> tuple[bool, float]:
     """Return whether, and where, a ray first crosses the face of a lenslet that is no sphere; of a sphere False.
 
     Parameters
@@ -330,19 +331,19 @@ def meets_profile(
     mla : Lenslets
     column, row : int
         Of the lenslet.
-    x, y, z : float, mm
-        Where distances are counted from, from the cell's centre.
-    dx, dy, dz : float
+    ray : Ray
+        From the cell's centre.
     in_air : bool
         The ray is in the air before the face; else in the glass.
     begin, end : float, mm
         Distances between which it is in the cell.
     """
+    x, y, z, dx, dy, dz = ray
     if profile is None:
         return False, 0.0
     curvature, ex, ey = shape_of(mla, column, row)
     return first_crossing(
-        profile, type_of(mla, column, row), curvature, x - ex, y - ey, z, dx, dy, dz, 1.0 if in_air else -1.0,
+        profile, type_of(mla, column, row), curvature, Ray(x - ex, y - ey, z, dx, dy, dz), 1.0 if in_air else -1.0,
         begin, end,
     )  # fmt: skip
 
@@ -391,17 +392,18 @@ def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: i
     along = (nx * y - ny * x) / step + 0.5 * segments
     low = np.floor(along)
     a, b = (low - 0.5 * segments) * step, (low + 1.0 - 0.5 * segments) * step
-    z_low = _border_vertex(mla.profile, mla, column, row, curvature, half, a, nx, ny)
-    z_high = _border_vertex(mla.profile, mla, column, row, curvature, half, b, nx, ny)
+    side_at = nx, ny, half
+    z_low = _border_vertex(mla.profile, mla, column, row, curvature, side_at, a)
+    z_high = _border_vertex(mla.profile, mla, column, row, curvature, side_at, b)
     return z_low + (along - low) * (z_high - z_low)
 
 
 @inlined
 def _border_vertex(
-    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, half: float, along: float,
-    nx: float, ny: float,
-) -> float:  # fmt: skip
-    """Return the sag at a distance along a side from its middle."""
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, side: tuple[float, float, float], along: float
+) -> float:
+    """Return the sag at a distance along a side, given by its normal and distance, from its middle."""
+    nx, ny, half = side
     if profile is None:
         return cap_sag(curvature, half * half + along * along)
     return face_sag(mla, column, row, curvature, half * nx - along * ny, half * ny + along * nx)

@@ -29,20 +29,16 @@ def part_inside(rate: float, room: float, first: float, last: float) -> tuple[fl
 
 
 @inlined
-def meets_box(
-    low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
-) -> bool:  # fmt: skip
+def meets_box(low: Array, high: Array, ray: Ray, begin: float, end: float) -> bool:
     """Tell whether a line meets a box between two distances.
 
     Parameters
     ----------
     low, high : (3,) float64, mm
-    x, y, z : float, mm
-        Start of the line.
-    dx, dy, dz : float
-        Unit direction.
+    ray : Ray
     begin, end : float, mm
     """
+    x, y, z, dx, dy, dz = ray
     for axis in range(3):
         o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
         begin, end = part_inside(d, high[axis] - o, begin, end)

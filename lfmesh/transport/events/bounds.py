@@ -6,7 +6,7 @@ import numpy as np
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.meshes.shell_tree import next_crossing
-from lfmesh.geometry.ray import Ray as Ray
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.tables.volumes import (
     BOX,
@@ -70,9 +70,7 @@ def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float
     if shells is not None:
         inside = True
         if row.bounds == SHELL:
-            inside, holds = next_crossing(
-                shells, row.nodes[0], row.nodes[1], t, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz
-            )
+            inside, holds = next_crossing(shells, row.nodes[0], row.nodes[1], t, ray)
         if not inside:
             return np.inf, -np.inf, holds
     first, last = _span(row, ray)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.levels import FLAT
 from lfmesh.geometry.meshes.patch import hit_patch
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.packets.packet import (
     FALLBACKS,
@@ -36,14 +37,11 @@ def clear_of(facet: Any, x: float, y: float, z: float, dx: float, dy: float, dz:
         The ray.
     """
     normal = facet.normal
-    return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, x, y, z, dx, dy, dz)
+    return safely_behind(normal[0], normal[1], normal[2], facet.offset, facet.size, Ray(x, y, z, dx, dy, dz))
 
 
 @inlined
-def safely_behind(
-    nx: float, ny: float, nz: float, offset: float, size: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
+def safely_behind(nx: float, ny: float, nz: float, offset: float, size: float, ray: Ray) -> float:
     """Return the result of `clear_of` for a facet given by its normal, the offset of its plane and its size.
 
     The distance exceeds that of the plane by the rounding error of a float32 query. For a ray along the facet it is at
@@ -55,10 +53,9 @@ def safely_behind(
         Unit normal of the facet.
     offset, size : float, mm
         Of its plane, along the normal; of the facet.
-    x, y, z : float, mm
-    dx, dy, dz : float
-        The ray.
+    ray : Ray
     """
+    x, y, z, dx, dy, dz = ray
     along = nx * dx + ny * dy + nz * dz
     above = nx * x + ny * y + nz * z - offset
     short = -above if along > 0.0 else above
@@ -135,9 +132,8 @@ def facet_normal(level: int, facet: Any, x: float, y: float, z: float) -> tuple[
 
 @kernel
 def meets_patch(
-    flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> tuple[bool, float, float, float, float]:  # fmt: skip
+    flow: Flow, patches: Array, across: NDArray[np.int64], facet: Any, prim: int, ray: Ray
+) -> tuple[bool, float, float, float, float]:
     """Return whether a ray meets the curved patch of a facet, at what distance, and the normal there.
 
     If it does not, or only where it passes in the other sense (a ray that cuts off a thin slice of a ball may be led
@@ -151,12 +147,12 @@ def meets_patch(
     facet : FACET
     prim : int
         Number of the facet.
-    x, y, z : float, mm
+    ray : Ray
         Point at which the ray crosses the facet; distances count from here.
-    dx, dy, dz : float
     """
+    x, y, z, dx, dy, dz = ray
     b, c = barycentric(facet, x, y, z)
-    met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, x, y, z, dx, dy, dz)
+    met, t, nx, ny, nz = hit_patch(patches, across, prim, b, c, ray)
     normal = facet.normal
     through_facet = normal[0] * dx + normal[1] * dy + normal[2] * dz
     if met and (nx * dx + ny * dy + nz * dz) * through_facet > 0.0:

@@ -198,9 +198,8 @@ def divide_at_surface(
         n_i, n_t = block[N_I + i], block[N_T + i]
         if is_rough(lens.interfaces, k):
             passes, dx, dy, dz = scattered(
-                lens.interfaces, k, options, packet, n_i, n_t, packet.dx, packet.dy, packet.dz,
-                block[NX + i], block[NY + i], block[NZ + i],
-            )  # fmt: skip
+                lens.interfaces, k, options, packet, n_i, n_t, (block[NX + i], block[NY + i], block[NZ + i])
+            )
             set_child(block, REFRACTED + i if passes else REFLECTED + i, i, dx, dy, dz)
             _send_scattered(
                 (block, i, k, packet.space, lens, has_mla), options, flow, frames, CAMERA_FRAME, packet, k, NO_SURFACE,
@@ -236,7 +235,7 @@ def _bend_by_thin_lens(
     if surface.posed:
         x, y, z = point_through(surface.unpose, x, y, z)
         dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
-    dx, dy, dz, factor = through_thin_lens(lens.interfaces, k, packet.colour, x, y, dx, dy, dz)
+    dx, dy, dz, factor = through_thin_lens(lens.interfaces, k, packet.colour, x, y, (dx, dy, dz))
     if surface.posed:
         dx, dy, dz = direction_through(surface.pose, dx, dy, dz)
     set_child(block, REFRACTED + i, i, dx, dy, dz)

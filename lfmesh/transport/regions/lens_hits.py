@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.geometry.surfaces.surface import conic_distance, distance_to, first_crossing, normal_at
 from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel
@@ -79,7 +80,7 @@ def meets_at_facet(
                 px, py, pz = point_through(surface.unpose, px, py, pz)
                 ex, ey, ez = direction_through(surface.unpose, dx, dy, dz)
             pz -= surface.vertex_z
-            met, more = distance_to(surface, px, py, pz, ex, ey, ez, 1.0 if forward else -1.0)
+            met, more = distance_to(surface, Ray(px, py, pz, ex, ey, ez), 1.0 if forward else -1.0)
             t += more
             px, py, pz = px + more * ex, py + more * ey, pz + more * ez
             nx, ny, nz = normal_at(surface, px, py, pz)
@@ -94,7 +95,7 @@ def meets_at_facet(
             met = t > least
             if level == PATCH:
                 curved, more, nx, ny, nz = meets_patch(
-                    flow, lens.patches, lens.across, facet, prim, px, py, pz, dx, dy, dz
+                    flow, lens.patches, lens.across, facet, prim, Ray(px, py, pz, dx, dy, dz)
                 )
                 t += more
                 px, py, pz = px + more * dx, py + more * dy, pz + more * dz
@@ -133,7 +134,7 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
         if surface.posed:
             sx, sy, sz = point_through(surface.unpose, x, y, z)
             ex, ey, ez = direction_through(surface.unpose, dx, dy, dz)
-        met, t = conic_distance(surface.curvature, surface.conic, sx, sy, sz - surface.vertex_z, ex, ey, ez, sense)
+        met, t = conic_distance(surface.curvature, surface.conic, Ray(sx, sy, sz - surface.vertex_z, ex, ey, ez), sense)
         px, py, pz = sx + t * ex, sy + t * ey, sz + t * ez - surface.vertex_z
         t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
@@ -187,7 +188,7 @@ def first_bulge(
             x, y, z = point_through(surface.unpose, x, y, z)
             dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
         z -= surface.vertex_z
-        met, t = first_crossing(surface, x, y, z, dx, dy, dz, sense, ahead, nearest, k == packet.last)
+        met, t = first_crossing(surface, Ray(x, y, z, dx, dy, dz), sense, ahead, nearest, k == packet.last)
         if not met or (k == found and t > nearest * (1.0 - SAME_HIT)):
             continue
         first, nearest, fx, fy, fz = k, t, x + t * dx, y + t * dy, z + t * dz
@@ -197,10 +198,7 @@ def first_bulge(
             fx, fy, fz = point_through(surface.pose, fx, fy, fz)
             nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
     # A crossing that the mesh has found already is no news.
-    prim, t, mx, my, mz = _first_patch(
-        lens.tree, space, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, ahead,
-        nearest * (1.0 - SAME_HIT),
-    )  # fmt: skip
+    prim, t, mx, my, mz = _first_patch(lens.tree, space, ray_of(packet), ahead, nearest * (1.0 - SAME_HIT))
     if prim >= 0:
         first, nearest = lens.facets[prim].body, t
         fx, fy, fz = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
@@ -244,7 +242,7 @@ def crosses_beside(lens: LensTables, packet: Any) -> bool:
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     ahead = packet.limit if packet.last == NO_SURFACE else 0.0
     x, y, z = packet.x + ahead * dx, packet.y + ahead * dy, packet.z + ahead * dz - surface.vertex_z
-    meets, t = conic_distance(surface.curvature, surface.conic, x, y, z, dx, dy, dz, sense)
+    meets, t = conic_distance(surface.curvature, surface.conic, Ray(x, y, z, dx, dy, dz), sense)
     return meets and ahead + t > 0.0 and surface.curvature * (1.0 + surface.conic) * (z + t * dz) < 1.0
 
 

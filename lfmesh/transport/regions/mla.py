@@ -29,6 +29,7 @@ from lfmesh.geometry.array.lenslets import (
 )
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.crossing import end, requery, too_deep, write_query
@@ -191,7 +192,7 @@ def _meets_face(
     by_profile = options.surface == EXACT and not is_spherical(lenslets.profile)
     if by_profile:
         met, t = meets_profile(
-            lenslets.profile, lenslets, column, row, x - cx, y - cy, z, dx, dy, dz, inward,
+            lenslets.profile, lenslets, column, row, Ray(x - cx, y - cy, z, dx, dy, dz), inward,
             packet.query_from, min(sideways, layer),
         )  # fmt: skip
         if met:
@@ -222,8 +223,8 @@ def _meets_face(
             # none of the face, the entry into the layer does.
             curvature, ex, ey = shape_of(lenslets, column, row)
             met, more = conic_distance(
-                curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz,
-                dx, dy, dz, 1.0 if inward else -1.0,
+                curvature, 0.0, Ray(x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz),
+                1.0 if inward else -1.0,
             )  # fmt: skip
             t += more
             px, py, pz = x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz
@@ -235,7 +236,7 @@ def _meets_face(
             if options.surface == PATCH:
                 # A ray that grazes a lenslet may pass between its facets and their patches.
                 curved, at_patch, nx, ny, nz = _first_patch(
-                    mla.tree, 1.0 if inward else -1.0, x - fold_x, y - fold_y, z, dx, dy, dz, 0.0,
+                    mla.tree, 1.0 if inward else -1.0, Ray(x - fold_x, y - fold_y, z, dx, dy, dz), 0.0,
                     sideways * (1.0 + slack),
                 )  # fmt: skip
             if curved >= 0:
@@ -243,7 +244,7 @@ def _meets_face(
             elif met and options.surface == PATCH:
                 _, more, nx, ny, nz = meets_patch(
                     flow, mla.patches, mla.across, mla.facets[prim], prim,
-                    x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz,
+                    Ray(x + t * dx - fold_x, y + t * dy - fold_y, z + t * dz, dx, dy, dz),
                 )  # fmt: skip
                 t += more
                 met = t > 0.0

@@ -319,7 +319,7 @@ def scattered_at_face(
     """
     return scattered(
         mla.interfaces, number, options, packet, block[rows.N_I + i], block[rows.N_T + i],
-        packet.dx, packet.dy, packet.dz, block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i],
+        (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]),
     )  # fmt: skip
 
 

@@ -254,7 +254,7 @@ def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) 
     if packet.kind == SHADOW:
         until = min(until, packet.limit)
     state = bodies_round(packet), objects.rank
-    return _first_patch(glass.tree, state, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, 0.0, until)
+    return _first_patch(glass.tree, state, ray_of(packet), 0.0, until)
 
 
 @inlined

@@ -136,7 +136,7 @@ def _distance_to_glass(glass: Any, flow: Flow, objects: ObjectTables, packet: An
         return t
     x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
     met, more, _, _, _ = meets_patch(
-        flow, glass.patches, glass.across, objects.facets[prim], prim, x, y, z, packet.dx, packet.dy, packet.dz
+        flow, glass.patches, glass.across, objects.facets[prim], prim, Ray(x, y, z, packet.dx, packet.dy, packet.dz)
     )
     return max(t + more, 0.0) if met else t
 
@@ -155,7 +155,7 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
     if front.posed:
         x, y, z = point_through(front.unpose, x, y, z)
         dx, dy, dz = direction_through(front.unpose, dx, dy, dz)
-    meets, more = distance_to(front, x, y, z - front.vertex_z, dx, dy, dz, 1.0)
+    meets, more = distance_to(front, Ray(x, y, z - front.vertex_z, dx, dy, dz), 1.0)
     return enters + max(more, 0.0) if meets else enters
 
 

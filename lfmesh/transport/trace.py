@@ -15,16 +15,7 @@ from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import (
-    BY_MESH,
-    BY_ORDER,
-    COUNTERS,
-    END,
-    NODE,
-    Event,
-    Options,
-    Status,
-)
+from lfmesh.transport.packets.packet import BY_MESH, BY_ORDER, COUNTERS, END, NODE, Event, Options, Status
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.ray_starts import located, refuse_starts_in_the_lens
 from lfmesh.transport.regions.glass_round import glass_round

@@ -9,10 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.notebook import Shown
 from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import (
-    Event,
-    Status,
-)
+from lfmesh.transport.packets.packet import Event, Status
 from lfmesh.transport.world import World
 
 

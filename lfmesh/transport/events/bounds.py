@@ -8,12 +8,7 @@ from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.geometry.meshes.shell_tree import next_crossing
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.tables.volumes import (
-    BOX,
-    CYLINDER,
-    IN_FRONT,
-    SHELL,
-)
+from lfmesh.transport.tables.volumes import BOX, CYLINDER, IN_FRONT, SHELL
 
 
 @inlined

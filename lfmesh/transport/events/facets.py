@@ -9,10 +9,7 @@ from lfmesh.geometry.meshes.levels import FLAT
 from lfmesh.geometry.meshes.patch import hit_patch
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.packets.packet import (
-    FALLBACKS,
-    Flow,
-)
+from lfmesh.transport.packets.packet import FALLBACKS, Flow
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,7 @@ from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.bounds import own_ray, span
 from lfmesh.transport.events.volume import HIGH, LOW, Array, Line, Passage, coefficients, pass_through
 from lfmesh.transport.packets.random import uniform
-from lfmesh.transport.tables.volumes import (
-    Volumes,
-)
+from lfmesh.transport.tables.volumes import Volumes
 
 PLACE, WHICH = 0, 2
 """Dimensions of a scattering point's random numbers, beside that of its step: its place in the step, and the medium."""

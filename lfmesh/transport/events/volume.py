@@ -20,12 +20,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bounds import cell_end, own_ray, span
 from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform
-from lfmesh.transport.tables.volumes import (
-    BY_TEMPERATURE,
-    OF_BODY,
-    OF_VOXELS,
-    Volumes,
-)
+from lfmesh.transport.tables.volumes import BY_TEMPERATURE, OF_BODY, OF_VOXELS, Volumes
 
 Array = NDArray[np.float64]
 

@@ -10,15 +10,7 @@ from lfmesh.geometry.meshes.levels import PATCH
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.mixture import aimed_straight
-from lfmesh.transport.events.bodies import (
-    RANK,
-    TOO_MANY,
-    beyond_facet,
-    bodies_round,
-    is_in,
-    medium_of,
-    set_bodies,
-)
+from lfmesh.transport.events.bodies import RANK, TOO_MANY, beyond_facet, bodies_round, is_in, medium_of, set_bodies
 from lfmesh.transport.events.crossing import AIM_DISK, AIM_U, AIM_V, draw, lose, reflected, refracted, requery
 from lfmesh.transport.events.facets import clear_of, facet_normal, meets_patch, nearest_on_facet, next_query_from
 from lfmesh.transport.events.interface import (

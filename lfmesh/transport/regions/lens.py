@@ -13,15 +13,7 @@ from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.ray import ray_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import (
-    end,
-    end_here,
-    lose,
-    move_packet,
-    requery,
-    too_deep,
-    write_query,
-)
+from lfmesh.transport.events.crossing import end, end_here, lose, move_packet, requery, too_deep, write_query
 from lfmesh.transport.events.facets import next_query_from
 from lfmesh.transport.events.travel import arrive
 from lfmesh.transport.packets.book import HOUSING, LOST_CONTRADICTION, STOP

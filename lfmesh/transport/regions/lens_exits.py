@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import (
-    at_box,
-    end,
-    end_here,
-    thinned,
-)
+from lfmesh.transport.events.crossing import at_box, end, end_here, thinned
 from lfmesh.transport.events.interface import (
     divided,
     is_rough,

@@ -16,10 +16,7 @@ from lfmesh.geometry.surfaces.surface import conic_distance, distance_to, first_
 from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import crosses, facet_normal, meets_patch
-from lfmesh.transport.packets.packet import (
-    NO_SURFACE,
-    Flow,
-)
+from lfmesh.transport.packets.packet import NO_SURFACE, Flow
 from lfmesh.transport.tables.tables import LensTables
 
 Array = NDArray[np.float64]

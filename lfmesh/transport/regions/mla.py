@@ -38,15 +38,7 @@ from lfmesh.transport.events.interface import is_rough, scatterer, splitter
 from lfmesh.transport.events.kick import kicked
 from lfmesh.transport.events.travel import arrive, travel
 from lfmesh.transport.packets.book import EVANESCENT, LOST_IN_MLA, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
-from lfmesh.transport.packets.packet import (
-    LEFT_FACE,
-    NO_SURFACE,
-    PLATE,
-    S_ABSORBED,
-    Flow,
-    Options,
-    put,
-)
+from lfmesh.transport.packets.packet import LEFT_FACE, NO_SURFACE, PLATE, S_ABSORBED, Flow, Options, put
 from lfmesh.transport.paths.automaton import NEXT_LENSLET
 from lfmesh.transport.regions import lens_block as rows
 from lfmesh.transport.regions.lens_block import BLOCK, meet_in_order, set_only_conic, set_ray, split_block

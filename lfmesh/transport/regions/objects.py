@@ -13,21 +13,8 @@ from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.patch_tree import patch_finder
 from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.bodies import (
-    RANK,
-    bodies_round,
-    is_in,
-)
-from lfmesh.transport.events.crossing import (
-    MAX_TRIES,
-    end,
-    end_here,
-    lose,
-    move_packet,
-    requery,
-    too_deep,
-    write_query,
-)
+from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
+from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
 from lfmesh.transport.events.facets import clear_of, crosses, next_query_from
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.travel import travel

@@ -40,14 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.paths.automaton import REFLECTED_TWICE
 from lfmesh.transport.sequences.bundle import empty_bundle
-from lfmesh.transport.sequences.follower import (
-    END_ROWS,
-    RAY_ENDED,
-    RAY_MET,
-    RAY_WEIGHT,
-    Route,
-    follow_rays,
-)
+from lfmesh.transport.sequences.follower import END_ROWS, RAY_ENDED, RAY_MET, RAY_WEIGHT, Route, follow_rays
 from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import Camera, MlaTables
 

@@ -12,20 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.sequences.bundle import (
-    AT_Z,
-    BLOCK,
-    DROPPED,
-    DX,
-    DY,
-    DZ,
-    X,
-    Y,
-    Z,
-    absorb,
-    set_fate,
-    set_normal,
-)
+from lfmesh.transport.sequences.bundle import AT_Z, BLOCK, DROPPED, DX, DY, DZ, X, Y, Z, absorb, set_fate, set_normal
 from lfmesh.transport.sequences.division import divide, go_on
 from lfmesh.transport.sequences.lens_surfaces import NEAR
 from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables

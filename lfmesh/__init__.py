@@ -112,7 +112,8 @@ if TYPE_CHECKING:
     from lfmesh.transport.packets.ledger import Ledger
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
-    from lfmesh.transport.trace import Paths, Status, trace
+    from lfmesh.transport.trace import Status, trace
+    from lfmesh.transport.traced_paths import Paths
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
@@ -326,7 +327,8 @@ _HOMES = {
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger"],
     "lfmesh.transport.render.progress": ["Progress"],
-    "lfmesh.transport.trace": ["Paths", "Status", "trace"],
+    "lfmesh.transport.trace": ["Status", "trace"],
+    "lfmesh.transport.traced_paths": ["Paths"],
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],

@@ -29,7 +29,7 @@ ROOMS = {
         *["packets", "paths", "tables", "events", "lights", "sequences", "aims", "checks/aim_proof", "regions"],
         *["choice", "collisions", "close_faces", "refused_glass", "world", "settings"],
         *["threads", "engine", "sources"],  # packets through a world, and what starts them
-        "checks, render, trace",
+        "checks, render, ray_starts, traced_paths, trace",
     ],
     "view": [
         "figure_file, progress, pictures, results",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lfmesh.accuracy.lens_accuracy import Bundle
 from lfmesh.geometry.lens.lens_shape import LensShape, lens_shape
-from lfmesh.geometry.surfaces.surface import normals
+from lfmesh.geometry.surfaces.sag import normals
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Scene
 

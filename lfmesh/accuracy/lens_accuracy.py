@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy import analytic
+from lfmesh.geometry.array.array_mesh import cell_pattern
 from lfmesh.geometry.array.lattice import Lattice
-from lfmesh.geometry.array.lenslets import cell_pattern
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene

@@ -229,13 +229,13 @@ def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overr
     if beside:
         raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
     with defer_interrupt():
-        from lfmesh.files import checkpoint, run
+        from lfmesh.files import checkpoint, image_file, run
 
     if run.is_complete(folder):
         print(f"{folder} is complete: there is nothing to go on with.")
         return 0
     run.prepare(folder)
-    kept = checkpoint.read(folder, run.scene_from)
+    kept = checkpoint.read(folder, image_file.scene_from)
     return _traced(overridden(kept.scene, threads), folder, kept.arrays)
 
 
@@ -252,13 +252,13 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
         Address of a scheduler.
     """
     with defer_interrupt():
-        from lfmesh.files import run
+        from lfmesh.files import image_file
         from lfmesh.files.checkpoint import Checkpoints
         from lfmesh.waves.particles import particle_film
         from lfmesh.waves.render import render as trace_image
 
     scene = scene.pinned()
-    keep = Checkpoints(folder, run.scene_metadata(scene, folder))
+    keep = Checkpoints(folder, image_file.scene_metadata(scene, folder))
     try:
         with progress() as report:
             if dask is None:

@@ -38,7 +38,7 @@ class Checkpoints:
     ----------
     folder : Path
     facts : dict
-        The scene, as `lfmesh.files.run.scene_metadata` gives it.
+        The scene, as `lfmesh.files.image_file.scene_metadata` gives it.
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ import numpy as np
 
 import lfmesh
 from lfmesh.errors import FileError
-from lfmesh.files import exr, run
+from lfmesh.files import exr, image_file, run
 from lfmesh.files.folder import saved
 from lfmesh.files.picture import write_picture
 from lfmesh.lightfield.views.field import LightField, from_mosaic, mosaic
@@ -51,7 +51,7 @@ def save_field(field: LightField, folder: Path) -> list[Path]:
         "views": list(field.views),
         **{name: getattr(field, name).tolist() for name in _AXES},
         "raw_sha256": run.pixels_digest(folder),
-        **run.scene_metadata(field.scene, folder),
+        **image_file.scene_metadata(field.scene, folder),
     }
     # The parts of an EXR have one size.
     sharing = np.broadcast_to(field.sharing[:, :, None], field.data.shape)
@@ -85,8 +85,8 @@ def open_field(folder: Path) -> LightField | None:
         )
     if metadata.get("raw_sha256") != digest:
         return None
-    with run.fitting(path, "decode the run again"):
-        scene = run.scene_from(metadata, folder)
+    with image_file.fitting(path, "decode the run again"):
+        scene = image_file.scene_from(metadata, folder)
         of_scene = scene.wavelengths_nm
         axes = {name: np.asarray(metadata[name], dtype=np.float64) for name in _AXES}
         rows, columns = metadata["views"]

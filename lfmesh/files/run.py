@@ -1,23 +1,18 @@
 """The run folder: a rendered image with everything that is needed to judge and to repeat it."""
 
-import hashlib
 import itertools
 import json
 import os
 import re
 import tempfile
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order
+from lfmesh.errors import FileError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
@@ -35,6 +30,7 @@ from lfmesh.files.folder import (
     saved,
     staged,
 )
+from lfmesh.files.image_file import ERROR, FORMAT, HITS, PARTS, UPPER, image_from, refuse_damage, write_image
 from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
@@ -48,18 +44,7 @@ from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES
 from lfmesh.scene.literals import shown_path
-from lfmesh.scene.settings.transport import REPLICATES
-from lfmesh.transport.checks.aim_proof import AimProof
-from lfmesh.transport.checks.blind_check import BlindCheck
-from lfmesh.transport.checks.found import found
-from lfmesh.transport.checks.order_check import OrderCheck
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.adaptive import Refinement
-from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
-
-FORMAT = 2
-"""Of the run folder; a reader refuses any other."""
 
 WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
 """What is wrong with runs of older formats, and with what was made from them."""
@@ -67,7 +52,6 @@ WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
-PARTS, HITS, ERROR, UPPER = ("raw", "stderr"), "hits", "error", "upper"
 
 EDITED_SECONDS = 2.0
 """A scene file of a run without manifest that is newer than the report by more was edited."""
@@ -178,11 +162,11 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     _refuse_change(path, RAW)
     spectral = exr.read(path / RAW, PARTS, [HITS, ERROR, UPPER])
     metadata = spectral.metadata
-    _refuse_damage(path / RAW, spectral)
+    refuse_damage(path / RAW, spectral)
     if metadata["pixels_sha256"] != report.get("pixels_sha256"):
         raise FileError(f"{path} mixes two runs, {RAW} and {REPORT} do not belong together; render it again")
     _refuse_change(path, REPORT)
-    return _image_from(spectral, path / RAW)
+    return image_from(spectral, path / RAW)
 
 
 def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike[str]) -> Path:
@@ -207,7 +191,7 @@ def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike
     """
     path = Path(folder)
     with added(path) as staging:
-        _write_image(staging / WHITE, white, path)
+        write_image(staging / WHITE, white, path)
         picture = Upright.of(white.scene).picture
         write_preview(staging / WHITE_PREVIEW, picture(white.mean), white.wavelengths_nm, picture(white.stderr))
         write_calibration(staging / CALIBRATION, calibration)
@@ -227,8 +211,8 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
     if saved(path, WHITE) is None:
         return None
     spectral = exr.read(path / WHITE, PARTS, [HITS, ERROR, UPPER])
-    _refuse_damage(path / WHITE, spectral)
-    return _image_from(spectral, path / WHITE)
+    refuse_damage(path / WHITE, spectral)
+    return image_from(spectral, path / WHITE)
 
 
 @contextmanager
@@ -325,100 +309,6 @@ def _refuse_change(folder: Path, name: str) -> None:
     """
     if saved(folder, name) is None:
         raise FileError(f"{folder / MANIFEST} does not name {name}, without which there is no run; render it again")
-
-
-@contextmanager
-def fitting(path: Path, advice: str) -> Iterator[None]:
-    """Turn what goes wrong with the metadata of a file into one line that names the file.
-
-    Parameters
-    ----------
-    path : Path
-    advice : str
-        What to do, such as "render the scene again".
-    """
-    try:
-        yield
-    except (
-        LfmeshError,
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        IndexError,
-        ArithmeticError,
-        RecursionError,
-    ) as e:
-        what = (
-            f"{e.args[0]!r} is missing" if isinstance(e, KeyError) else f"{str(e).splitlines()[0] if str(e) else e!r}"
-        )
-        raise FileError(f"{path} is damaged: {what[:200]}; {advice}") from None
-
-
-def _refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
-    if spectral.metadata.get("pixels_sha256") != _digest(*spectral.parts.values()):
-        raise FileError(f"{path} is damaged: its pixels are not those that were saved")
-
-
-def _image_from(spectral: exr.SpectralImage, path: Path) -> Image:
-    """Return the image of a file whose pixels are those that were saved."""
-    with fitting(path, "render the scene again"):
-        image = _image_of(spectral, path.parent)
-        _refuse_impossible(image)
-    return image
-
-
-def _refuse_impossible(image: Image) -> None:
-    """Raise a ValueError where an image's numbers cannot be those of a render."""
-    columns, rows = image.scene.camera.sensor.pixels
-    shape = (rows, columns, image.scene.channels)
-    if image.mean.shape != shape:
-        raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
-    if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
-        raise ValueError("it has pixels that are negative, infinite or no number")
-    # A single replicate has no spread, and NaN stands for its error.
-    if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
-        raise ValueError("it has standard errors that are negative or infinite")
-    for name in ("seconds", "samples"):
-        value = getattr(image, name)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{name} is {value!r}, no number")
-    if isinstance(image.replicates, bool) or not isinstance(image.replicates, int) or image.replicates < 0:
-        raise ValueError(f"replicates_finished is {image.replicates!r}, no count")
-    if not isinstance(image.engine, str) or not isinstance(image.coatings, dict):
-        raise ValueError("engine or coatings are not what lfmesh writes")
-
-
-def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
-    metadata = spectral.metadata
-    image = Image(
-        mean=spectral.parts["raw"].astype(np.float64),
-        stderr=spectral.parts["stderr"].astype(np.float64),
-        scene=scene_from(metadata, folder),
-        ledger=Ledger.from_dict(metadata["ledger"]),
-        seconds=metadata["seconds"],
-        replicates=metadata["replicates_finished"],
-        samples=metadata["samples_per_pixel"],
-        engine=metadata["engine"],
-        refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
-        hits=spectral.parts.get(HITS),
-        aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
-        blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
-        order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
-        coatings=metadata.get("coatings") or {},
-        certainty=_certainty_of(spectral.parts),
-    )
-    # Runs of older versions hold no warnings, but the numbers that they follow from.
-    told = metadata.get("warnings")
-    image.warnings = in_order(found(image)) if told is None else tuple(PictureWarning.from_dict(each) for each in told)
-    return image
-
-
-def _certainty_of(parts: dict[str, NDArray[Any]]) -> Certainty | None:
-    """Return errors and bounds that were saved; None of an image of a single part, which tells them itself."""
-    if ERROR not in parts or UPPER not in parts:
-        return None
-    return Certainty(parts[ERROR].astype(np.float64), parts[UPPER].astype(np.float64))
 
 
 @contextmanager
@@ -522,7 +412,7 @@ def _other_name(path: Path, name: str) -> str:
 def _write_all(image: Image, folder: Path, home: Path) -> None:
     """Write every file of a run that will live in `home`."""
     scene = within(image.scene, home, folder)
-    metadata = _write_image(folder / RAW, replace(image, scene=scene), home)
+    metadata = write_image(folder / RAW, replace(image, scene=scene), home)
     (folder / SCENE).write_text(scene.dump_toml(), encoding="utf-8")
     upright = Upright.of(image.scene).picture
     white = write_preview(folder / PREVIEW, upright(image.mean), image.wavelengths_nm, upright(image.stderr))
@@ -549,77 +439,6 @@ def _write_all(image: Image, folder: Path, home: Path) -> None:
     }
     text = json.dumps(plain_json(report), indent=2, allow_nan=False, ensure_ascii=False)
     (folder / REPORT).write_text(text + "\n", encoding="utf-8")
-
-
-def _write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
-    """Write the pixels of an image for a run that will live in `home`; return the metadata."""
-    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
-    parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
-    if image.hits is not None:
-        parts[HITS] = np.asarray(image.hits, np.uint32)
-    if image.certainty is not None:
-        parts |= {name: np.asarray(getattr(image.certainty, name), np.float32) for name in (ERROR, UPPER)}
-    metadata = _metadata(image, _digest(*parts.values()), home)
-    exr.write(path, exr.SpectralImage(parts, image.wavelengths_nm, metadata))
-    return metadata
-
-
-def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
-    transport = image.scene.transport
-    metadata = {
-        "format": FORMAT,
-        "lfmesh_version": lfmesh.__version__,
-        "name": image.scene.name,
-        "warnings": [warning.as_dict() for warning in image.warnings],
-        "unit": "W per pixel",
-        "orientation": Upright.of(image.scene).raw_in_words,
-        "wavelengths_nm": list(image.wavelengths_nm),
-        "scene_digest": image.scene.digest,
-        **scene_metadata(image.scene, home),
-        "seed": transport.seed,
-        "method": transport.method,
-        "engine": image.engine,
-        "complete": image.complete,
-        "replicates": transport.replicates,
-        "replicates_finished": image.replicates,
-        "samples_per_pixel": image.samples,
-        "refinement": asdict(image.refinement) if image.refinement else None,
-        "aim": image.aim._asdict() if image.aim else None,
-        "blind": asdict(image.blind) if image.blind else None,
-        "order": asdict(image.order) if image.order else None,
-        "coatings": image.coatings,
-        "seconds": image.seconds,
-        "ledger": image.ledger.as_dict(),
-        "pixels_sha256": pixels_sha256,
-    }
-    finite: dict[str, Any] = plain_json(metadata)
-    return finite
-
-
-def _digest(*parts: NDArray[Any]) -> str:
-    """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
-    digest = hashlib.sha256()
-    for pixels in parts:
-        digest.update(np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).data)
-    return digest.hexdigest()
-
-
-def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
-    """Return what `scene_from` reads, for a file that will live in `home`."""
-    scene = scene if scene.folder == home.resolve() and scene.digests else within(scene, home)
-    return {"scene_toml": scene.dump_toml(), "scene_folder": ".", "inputs": scene.digests}
-
-
-def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
-    """Return the scene as rendered, without asking whether its meshes and textures still exist."""
-    table = tomllib.loads(metadata["scene_toml"])
-    # Files written when every scene without replicates had 8 do not name them.
-    table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
-    scene = Scene(**table).in_folder(folder / metadata["scene_folder"])
-    inputs = metadata.get("inputs", {})
-    if not isinstance(inputs, dict) or not all(isinstance(digest, str) for digest in inputs.values()):
-        raise ValueError("inputs are not digests by path")
-    return scene.with_digests(inputs)
 
 
 def _micro_images(scene: Scene) -> Lattice | None:

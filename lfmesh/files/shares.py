@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import recover, staged_file
-from lfmesh.files.run import scene_from, scene_metadata
+from lfmesh.files.image_file import scene_from, scene_metadata
 from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_text

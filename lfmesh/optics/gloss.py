@@ -27,6 +27,7 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.microfacets import facet_density, projected_area, smith_g2, visible_normal
 
 Array = NDArray[np.float64]
+Direction = tuple[float, float, float]
 
 NODES = 256
 """Intervals of the tables, in the square root of the cosine."""
@@ -294,18 +295,18 @@ def gloss_albedos(
 
 @kernel
 def gloss_brdf(
-    parameters: Array, first: int, colour: int, texel: float,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
-) -> float:  # fmt: skip
+    parameters: Array, first: int, colour: int, texel: float, incoming: Direction, outgoing: Direction
+) -> float:
     """Return the BRDF, 1/sr; 0 for a direction below the surface.
 
     Parameters
     ----------
     parameters, first, colour, texel
         As for `gloss_albedos`.
-    ix, iy, iz, ox, oy, oz : float
+    incoming, outgoing : (3,) float
         Unit directions, away from the surface.
     """
+    (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     if iz <= 0.0 or oz <= 0.0:
         return 0.0
     tables = first + TABLES
@@ -348,7 +349,7 @@ def _chance_of_facet(once: float, rest: float) -> float:
 
 @kernel
 def gloss_direction(
-    parameters: Array, first: int, colour: int, texel: float, ix: float, iy: float, iz: float, u: float, v: float
+    parameters: Array, first: int, colour: int, texel: float, incoming: Direction, u: float, v: float
 ) -> tuple[float, float, float]:
     """Return a random direction: reflected by a visible facet, or by Lambert's law.
 
@@ -358,11 +359,12 @@ def gloss_direction(
     ----------
     parameters, first, colour, texel
         As for `gloss_albedos`.
-    ix, iy, iz : float
+    incoming : (3,) float
         Unit direction of the light that arrives, away from the surface.
     u, v : float
         Random numbers, uniform in [0, 1).
     """
+    ix, iy, iz = incoming
     once, rest = gloss_albedos(parameters, first, colour, texel, iz)
     chance = _chance_of_facet(once, rest)
     if u < chance:
@@ -378,18 +380,18 @@ def gloss_direction(
 
 @kernel
 def gloss_density(
-    parameters: Array, first: int, colour: int, texel: float,
-    ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
-) -> float:  # fmt: skip
+    parameters: Array, first: int, colour: int, texel: float, incoming: Direction, outgoing: Direction
+) -> float:
     """Return the density, 1/sr, with which `gloss_direction` draws a direction; 0 below the surface.
 
     Parameters
     ----------
     parameters, first, colour, texel
         As for `gloss_albedos`.
-    ix, iy, iz, ox, oy, oz : float
+    incoming, outgoing : (3,) float
         Unit directions, away from the surface.
     """
+    (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     if oz <= 0.0:
         return 0.0
     once, rest = gloss_albedos(parameters, first, colour, texel, iz)

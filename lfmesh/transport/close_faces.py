@@ -20,7 +20,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_corner_no
 from lfmesh.geometry.meshes.patch import patch_points, patches
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
-from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.contacts import touching_mm
 

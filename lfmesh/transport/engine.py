@@ -58,7 +58,8 @@ from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
 from lfmesh.transport.regions.lens_block import empty_block
-from lfmesh.transport.regions.mla import admit_to_cells, shade_cells, through_plate
+from lfmesh.transport.regions.mla import admit_to_cells, shade_cells
+from lfmesh.transport.regions.mla_plate import through_plate
 from lfmesh.transport.regions.objects import admit_to_objects, shade_objects
 from lfmesh.transport.regions.sensor import onto_reflecting_sensor, onto_sensor
 from lfmesh.transport.regions.stuck import lose_stuck

@@ -19,7 +19,7 @@ from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
 from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.bodies import MOST_AT_ONCE, MOST_BODIES
-from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.contacts import CUT, common_area, touching_mm, widest_contact_mm
 

@@ -1,46 +1,23 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError, LostEnergyWarning, warn_caller
-from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
-from lfmesh.geometry.surfaces.surface import in_place
-from lfmesh.geometry.surfaces.tessellation import mesh_heights
-from lfmesh.notebook import Shown
 from lfmesh.scene.literals import literal
 from lfmesh.scene.settings.transport import MOST_EVENTS, MOST_THREADS
 from lfmesh.signatures import with_keywords
 from lfmesh.transport.choice import obstacle_of
-from lfmesh.transport.collisions import far_end_mm
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import (
-    BY_MESH,
-    BY_ORDER,
-    CAMERA_FRAME,
-    COUNTERS,
-    END,
-    LENS,
-    MLA_FRAME,
-    NODE,
-    OBJECTS,
-    PLATE,
-    SENSOR,
-    SENSOR_FRAME,
-    WORLD_FRAME,
-    Event,
-    Options,
-    Status,
-)
+from lfmesh.transport.packets.packet import BY_MESH, BY_ORDER, COUNTERS, END, NODE, Event, Options, Status
 from lfmesh.transport.packets.random import descendant
+from lfmesh.transport.ray_starts import located, refuse_starts_in_the_lens
 from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.sequences.given_rays import ENDED, GONE, REFUSED, UNSURE, followed
 from lfmesh.transport.settings import SPLIT_MODE, ledger_of, options_of
@@ -55,99 +32,13 @@ from lfmesh.transport.tables.media import with_media
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.tables import ABSORBING, Media, Records, Tables
 from lfmesh.transport.tables.volumes import volumes_at
+from lfmesh.transport.traced_paths import Paths, Vertex
 from lfmesh.transport.world import World
 
 X_AXIS = (1.0, 0.0, 0.0)
 
 ROUNDING = 1e-12
 """Share of I by which the polarised part of a given Stokes vector may exceed it."""
-
-
-@dataclass(frozen=True)
-class Vertex:
-    """One recorded point of a path."""
-
-    position: NDArray[np.float64]
-    """(3,) mm, world frame."""
-    surface: str
-    """Name of the surface: "lens surface 3", "mla curved face", "stop", ..."""
-    event: Event
-    weight: float
-    """Weight of the packet after the event."""
-
-
-@dataclass(frozen=True)
-class Paths(Shown):
-    """The ends of all packets of a trace, one row for each, in the order of the input rays.
-
-    Attributes
-    ----------
-    position : (n, 3) float64, mm, world frame
-    direction : (n, 3) float64, unit
-    weight : (n,) float64
-        Share of the ray's power that the packet holds.
-    status : (n,) int64
-        `Status` of each.
-    source : (n,) int64
-        Index of the input ray.
-    events : (n,) int64
-        Number of interfaces met.
-    body : list of str
-        Name of the body that each ended on.
-    ledger : Ledger
-    stokes : (n, 4) float64, optional
-        I, Q, U and V of the packets of a scene with `transport.polarisation`; I is the weight. For the conventions see
-        `optics.polarisation`.
-    reference : (n, 3) float64, unit, world frame, optional
-        The direction that Q and U refer to, square to `direction`.
-    """
-
-    position: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    status: NDArray[np.int64]
-    source: NDArray[np.int64]
-    events: NDArray[np.int64]
-    ledger: Ledger
-    _slot: NDArray[np.integer]
-    _node: NDArray[np.int64]
-    _nodes: NDArray[np.void]
-    _world: World
-    stokes: NDArray[np.float64] | None = None
-    reference: NDArray[np.float64] | None = None
-
-    def __len__(self) -> int:
-        return len(self.weight)
-
-    def __repr__(self) -> str:
-        ends = [(status.name.lower(), int((self.status == status).sum())) for status in Status]
-        said = ", ".join(f"{number:,} {name}" for name, number in ends if number)
-        return f"<Paths: {len(self):,} packets{': ' if said else ''}{said}>"
-
-    @cached_property
-    def body(self) -> list[str]:
-        """Name of the body that each ended on, made at the first use."""
-        names: list[str] = np.array(self._world.slots, dtype=object)[self._slot].tolist()
-        return names
-
-    def vertices(self, packet: int) -> list[Vertex]:
-        """Return the recorded path of a packet, from its ray's start to its end.
-
-        Raises
-        ------
-        LfmeshError
-            The trace was made without `record`.
-        """
-        if not len(self._nodes):
-            raise LfmeshError("nothing was recorded; call trace(..., record=True)")
-        path = []
-        node = int(self._node[packet])
-        while node >= 0:
-            row = self._nodes[node]
-            name = self._world.surface_name(int(row["surface"]))
-            path.append(Vertex(row["position"].copy(), name, Event(int(row["event"])), float(row["weight"])))
-            node = int(row["parent"])
-        return path[::-1]
 
 
 class Settings(TypedDict, total=False):
@@ -413,75 +304,6 @@ def _at_level(world: World, tables: Tables, level: int) -> Tables:
     return tables._replace(lens=tables.lens._replace(surfaces=surfaces))
 
 
-def located(
-    world: World, p: NDArray[np.float64], d: NDArray[np.float64], numbers: NDArray[np.int64] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the station and the space in which each ray starts, and the rays in the camera frame.
-
-    Parameters
-    ----------
-    world : World
-    p, d : (n, 3) float64
-        Position, mm, and direction, world frame.
-    numbers : (n,) int64, optional
-        Numbers of the rays in error messages, if not 0 to n − 1.
-
-    Raises
-    ------
-    LfmeshError
-        A ray starts inside the array.
-    """
-    tables, shape = world.tables, world.lens_shape
-    to_camera = tables.frames[WORLD_FRAME, CAMERA_FRAME]
-    p, d = frame.points(to_camera, p), frame.directions(to_camera, d)
-    r = np.hypot(p[:, 0], p[:, 1])
-    # Number of surfaces before each point; beyond its rim a surface continues as the plane of the rim.
-    behind = np.zeros(len(p), np.int64)
-    for s, rim in zip(shape.surfaces, shape.rims, strict=True):
-        q = in_place(s, p)
-        behind += q[:, 2] > s["vertex_z"] + mesh_heights(s, q[:, 0], q[:, 1], rim)
-    count = len(shape.surfaces)
-    inside = (behind > 0) & (behind < count) & (r <= max(shape.rims))
-    station = np.full(len(p), OBJECTS)
-    space = behind.copy()
-    station[inside] = LENS
-    outline = np.hypot(world.housing.vertices[:, 0], world.housing.vertices[:, 1]).max()
-    after = (behind == count) & (p[:, 2] < world.housing.vertices[:, 2].max()) & (r < outline)
-    if tables.mla.present:
-        q = frame.points(tables.frames[CAMERA_FRAME, MLA_FRAME], p)
-        e = frame.directions(tables.frames[CAMERA_FRAME, MLA_FRAME], d)
-        lenslets = tables.mla.lenslets
-        within = after & (q[:, 2] > lenslets.top) & (q[:, 2] < far_end_mm(tables.mla))
-        if within.any():
-            number = np.flatnonzero(within)[0] if numbers is None else numbers[within][0]
-            raise LfmeshError(f"ray {int(number)} starts inside the microlens array; start it before or behind")
-        towards = (q[:, 2] <= lenslets.top) == (e[:, 2] > 0.0)
-        lens_side = (q[:, 2] <= lenslets.top) == tables.mla.curved_to_lens
-        station[after] = np.where(towards, PLATE, np.where(lens_side, LENS, SENSOR))[after]
-    else:
-        forward = frame.directions(tables.frames[CAMERA_FRAME, SENSOR_FRAME], d)[:, 2] > 0.0
-        station[after] = np.where(forward, SENSOR, LENS)[after]
-    if tables.cover is not None:
-        # In the cover and behind it too.
-        behind_front = frame.points(tables.frames[CAMERA_FRAME, SENSOR_FRAME], p)[:, 2] > tables.cover.front_z
-        station[after & behind_front] = SENSOR
-    space[after] = count
-    # Beside the lens there is air, whichever surfaces lie before the point.
-    space[station == OBJECTS] = 0
-    return station, space, p, d
-
-
-def _refuse_starts_in_the_lens(
-    station: NDArray[np.int64], space: NDArray[np.int64], surfaces: int, numbers: NDArray[np.int64]
-) -> None:
-    inside = (station == LENS) & (space > 0) & (space < surfaces)
-    if inside.any():
-        raise LfmeshError(
-            f'ray {int(numbers[inside][0])} starts inside the lens: engine = "sequential" follows rays through '
-            'all of it; use "mesh"'
-        )
-
-
 def _kept(work: Workspace, _: range) -> tuple[Records, Records, NDArray[np.float64], NDArray[np.int64]]:
     """Return the ends, the vertices, the book and the counts of a chunk."""
     return work.ends(), work.vertices(), work.book.copy(), work.counts.copy()
@@ -526,7 +348,7 @@ class _Call(NamedTuple):
         inside = glass_round(world.tables.objects, world.targets, p)
         station, space, p, d = located(world, p, d, numbers)
         if self.options.faces == BY_ORDER:
-            _refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
+            refuse_starts_in_the_lens(station, space, len(self.tables.lens.surfaces), numbers)
         power, stokes, reference = self.states if self.states is not None else (np.ones(len(p)), None, None)
         source = RaySource(
             p, d, station, space, power, self.key, inside=inside if inside.any() else None, stokes=stokes,

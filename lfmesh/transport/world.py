@@ -9,7 +9,7 @@ import numpy as np
 
 from lfmesh.errors import ClosedGapWarning, CutBodiesWarning, LfmeshError, PictureWarning, SceneError, warn_caller
 from lfmesh.geometry import frame
-from lfmesh.geometry.array.lenslets import mla_mesh
+from lfmesh.geometry.array.array_mesh import mla_mesh
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.lens.solved_camera import solved_camera
@@ -17,10 +17,7 @@ from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, joined
 from lfmesh.geometry.objects.targets import TargetMesh, target_mesh
 from lfmesh.geometry.surfaces.division import divided
-from lfmesh.geometry.surfaces.tessellation import (
-    element,
-    revolved,
-)
+from lfmesh.geometry.surfaces.tessellation import element, revolved
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.sections import AZIMUTHS
@@ -52,21 +49,10 @@ from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracti
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear
 from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
-from lfmesh.transport.tables.particles import (
-    ParticleTables,
-    corners_round,
-    particle_tables,
-    refuse_particles_behind,
-)
+from lfmesh.transport.tables.particles import ParticleTables, corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
-from lfmesh.transport.tables.tables import (
-    ROUGH,
-    AimTables,
-    Camera,
-    SensorTables,
-    Tables,
-)
+from lfmesh.transport.tables.tables import ROUGH, AimTables, Camera, SensorTables, Tables
 from lfmesh.transport.tables.volumes import corners_in_camera, reach_of
 
 if TYPE_CHECKING:

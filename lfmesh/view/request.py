@@ -20,7 +20,7 @@ from lfmesh.scene import Scene, load
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
-from lfmesh.view.rays.launch import launch
+from lfmesh.view.rays.launch_line import launch
 from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, FieldPoints, Rays
 
 Picture = NDArray[np.uint8]
@@ -129,7 +129,7 @@ def launched(
     world: World, specs: Sequence[str] = (), count: int | None = None, *,
     wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
 ) -> Launched:  # fmt: skip
-    """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch.launch`.
+    """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch_line.launch`.
 
     Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
 

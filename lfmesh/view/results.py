@@ -34,7 +34,7 @@ from lfmesh.templates import filled
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import Status
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.trace import Paths
+from lfmesh.transport.traced_paths import Paths
 from lfmesh.transport.world import World
 from lfmesh.view.figure_file import encoded_figure
 from lfmesh.view.pictures import coloured, file_url

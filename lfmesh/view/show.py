@@ -117,7 +117,8 @@ def show(
     subject : Scene, World, Image, or path of a scene file or a run folder
         A run's picture lies on its sensor.
     rays : Rays, str or sequence of str, optional
-        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see `lfmesh.view.rays.launch.FORMS`.
+        Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see
+        `lfmesh.view.rays.launch_line.FORMS`.
         Left out: points of the plane in focus, refracted rays alone.
     filter : str, optional
         Which paths to draw, see `lfmesh.view.rays.filters`.

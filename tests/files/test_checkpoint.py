@@ -14,7 +14,7 @@ import lfmesh as lf
 from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.errors import FileError
-from lfmesh.files import checkpoint, run
+from lfmesh.files import checkpoint, image_file, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.folder import STAGING
 from lfmesh.files.sealed import read_sealed, write_sealed
@@ -271,7 +271,7 @@ def test_an_edited_checkpoint_is_refused(cut_short: Path, capsys: pytest.Capture
             edited.flat[edited.size // 2] = np.nan if edited.dtype.kind == "f" else edited.flat[edited.size // 2] + 1
             np.savez(path, **arrays | {name: edited})
             with pytest.raises(FileError, match="is damaged"):
-                checkpoint.read(cut_short, run.scene_from)
+                checkpoint.read(cut_short, image_file.scene_from)
     digest, facts = arrays["facts"]
     np.savez(path, **arrays | {"facts": np.array([digest, facts.replace("60.0", "61.0", 1)])})
     assert "is damaged" in refusal(capsys)

@@ -16,7 +16,7 @@ import pytest
 
 import lfmesh
 from lfmesh.errors import FileError
-from lfmesh.files import checkpoint, run
+from lfmesh.files import checkpoint, image_file, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.exports import export
 from lfmesh.files.folder import JOURNAL, MANIFEST, STAGING, manifest_of, recover, saved, staged
@@ -345,5 +345,5 @@ def test_another_version_is_told_in_one_line(image_of: Build, tmp_path: Path, fi
         np.savez(tmp_path / CHECKPOINT, facts=np.array(facts))
     told = r"7.*this lfmesh " + re.escape(lfmesh.__version__) if file == MANIFEST else "by an older lfmesh"
     with pytest.raises(FileError, match=told) as caught:
-        run.open_run(tmp_path) if file == MANIFEST else checkpoint.read(tmp_path, run.scene_from)
+        run.open_run(tmp_path) if file == MANIFEST else checkpoint.read(tmp_path, image_file.scene_from)
     assert "\n" not in str(caught.value)

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.array.array_mesh import cell_mesh, cell_pattern, mla_mesh
 from lfmesh.geometry.array.lattice import Lattice, neighbour
-from lfmesh.geometry.array.lenslets import cap_sag, cell_mesh, cell_pattern, lenslets, mla_mesh, shape_of, type_of
+from lfmesh.geometry.array.lenslets import cap_sag, lenslets, shape_of, type_of
 from lfmesh.geometry.meshes.mesh import facet_normals
 
 SQUARE = Lattice(False, 0.125, 5, 4)

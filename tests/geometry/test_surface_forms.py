@@ -9,16 +9,9 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry.lens.air_gaps import cap_on, circles_of
-from lfmesh.geometry.surfaces.surface import (
-    distance_to,
-    form_at,
-    gradients,
-    heights,
-    is_revolved,
-    normal_at,
-    sag,
-    surface_of,
-)
+from lfmesh.geometry.ray import Ray
+from lfmesh.geometry.surfaces.sag import gradients, heights, sag
+from lfmesh.geometry.surfaces.surface import distance_to, form_at, is_revolved, normal_at, surface_of
 from lfmesh.geometry.surfaces.tessellation import cap, chord_error, rim_radius
 
 SURFACES: dict[str, dict[str, Any]] = {
@@ -104,7 +97,7 @@ def test_distance_from_a_point_near_the_surface(case, displacement):
         if abs(along) < 0.2:
             continue
         start = at - draw.uniform(-displacement, displacement) * d
-        meets, t = distance_to(of, *start, *d, np.sign(along))
+        meets, t = distance_to(of, Ray(*start, *d), np.sign(along))
         assert meets
         s, e = [mp.mpf(q) for q in start], [mp.mpf(q) for q in d]
         root = mp.findroot(lambda q: s[2] + q * e[2] - truth(s[0] + q * e[0], s[1] + q * e[1]), mp.mpf(t))  # noqa: B023

@@ -8,7 +8,7 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.errors import LfmeshError
-from lfmesh.files.run import scene_from
+from lfmesh.files.image_file import scene_from
 
 USUAL = {"both": 8, "roulette": 8, "transmit": 4}
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.geometry.surfaces.surface import sag
+from lfmesh.geometry.surfaces.sag import sag
 from lfmesh.scene import load_lens
 from lfmesh.transport import engine as engine_module
 from lfmesh.transport import trace as trace_module

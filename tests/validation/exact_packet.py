@@ -13,7 +13,7 @@ import mpmath as mp
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surfaces.surface import sag
+from lfmesh.geometry.surfaces.sag import sag
 from lfmesh.transport.world import World
 
 DIGITS, STEPS = 40, 400_000

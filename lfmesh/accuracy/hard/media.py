@@ -13,7 +13,8 @@ from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Medium, Plane, Scene, Surface, Target
 from lfmesh.scene.objects.targets import Material
 from lfmesh.transport.render.render import render
-from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.traced_paths import Paths
 from lfmesh.transport.world import World, build
 
 CHART_AT = -400.0

@@ -16,7 +16,8 @@ from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor,
 from lfmesh.scene.objects.refractor import FacetLevel
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.traced_paths import Paths
 from lfmesh.transport.world import World, build
 
 

@@ -36,7 +36,8 @@ def _ground(alpha: float, n_i: float, n_t: float, z: NDArray, key: np.uint64, fo
     for i in range(len(found)):
         own = derived(key, i)
         across = np.sqrt(1.0 - z[i] * z[i])
-        passes, x, y, w = ground_direction(alpha, n_i, n_t, across, 0.0, -z[i], uniform(own, -1), uniform(own, -2), own)
+        arriving = across, 0.0, -z[i]
+        passes, x, y, w = ground_direction(alpha, n_i, n_t, arriving, uniform(own, -1), uniform(own, -2), own)
         found[i, 0], found[i, 1], found[i, 2] = x, y, w if passes == (w < 0.0) else np.nan
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
@@ -177,9 +178,8 @@ _first_crossing = crossing_finder(_shape)
 
 @kernel
 def first_crossing(
-    profile: Profile, kind: int, curvature: float, x: float, y: float, z: float, dx: float, dy: float, dz: float,
-    side: float, begin: float, end: float,
-) -> tuple[bool, float]:  # fmt: skip
+    profile: Profile, kind: int, curvature: float, ray: Ray, side: float, begin: float, end: float
+) -> tuple[bool, float]:
     """Return whether, and at which distance, a ray first crosses a lenslet's face; see `crossing_finder`.
 
     Parameters
@@ -188,19 +188,15 @@ def first_crossing(
     kind : int
         Type of the lenslet.
     curvature : float, 1/mm
-    x, y, z : float, mm
-        Where distances are counted from, from the apex.
-    dx, dy, dz : float
-        Unit, or of any length: distances are in lengths of it.
+    ray : Ray
+        From the apex. Distances are in lengths of its direction, which may have any.
     side : float
         1 for a ray in the air before the face, −1 in the glass behind it.
     begin, end : float
         Distances between which the ray is in the cell.
     """
-    across2 = profile.weight_x * dx * dx + profile.weight_y * dy * dy
-    return _first_crossing(
-        (profile, kind, curvature), x, y, z, dx, dy, dz, side, profile.bend[kind] * across2, begin, end
-    )
+    across2 = profile.weight_x * ray.dx * ray.dx + profile.weight_y * ray.dy * ray.dy
+    return _first_crossing((profile, kind, curvature), ray, side, profile.bend[kind] * across2, begin, end)
 
 
 @kernel
@@ -238,10 +234,10 @@ def next_fall(
         sag, _, _ = profile_shape(profile, kind, curvature, ax + begin * gx, ay + begin * gy)
         side = 1.0 if sag >= begin else -1.0
     if side < 0.0:
-        rises, begin = first_crossing(profile, kind, curvature, ax, ay, 0.0, gx, gy, 1.0, -1.0, begin, end)
+        rises, begin = first_crossing(profile, kind, curvature, Ray(ax, ay, 0.0, gx, gy, 1.0), -1.0, begin, end)
         if not rises:
             return False, 0.0, 0.0
-    falls, z = first_crossing(profile, kind, curvature, ax, ay, 0.0, gx, gy, 1.0, 1.0, begin, end)
+    falls, z = first_crossing(profile, kind, curvature, Ray(ax, ay, 0.0, gx, gy, 1.0), 1.0, begin, end)
     if not falls:
         return False, 0.0, 0.0
     _, sx, sy = profile_shape(profile, kind, curvature, ax + z * gx, ay + z * gy)

@@ -1,9 +1,8 @@
 """The microlens array's shape, in its own frame: z runs from the curved face into the glass, apexes at z = 0.
 
 Every lenslet is the same cap on its own cell, up to three types (multi-focus), and may carry form errors (decentre,
-radius). It is a sphere, or has a `lenslet_profile`: a conic with even terms, of revolution or a cylinder. Only one cell
-a type is a mesh for Embree (`cell_mesh`); `mla_mesh` builds them all, for export, for drawing, and as the truth that
-the folded array is tested against.
+radius). It is a sphere, or has a `lenslet_profile`: a conic with even terms, of revolution or a cylinder. Its meshes
+are in `array_mesh`.
 """
 
 from collections.abc import Sequence
@@ -22,21 +21,19 @@ from lfmesh.geometry.array.lenslet_profile import (
     profile_shape,
     sag_slope_bend,
 )
-from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, joined
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 if TYPE_CHECKING:
-    import trimesh
+    pass
 
 SUBDIVISIONS = 6
 """Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
 
 DEPTH_SAMPLES = 4096
 """Intervals of the distance from the apex at whose ends the depth of a face that is no sphere is measured."""
-
-OFFSET = 8.0
-"""Cells of different types stand this many pitches apart in their common Embree scene."""
 
 
 @by_address
@@ -306,13 +303,14 @@ def face_normal(
         From `shape_of`.
     x, y, z : float, mm
     """
-    return _normal_by(mla.profile, mla, column, row, curvature, x, y, z)
+    return _normal_by(mla.profile, mla, column, row, curvature, (x, y, z))
 
 
 @inlined
 def _normal_by(
-    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, x: float, y: float, z: float
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, place: tuple[float, float, float]
 ) -> tuple[float, float, float]:
+    x, y, z = place
     if profile is None:
         return -curvature * x, -curvature * y, 1.0 - curvature * z
     _, gx, gy = profile_shape(profile, type_of(mla, column, row), curvature, x, y)
@@ -322,9 +320,8 @@ def _normal_by(
 
 @inlined
 def meets_profile(
-    profile: Any, mla: Lenslets, column: int, row: int, x: float, y: float, z: float,
-    dx: float, dy: float, dz: float, in_air: bool, begin: float, end: float,
-) -> tuple[bool, float]:  # fmt: skip
+    profile: Any, mla: Lenslets, column: int, row: int, ray: Ray, in_air: bool, begin: float, end: float
+) -> tuple[bool, float]:
     """Return whether, and where, a ray first crosses the face of a lenslet that is no sphere; of a sphere False.
 
     Parameters
@@ -334,19 +331,19 @@ def meets_profile(
     mla : Lenslets
     column, row : int
         Of the lenslet.
-    x, y, z : float, mm
-        Where distances are counted from, from the cell's centre.
-    dx, dy, dz : float
+    ray : Ray
+        From the cell's centre.
     in_air : bool
         The ray is in the air before the face; else in the glass.
     begin, end : float, mm
         Distances between which it is in the cell.
     """
+    x, y, z, dx, dy, dz = ray
     if profile is None:
         return False, 0.0
     curvature, ex, ey = shape_of(mla, column, row)
     return first_crossing(
-        profile, type_of(mla, column, row), curvature, x - ex, y - ey, z, dx, dy, dz, 1.0 if in_air else -1.0,
+        profile, type_of(mla, column, row), curvature, Ray(x - ex, y - ey, z, dx, dy, dz), 1.0 if in_air else -1.0,
         begin, end,
     )  # fmt: skip
 
@@ -395,17 +392,18 @@ def border_sag(mla: Lenslets, column: int, row: int, x: float, y: float, side: i
     along = (nx * y - ny * x) / step + 0.5 * segments
     low = np.floor(along)
     a, b = (low - 0.5 * segments) * step, (low + 1.0 - 0.5 * segments) * step
-    z_low = _border_vertex(mla.profile, mla, column, row, curvature, half, a, nx, ny)
-    z_high = _border_vertex(mla.profile, mla, column, row, curvature, half, b, nx, ny)
+    side_at = nx, ny, half
+    z_low = _border_vertex(mla.profile, mla, column, row, curvature, side_at, a)
+    z_high = _border_vertex(mla.profile, mla, column, row, curvature, side_at, b)
     return z_low + (along - low) * (z_high - z_low)
 
 
 @inlined
 def _border_vertex(
-    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, half: float, along: float,
-    nx: float, ny: float,
-) -> float:  # fmt: skip
-    """Return the sag at a distance along a side from its middle."""
+    profile: Any, mla: Lenslets, column: int, row: int, curvature: float, side: tuple[float, float, float], along: float
+) -> float:
+    """Return the sag at a distance along a side, given by its normal and distance, from its middle."""
+    nx, ny, half = side
     if profile is None:
         return cap_sag(curvature, half * half + along * along)
     return face_sag(mla, column, row, curvature, half * nx - along * ny, half * ny + along * nx)
@@ -415,37 +413,6 @@ def _border_vertex(
 def border_segments(hexagonal: bool, subdivisions: int = SUBDIVISIONS) -> int:
     """Return how many edges of `cell_pattern` make one side of a cell."""
     return subdivisions if hexagonal else (subdivisions + 1) // 2
-
-
-def cell_pattern(lattice: Lattice, subdivisions: int = SUBDIVISIONS) -> tuple[Array, Index]:
-    """Return the (v, 2) points, mm, and (f, 3) triangles (facing +z) that tile the cell at the origin.
-
-    Points on a side are equally spaced, so that the patterns of neighbouring cells share them.
-    """
-    corners = lattice.corners()
-    points: list[Array] = []
-    faces: list[Index] = []
-    n = border_segments(lattice.hexagonal, subdivisions)
-    count = 0
-    # One fan of triangles a side, each refined n-fold.
-    index = {(i, j): i * (i + 1) // 2 + j for i in range(n + 1) for j in range(i + 1)}
-    fan = np.array(
-        [(index[i, j], index[i + 1, j], index[i + 1, j + 1]) for i in range(n) for j in range(i + 1)]
-        + [(index[i, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(1, n) for j in range(i)]
-    )
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        points.append(np.array([a * (i - j) / n + b * j / n for i in range(n + 1) for j in range(i + 1)]))
-        faces.append(fan + count)
-        count += len(points[-1])
-    return _merged(np.concatenate(points), np.concatenate(faces), lattice.pitch)
-
-
-def _merged(points: Array, faces: Index, scale: float) -> tuple[Array, Index]:
-    """Merge points that agree to a rounding error of the scale."""
-    _, first, inverse = np.unique(
-        np.round(points / (scale * 1e-9)).astype(np.int64), axis=0, return_index=True, return_inverse=True
-    )
-    return points[first], inverse.reshape(-1)[faces]
 
 
 def faces_at(mla: Lenslets, kind: int, curvature: float, from_apex: Array) -> tuple[Array, Array]:
@@ -469,129 +436,3 @@ def faces_at(mla: Lenslets, kind: int, curvature: float, from_apex: Array) -> tu
     z = curvature * r2 / (1.0 + np.sqrt(1.0 - curvature**2 * r2))
     normal = np.column_stack([-curvature * from_apex, 1.0 - curvature * z])
     return z, normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def cell_mesh(mla: Lenslets, kind: int) -> Mesh:
-    """Return the curved face over one cell of a type, centred at the origin, facing +z, with its neighbours' rims.
-
-    The rims (the neighbours' triangles that touch the cell) are there so that a ray along the border meets a facet on
-    either side of it; the neighbours are taken to be of the same type.
-    """
-    pattern, faces = cell_pattern(mla.lattice)
-    patch = mla.lattice._replace(columns=3, rows=3)
-    centres = patch.centres().reshape(-1, 2)
-    centres = centres - patch.centres()[1, 1]
-    apothem = 0.5 * mla.lattice.pitch
-    parts = []
-    for centre in centres:
-        z, normals = faces_at(mla, kind, float(mla.curvature[kind]), pattern)
-        vertices = np.column_stack([pattern + centre, z])
-        near = _cell_norm(mla.lattice, vertices[:, :2]) <= apothem * (1.0 + 1e-9)
-        keep = faces[near[faces].any(axis=1)]
-        parts.append(Mesh(vertices, keep, normals[keep]))
-    return joined(parts)
-
-
-def _cell_norm(lattice: Lattice, p: Array) -> Array:
-    """Return the norm whose ball of radius pitch/2 is the cell."""
-    if not lattice.hexagonal:
-        return np.abs(p).max(axis=1)
-    turn = np.deg2rad([0.0, 60.0, 120.0])
-    return np.abs(p @ np.stack([np.cos(turn), np.sin(turn)])).max(axis=1)
-
-
-def mla_mesh(
-    mla: Lenslets, subdivisions: int = SUBDIVISIONS, back: Lenslets | None = None, shift_mm: Array | None = None
-) -> "trimesh.Trimesh":
-    """Return the whole array as a closed mesh.
-
-    Where all lenslets are alike it is one shell. Unlike neighbours meet in steps, so each lenslet is then a closed
-    prism of its own and the prisms stand side by side.
-
-    Parameters
-    ----------
-    mla : Lenslets
-    subdivisions : int
-    back : Lenslets, optional
-        On the other face, in a frame of their own that looks the other way. Flat if omitted.
-    shift_mm : (2,) float64, optional
-        Of their frame, in x and y.
-    """
-    import trimesh
-
-    if back is not None:
-        return _between_faces(mla, back, np.zeros(2) if shift_mm is None else shift_mm, subdivisions)
-
-    pattern, faces = cell_pattern(mla.lattice, subdivisions)
-    centres = mla.lattice.centres()
-    rows, columns = np.indices(centres.shape[:2])
-    solids = []
-    for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
-        curvature, ex, ey = shape_of(mla, int(column), int(row))
-        z, _ = faces_at(mla, type_of(mla, int(column), int(row)), curvature, pattern - [ex, ey])
-        solids.append(np.column_stack([pattern + centre, z]))
-    count = len(pattern)
-    if mla.alike:
-        all_points = np.concatenate(solids)
-        flat, merged = _merged(
-            all_points[:, :2],
-            np.concatenate([faces + i * count for i in range(len(solids))]),
-            mla.lattice.pitch,
-        )
-        z = np.zeros(len(flat))
-        z[merged] = all_points[:, 2][np.concatenate([faces + i * count for i in range(len(solids))])]
-        return _prism(flat, merged, z, mla.thickness)
-    return trimesh.util.concatenate([_prism(v[:, :2], faces, v[:, 2], mla.thickness) for v in solids])
-
-
-def _between_faces(mla: Lenslets, back: Lenslets, shift_mm: Array, subdivisions: int) -> "trimesh.Trimesh":
-    """Return an array with lenslets on both faces: its cells' closed prisms side by side, one shell if all are alike.
-
-    Where the second face is out of place, the prisms lean by that much.
-    """
-    import trimesh
-
-    pattern, faces = cell_pattern(mla.lattice, subdivisions)
-    centres = mla.lattice.centres()
-    rows, columns = np.indices(centres.shape[:2])
-    count = len(pattern)
-    fronts: list[Array] = []
-    backs: list[Array] = []
-    for centre, column, row in zip(centres.reshape(-1, 2), columns.flat, rows.flat, strict=True):
-        for lenslets_, into in ((mla, fronts), (back, backs)):
-            curvature, ex, ey = shape_of(lenslets_, int(column), int(row))
-            kind = type_of(lenslets_, int(column), int(row))
-            z, _ = faces_at(lenslets_, kind, curvature, pattern - [ex, ey])
-            into.append(np.column_stack([pattern + centre, z]))
-    for each in backs:
-        each[:, :2] += shift_mm
-        each[:, 2] = mla.thickness - each[:, 2]
-    if not (mla.alike and back.alike):
-        return trimesh.util.concatenate([_shell(a, b, faces) for a, b in zip(fronts, backs, strict=True)])
-    front, other = np.concatenate(fronts), np.concatenate(backs)
-    every = np.concatenate([faces + i * count for i in range(len(fronts))])
-    flat, merged = _merged(front[:, :2], every, mla.lattice.pitch)
-    sheets = np.zeros((2, len(flat), 3))
-    sheets[0, merged], sheets[1, merged] = front[every], other[every]
-    return _shell(sheets[0], sheets[1], merged)
-
-
-def _shell(front: Array, back: Array, faces: Index) -> "trimesh.Trimesh":
-    """Close two sheets of the same triangles, which look towards +z, with side walls, outward-oriented."""
-    import trimesh
-
-    count = len(front)
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    key = directed[:, 0] * count + directed[:, 1]
-    border = directed[~np.isin(key, directed[:, 1] * count + directed[:, 0])]
-    a, b = border[:, 0], border[:, 1]
-    walls = np.concatenate([np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])])
-    # They look into the glass on the first sheet, outward on the other one.
-    all_faces = np.concatenate([faces[:, ::-1], faces + count, walls])
-    return trimesh.Trimesh(np.concatenate([front, back]), all_faces, process=False)
-
-
-def _prism(flat: Array, faces: Index, z: Array, thickness: float) -> "trimesh.Trimesh":
-    """Close a height field with side walls and a flat face, outward-oriented."""
-    front, back = np.column_stack([flat, z]), np.column_stack([flat, np.full(len(flat), thickness)])
-    return _shell(front, back, faces)

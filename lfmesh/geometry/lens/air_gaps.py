@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
-from lfmesh.geometry.surfaces.surface import is_revolved, reach
+from lfmesh.geometry.surfaces.sag import reach
+from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import (
     FLOAT32_MARGIN,
     MAX_RINGS,

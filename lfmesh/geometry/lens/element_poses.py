@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.surfaces.surface import is_revolved, put_in_pose, reach, surface_of
+from lfmesh.geometry.surfaces.sag import reach
+from lfmesh.geometry.surfaces.surface import is_revolved, put_in_pose, surface_of
 from lfmesh.geometry.surfaces.tessellation import (
     ANNULUS_LEAN,
     height_above,

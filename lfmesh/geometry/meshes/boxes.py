@@ -3,7 +3,8 @@
 import numpy as np
 
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.kernels.decorators import inlined
+from lfmesh.geometry.ray import Ray
+from lfmesh.kernels.decorators import inlined, kernel
 
 
 @inlined
@@ -28,22 +29,40 @@ def part_inside(rate: float, room: float, first: float, last: float) -> tuple[fl
 
 
 @inlined
-def meets_box(
-    low: Array, high: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
-) -> bool:  # fmt: skip
+def meets_box(low: Array, high: Array, ray: Ray, begin: float, end: float) -> bool:
     """Tell whether a line meets a box between two distances.
 
     Parameters
     ----------
     low, high : (3,) float64, mm
-    x, y, z : float, mm
-        Start of the line.
-    dx, dy, dz : float
-        Unit direction.
+    ray : Ray
     begin, end : float, mm
     """
+    x, y, z, dx, dy, dz = ray
     for axis in range(3):
         o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
         begin, end = part_inside(d, high[axis] - o, begin, end)
         begin, end = part_inside(-d, o - low[axis], begin, end)
     return begin <= end
+
+
+@kernel
+def box_entry(low: Array, high: Array, ray: Ray) -> float:
+    """Return the distance at which a ray enters a box: 0 from inside, inf if it misses.
+
+    Parameters
+    ----------
+    low, high : (3,) float64, mm
+        Corners of the box.
+    ray : Ray
+    """
+    near, far = 0.0, np.inf
+    for axis in range(3):
+        p, d = ray[axis], ray[3 + axis]
+        if d == 0.0:
+            if p < low[axis] or p > high[axis]:
+                return np.inf
+        else:
+            a, b = (low[axis] - p) / d, (high[axis] - p) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else np.inf

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Index
 from lfmesh.geometry.meshes.vertex_normals import edge_partners
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
 
@@ -142,9 +143,7 @@ def patch_point(
 
 
 @kernel
-def on_patch(
-    patch: Array, x: float, y: float, z: float, dx: float, dy: float, dz: float, eta: float, zeta: float
-) -> tuple[bool, float, float, float]:
+def on_patch(patch: Array, ray: Ray, eta: float, zeta: float) -> tuple[bool, float, float, float]:
     """Find by Newton's method where a ray meets the endless patch: whether it does, and t, η, ζ there.
 
     Two equations, that the patch's point lies on two planes through the ray, in η and ζ, from a start near the facet.
@@ -153,12 +152,12 @@ def on_patch(
     ----------
     patch : (6, 3) float64, mm
         Its coefficients.
-    x, y, z : float, mm
+    ray : Ray
         A point of the ray.
-    dx, dy, dz : float
     eta, zeta : float
         Where the search starts.
     """
+    x, y, z, dx, dy, dz = ray
     ux, uy, uz, vx, vy, vz = tangents(dx, dy, dz)
     for _ in range(NEWTON_STEPS):
         px, py, pz, ax, ay, az, bx, by, bz = patch_point(patch, eta, zeta)
@@ -192,9 +191,8 @@ INSIDE = 1e-9
 
 @kernel
 def hit_patch(
-    patches: NDArray[np.float64], across: NDArray[np.int64], prim: int, b: float, c: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> tuple[bool, float, float, float, float]:  # fmt: skip
+    patches: NDArray[np.float64], across: NDArray[np.int64], prim: int, b: float, c: float, ray: Ray
+) -> tuple[bool, float, float, float, float]:
     """Return whether a ray meets the curved surface near a facet, t, and the unit normal there.
 
     Parameters
@@ -211,7 +209,7 @@ def hit_patch(
     """
     eta, zeta = b + c, c
     for _ in range(MAX_WALK):
-        found, t, eta, zeta = on_patch(patches[prim], x, y, z, dx, dy, dz, eta, zeta)
+        found, t, eta, zeta = on_patch(patches[prim], ray, eta, zeta)
         if not found:
             return False, 0.0, 0.0, 0.0, 1.0
         edge, outside = 0, -zeta

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.boxes import meets_box, part_inside
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
@@ -214,9 +215,7 @@ _first_crossing = crossing_finder(_height_at)
 
 
 @kernel
-def _crosses(
-    patch: Any, sense: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, end: float
-) -> tuple[bool, float, float, float, float]:
+def _crosses(patch: Any, sense: float, ray: Ray, begin: float, end: float) -> tuple[bool, float, float, float, float]:
     """Return whether a ray crosses a patch in a sense, the first distance, and the unit normal there.
 
     Parameters
@@ -224,12 +223,11 @@ def _crosses(
     patch : CURVED
     sense : float
         1 to cross along the facet's normal, −1 against it.
-    x, y, z : float, mm
-    dx, dy, dz : float
-        Unit.
+    ray : Ray
     begin, end : float, mm
         Distances between which it is looked for.
     """
+    x, y, z, dx, dy, dz = ray
     o, a = patch.origin, patch.axes
     px, py, pz = x - o[0], y - o[1], z - o[2]
     u = a[0, 0] * px + a[0, 1] * py + a[0, 2] * pz
@@ -253,7 +251,7 @@ def _crosses(
     side = sense if sense * (height - w) >= 0.0 else -sense
     for _ in range(MOST_CROSSINGS):
         most = across2 * (-patch.least_bend if side > 0.0 else patch.most_bend)
-        met, t = _first_crossing(patch, u, v, w, du, dv, dw, side, most, t, until)
+        met, t = _first_crossing(patch, Ray(u, v, w, du, dv, dw), side, most, t, until)
         if not met:
             break
         if side == sense:
@@ -288,9 +286,8 @@ def patch_finder(sense_of: Any) -> Any:
 
     @kernel
     def first_patch(
-        tree: PatchTree, state: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float,
-        end: float,
-    ) -> tuple[int, float, float, float, float]:  # fmt: skip
+        tree: PatchTree, state: Any, ray: Ray, begin: float, end: float
+    ) -> tuple[int, float, float, float, float]:
         """Return the facet of the first patch that a ray crosses, the distance, and the patch's unit normal; −1: none.
 
         Parameters
@@ -298,16 +295,14 @@ def patch_finder(sense_of: Any) -> Any:
         tree : PatchTree
         state : Any
             As `sense_of` takes it.
-        x, y, z : float, mm
-        dx, dy, dz : float
-            Unit.
+        ray : Ray
         begin, end : float, mm
             Distances between which it is looked for.
         """
         found, nearest, nx, ny, nz = -1, end, 0.0, 0.0, 1.0
         node = 1 if tree.leaves > 0 else 0
         while node > 0:
-            if meets_box(tree.low[node], tree.high[node], x, y, z, dx, dy, dz, begin, nearest):
+            if meets_box(tree.low[node], tree.high[node], ray, begin, nearest):
                 if node < tree.leaves:
                     node *= 2
                     continue
@@ -317,7 +312,7 @@ def patch_finder(sense_of: Any) -> Any:
                     sense = sense_of(state, patch.body)
                     if sense == 0.0:
                         continue
-                    met, t, mx, my, mz = _crosses(patch, sense, x, y, z, dx, dy, dz, begin, nearest)
+                    met, t, mx, my, mz = _crosses(patch, sense, ray, begin, nearest)
                     if met and t < nearest:
                         found, nearest, nx, ny, nz = patch.facet, t, mx, my, mz
             # On to the next node that is not below this one.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.boxes import meets_box
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
@@ -97,10 +98,7 @@ def _passes_left(ax: float, ay: float, bx: float, by: float) -> tuple[float, boo
 
 
 @kernel
-def next_crossing(
-    tree: ShellTree, begin: int, end: int, t: float,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> tuple[bool, float]:  # fmt: skip
+def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> tuple[bool, float]:
     """Return whether the point of a line at t is in a shell, and the next distance at which the line meets the shell.
 
     Parameters
@@ -109,10 +107,7 @@ def next_crossing(
     begin, end : int
         First node of the shell, and the one after its last.
     t : float, mm
-    x, y, z : float, mm
-        Start of the line.
-    dx, dy, dz : float
-        Unit direction.
+    ray : Ray
 
     Returns
     -------
@@ -120,6 +115,7 @@ def next_crossing(
     ahead : float, mm
         Beyond t; inf if there is none.
     """
+    x, y, z, dx, dy, dz = ray
     whole = tree.nodes[begin]
     # From a point near the shell, so that far starts lose no digits.
     mx, my, mz = (
@@ -129,6 +125,7 @@ def next_crossing(
     )
     shift = mx * dx + my * dy + mz * dz
     x, y, z = x + shift * dx, y + shift * dy, z + shift * dz
+    from_near = Ray(x, y, z, dx, dy, dz)
     # The axis along which the line is steepest becomes the third.
     k = 2
     if abs(dx) >= abs(dy) and abs(dx) >= abs(dz):
@@ -143,7 +140,7 @@ def next_crossing(
     beyond, ahead, node = 0, np.inf, begin
     while node < end:
         box = tree.nodes[node]
-        if not meets_box(box.low, box.high, x, y, z, dx, dy, dz, -np.inf, np.inf):
+        if not meets_box(box.low, box.high, from_near, -np.inf, np.inf):
             node = box.next
             continue
         for facet in range(box.first, box.first + box.count):

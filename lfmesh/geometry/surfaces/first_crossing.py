@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
 
 SETTLED = 2e-15
@@ -28,9 +29,8 @@ def crossing_finder(shape_at: Any) -> Any:
 
     @kernel
     def first_crossing(
-        surface: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, side: float, most: float,
-        begin: float, end: float,
-    ) -> tuple[bool, float]:  # fmt: skip
+        surface: Any, ray: Ray, side: float, most: float, begin: float, end: float
+    ) -> tuple[bool, float]:
         """Return whether, and at which distance, a ray first crosses a surface.
 
         The height u over the surface falls along a ray at most as fast as u + u' t − m t² / 2 does, with a bound m of
@@ -41,10 +41,8 @@ def crossing_finder(shape_at: Any) -> Any:
         ----------
         surface : Any
             As `shape_at` takes it.
-        x, y, z : float, mm
-            Where distances are counted from, from the vertex.
-        dx, dy, dz : float
-            Unit, or of any length: distances are in lengths of it.
+        ray : Ray
+            From the vertex. Distances are in lengths of its direction, which may have any.
         side : float
             1 for a ray before the surface, −1 behind it.
         most : float
@@ -52,6 +50,7 @@ def crossing_finder(shape_at: Any) -> Any:
         begin, end : float
             Distances between which a crossing is looked for.
         """
+        x, y, z, dx, dy, dz = ray
         size = abs(x) + abs(y) + abs(z)
         t = begin
         for _ in range(MOST_STEPS):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.levels import EXACT, FLAT, PATCH, SMOOTH
 from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals
 from lfmesh.geometry.meshes.patch import patch_points, patches
-from lfmesh.geometry.surfaces.surface import heights, normals
+from lfmesh.geometry.surfaces.sag import heights, normals
 from lfmesh.geometry.surfaces.tessellation import steepness
 from lfmesh.scene import Scene
 from lfmesh.scene.first_order.paraxial import Matrix, Paraxial, gap

@@ -16,7 +16,8 @@ from lfmesh.geometry import frame
 from lfmesh.geometry.files.swept import Outside, curve_in_box, net_in_box
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.profile_fit import Profile, fitted_profile
-from lfmesh.geometry.surfaces.surface import heights, normals, surface_of
+from lfmesh.geometry.surfaces.sag import heights, normals
+from lfmesh.geometry.surfaces.surface import surface_of
 from lfmesh.scene import Surface
 from lfmesh.scene.camera.sections import Toroid
 

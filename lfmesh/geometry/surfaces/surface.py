@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.scene.camera.lens import Surface
@@ -168,113 +169,6 @@ def in_place(record: Any, points: ArrayLike) -> Array:
     return frame.points(record["unpose"], p) if record["posed"] else p
 
 
-def sag(surface: Any, r: ArrayLike) -> Array:
-    """Return the sag of a surface of revolution in mm at the radii `r` (any shape, mm); NaN where it does not reach."""
-    _need_revolved(surface)
-    return _curve(surface, np.asarray(r, dtype=np.float64))[0]
-
-
-def slope(surface: Any, r: ArrayLike) -> Array:
-    """Return dz/dr of a surface of revolution at the radii `r`."""
-    _need_revolved(surface)
-    return _curve(surface, np.asarray(r, dtype=np.float64))[1]
-
-
-def _need_revolved(surface: Any) -> None:
-    if not is_revolved(surface):
-        raise TypeError("a biconic or toroid has no sag by radius alone; ask for `heights`")
-
-
-def _curve(surface: Any, r: Array) -> tuple[Array, Array]:
-    """Return z and dz/dr by the curvature, conic constant and terms of a record; NaN where the conic does not reach."""
-    r2 = r * r
-    c, k = surface["curvature"], surface["conic"]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(1.0 - (1.0 + k) * c * c * r2)
-        z, rate = c * r2 / (1.0 + root), c * r / root
-    power = r2
-    for term, a in enumerate(surface["asphere"][: surface["terms"]]):
-        rate = rate + (2 * term + 4) * a * (r * power)
-        power = power * r2
-        z = z + a * power
-    power = np.abs(r)
-    for term, a in enumerate(surface["odd"][: surface["odd_terms"]]):
-        rate = rate + (2 * term + 3) * a * (r * power)
-        power = power * r2
-        z = z + a * power
-    return np.asarray(z), np.asarray(rate)
-
-
-def heights(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return z of any surface above its vertex, mm; NaN where it does not reach.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : float64 of one shape, mm
-    """
-    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[0]
-
-
-def gradients(surface: Any, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Return dz/dx and dz/dy of any surface.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : float64 of one shape, mm
-    """
-    return _form(surface, np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))[1:]
-
-
-def _form(surface: Any, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return z, dz/dx and dz/dy of any surface."""
-    cx, c = float(surface["curvature_x"]), float(surface["curvature"])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        if surface["kind"] == BICONIC:
-            a, b = (1.0 + surface["conic_x"]) * cx * cx, (1.0 + surface["conic"]) * c * c
-            q, root = cx * x * x + c * y * y, np.sqrt(1.0 - a * x * x - b * y * y)
-            z, more = q / (1.0 + root), q / (root * (1.0 + root) ** 2)
-            return z, 2.0 * cx * x / (1.0 + root) + a * x * more, 2.0 * c * y / (1.0 + root) + b * y * more
-        if surface["kind"] == TOROID:
-            f, rate = _curve(surface, y)
-            u = 1.0 - cx * f
-            root = np.sqrt(u * u - cx * cx * x * x)
-            z = np.where(u > 0.0, f + cx * x * x / (u + root), np.nan)
-            return z, cx * x / root, rate * u / root
-        if not is_revolved(surface):
-            z, by_x, by_y = (np.empty(x.shape) for _ in range(3))
-            _form_of_each(surface, x.ravel(), y.ravel(), z.reshape(-1), by_x.reshape(-1), by_y.reshape(-1))
-            return np.where(np.hypot(x, y) <= reach(surface), z, np.nan), by_x, by_y
-        r = np.hypot(x, y)
-        z, rate = _curve(surface, r)
-    radial = np.divide(rate, r, out=np.zeros_like(r), where=r > 0.0)
-    return z, radial * x, radial * y
-
-
-def normals(surface: Any, x: ArrayLike, y: ArrayLike) -> Array:
-    """Return (n, 3) unit normals, towards +z, at the points (x, y) of the surface.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    x, y : (n,) float64, mm
-    """
-    by_x, by_y = gradients(surface, x, y)
-    n = np.stack([-by_x, -by_y, np.ones_like(by_x)], axis=-1)
-    return np.asarray(n / np.linalg.norm(n, axis=-1, keepdims=True))
-
-
-def reach(surface: Any) -> float:
-    """Return the largest radius within which the surface exists everywhere, mm; inf when it has no rim of its own."""
-    own = 0.0
-    if surface["curvature"] != 0.0:
-        own = max(own, float((1.0 + surface["conic"]) * surface["curvature"] ** 2))
-    if surface["kind"] == BICONIC:
-        own = max(own, float((1.0 + surface["conic_x"]) * surface["curvature_x"] ** 2))
-    return min(float(1.0 / np.sqrt(own)) if own > 0.0 else np.inf, float(surface["end"]))
-
-
 @kernel
 def sag_at(s: Any, r2: float) -> float:
     """Return the sag of a conic with even terms at squared radius r² (scalar; NaN where the surface does not reach)."""
@@ -320,13 +214,6 @@ def form_at(s: Any, x: float, y: float) -> tuple[float, float, float]:
         r *= r2
         z += s.odd[i] * r
     return z, g * x, g * y
-
-
-@kernel
-def _form_of_each(s: Any, x: Array, y: Array, z: Array, by_x: Array, by_y: Array) -> None:
-    """Enter z, dz/dx and dz/dy at points (n,)."""
-    for i in range(len(x)):
-        z[i], by_x[i], by_y[i] = form_at(s, x[i], y[i])
 
 
 @kernel
@@ -406,9 +293,7 @@ def normal_at(s: Any, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @inlined
-def conic_distance(
-    c: float, k: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
-) -> tuple[bool, float]:
+def conic_distance(c: float, k: float, ray: Ray, sense: float) -> tuple[bool, float]:
     """Return whether, and at which distance t along the ray, it crosses a conic in a given sense.
 
     Of the quadratic's two roots, one crosses along the normal (towards +z on the vertex's sheet), the other against
@@ -421,6 +306,7 @@ def conic_distance(
     sense : float
         1 to cross along the normal, −1 against it.
     """
+    x, y, z, dx, dy, dz = ray
     q = 1.0 + k
     a = c * (dx * dx + dy * dy + q * dz * dz)
     b = c * (x * dx + y * dy + q * z * dz) - dz
@@ -440,30 +326,32 @@ def conic_distance(
 
 
 @kernel
-def _height(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
+def _height(s: Any, ray: Ray, t: float) -> float:
     """Return how far the ray's point at t stands above a conic with even terms, along z."""
+    x, y, z, dx, dy, dz = ray
     px, py = x + t * dx, y + t * dy
     return z + t * dz - sag_at(s, px * px + py * py)
 
 
 @kernel
-def _rate(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
+def _rate(s: Any, ray: Ray, t: float) -> float:
     """Return the derivative of `_height` by t."""
-    px, py = x + t * dx, y + t * dy
-    return dz - 2.0 * half_slope_at(s, px * px + py * py) * (px * dx + py * dy)
+    px, py = ray.x + t * ray.dx, ray.y + t * ray.dy
+    return ray.dz - 2.0 * half_slope_at(s, px * px + py * py) * (px * ray.dx + py * ray.dy)
 
 
 @kernel
-def _height_by_form(s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, t: float) -> float:
+def _height_by_form(s: Any, ray: Ray, t: float) -> float:
     """Return how far the ray's point at t stands above a surface of any kind, along z."""
+    x, y, z, dx, dy, dz = ray
     return z + t * dz - form_at(s, x + t * dx, y + t * dy)[0]
 
 
 @kernel
-def _rate_by_form(s: Any, x: float, y: float, dx: float, dy: float, dz: float, t: float) -> float:
+def _rate_by_form(s: Any, ray: Ray, t: float) -> float:
     """Return the derivative of `_height_by_form` by t."""
-    _, gx, gy = form_at(s, x + t * dx, y + t * dy)
-    return dz - gx * dx - gy * dy
+    _, gx, gy = form_at(s, ray.x + t * ray.dx, ray.y + t * ray.dy)
+    return ray.dz - gx * ray.dx - gy * ray.dy
 
 
 def _searcher(height_at: Any, rate_at: Any) -> Any:
@@ -473,19 +361,17 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
     """
 
     @kernel
-    def newton(
-        s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, low: float, high: float, at_low: float
-    ) -> tuple[bool, float]:
+    def newton(s: Any, ray: Ray, low: float, high: float, at_low: float) -> tuple[bool, float]:
         """Return the root of the height between low and high: by Newton's method, or by bisection where that leaves."""
-        scale = abs(x) + abs(y) + abs(z)
+        scale = abs(ray.x) + abs(ray.y) + abs(ray.z)
         t = high
         for _ in range(NEWTON_STEPS):
-            height = height_at(s, x, y, z, dx, dy, dz, t)
+            height = height_at(s, ray, t)
             if height * at_low > 0.0:
                 low = t
             else:
                 high = t
-            following = t - height / rate_at(s, x, y, dx, dy, dz, t)
+            following = t - height / rate_at(s, ray, t)
             if not min(low, high) <= following <= max(low, high):
                 following = 0.5 * (low + high)
             settled = abs(following - t) <= SETTLED * (scale + abs(t))
@@ -495,9 +381,7 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
         return True, t
 
     @kernel
-    def search(
-        s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, of_conic: float
-    ) -> tuple[bool, float]:
+    def search(s: Any, ray: Ray, sense: float, of_conic: float) -> tuple[bool, float]:
         """Return the crossing next to the ray's start, in a given sense: bracketed, then by Newton's method.
 
         A ray may cross such a surface more than twice, and its conic part may lie far from it. On which side of the
@@ -505,21 +389,21 @@ def _searcher(height_at: Any, rate_at: Any) -> Any:
         that has passed it goes back.
         """
         low = 0.0
-        here = height_at(s, x, y, z, dx, dy, dz, low)
+        here = height_at(s, ray, low)
         if not abs(here) < np.inf:
             # A facet's edge reaches beyond the end of its surface.
             low = of_conic
-            here = height_at(s, x, y, z, dx, dy, dz, low)
+            here = height_at(s, ray, low)
         if here == 0.0:
             return True, low
         ahead = -1.0 if sense * here > 0.0 else 1.0
-        rate = sense * rate_at(s, x, y, dx, dy, dz, low)
+        rate = sense * rate_at(s, ray, low)
         step = OVERSTEP * abs(here) / max(rate, STEEP)
         for _ in range(DOUBLINGS):
             high = low + ahead * step
-            there = height_at(s, x, y, z, dx, dy, dz, high)
+            there = height_at(s, ray, high)
             if here * there <= 0.0:
-                return newton(s, x, y, z, dx, dy, dz, low, high, here)
+                return newton(s, ray, low, high, here)
             if abs(there) < np.inf:
                 low, step = high, 2.0 * step
             else:
@@ -534,20 +418,15 @@ _first_crossing = crossing_finder(form_at)
 
 
 @kernel
-def first_crossing(
-    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float, begin: float, end: float,
-    from_it: bool,
-) -> tuple[bool, float]:  # fmt: skip
+def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, from_it: bool) -> tuple[bool, float]:
     """Return whether and where a ray first crosses a surface inside its `domain`, however it grazes it.
 
     Parameters
     ----------
     s : SURFACE record
         That has its bends, see `tessellation.set_bends`.
-    x, y, z : float, mm
+    ray : Ray
         From the vertex.
-    dx, dy, dz : float
-        Unit.
     sense : float
         1 to cross along the normal, −1 against it.
     begin, end : float, mm
@@ -555,6 +434,7 @@ def first_crossing(
     from_it : bool
         The ray starts on the surface, and does not meet it there.
     """
+    x, y, z, dx, dy, dz = ray
     a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - s.domain * s.domain
     if a > 0.0:
         root = b * b - a * c
@@ -570,7 +450,7 @@ def first_crossing(
         # It comes from beside the surface, and not from the side that it would be crossed from.
         return False, 0.0
     most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)
-    return _first_crossing(s, x, y, z, dx, dy, dz, sense, most, begin, end)
+    return _first_crossing(s, ray, sense, most, begin, end)
 
 
 _asphere_distance = _searcher(_height, _rate)
@@ -578,25 +458,21 @@ _distance_by_form = _searcher(_height_by_form, _rate_by_form)
 
 
 @inlined
-def distance_to(
-    s: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
-) -> tuple[bool, float]:
+def distance_to(s: Any, ray: Ray, sense: float) -> tuple[bool, float]:
     """Return whether and where a ray that starts close to a surface crosses it; see `conic_distance`.
 
     Parameters
     ----------
     s : SURFACE record
-    x, y, z : float, mm
+    ray : Ray
         From the vertex.
-    dx, dy, dz : float
-        Unit.
     sense : float
         1 to cross along the normal, −1 against it.
     """
-    meets, t = conic_distance(s.curvature, s.conic, x, y, z, dx, dy, dz, sense)
+    meets, t = conic_distance(s.curvature, s.conic, ray, sense)
     if s.terms > 0:
         if s.kind == CONIC_AND_EVEN:
-            meets, t = _asphere_distance(s, x, y, z, dx, dy, dz, sense, t)
+            meets, t = _asphere_distance(s, ray, sense, t)
         else:
-            meets, t = _distance_by_form(s, x, y, z, dx, dy, dz, sense, t)
+            meets, t = _distance_by_form(s, ray, sense, t)
     return meets, t

@@ -14,17 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals, joined
-from lfmesh.geometry.surfaces.surface import (
-    SYMMETRIC,
-    gradients,
-    heights,
-    in_place,
-    is_revolved,
-    normals,
-    reach,
-    sag,
-    slope,
-)
+from lfmesh.geometry.surfaces.sag import gradients, heights, normals, reach, sag, slope
+from lfmesh.geometry.surfaces.surface import SYMMETRIC, in_place, is_revolved
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""

@@ -13,7 +13,8 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
-from lfmesh.transport.trace import Paths, Status, trace
+from lfmesh.transport.trace import Status, trace
+from lfmesh.transport.traced_paths import Paths
 from lfmesh.transport.world import World, build
 
 Array = NDArray[np.float64]

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import crosses
+from lfmesh.transport.events.facets import crosses
 from lfmesh.transport.packets.packet import NO_SURFACE
 from lfmesh.transport.tables.tables import AIR, GlassTables, ObjectTables
 
@@ -130,10 +131,7 @@ def _is_above(facet: Any, x: float, y: float) -> bool:
 
 
 @kernel
-def beyond_facet(
-    objects: ObjectTables, glass: GlassTables, inside: int, prim: int, enters: bool,
-    x: float, y: float, z: float, dx: float, dy: float, dz: float,
-) -> int:  # fmt: skip
+def beyond_facet(objects: ObjectTables, glass: GlassTables, inside: int, prim: int, enters: bool, ray: Ray) -> int:
     """Return the bodies that a ray is in after it crosses a facet; `TOO_MANY` if they cannot be represented.
 
     Where bodies touch, the ray crosses facets of both at once: it leaves one as it enters the other.
@@ -146,10 +144,10 @@ def beyond_facet(
         Facet.
     enters : bool
         The ray enters the facet's body; else it leaves.
-    x, y, z : float, mm
+    ray : Ray
         Point of the crossing.
-    dx, dy, dz : float
     """
+    x, y, z, dx, dy, dz = ray
     rank = objects.rank[objects.facets[prim].body]
     after = with_body(inside, rank) if enters else without_body(inside, rank)
     if len(glass.contact_first) == 0 or after == TOO_MANY:

@@ -16,6 +16,8 @@ from lfmesh.optics.fresnel import fresnel
 from lfmesh.optics.microfacets import facet_density, projected_area, smith_lambda, visible_normal
 from lfmesh.transport.packets.random import uniform
 
+Direction = tuple[float, float, float]
+
 MOST_FACETS = 512
 """Facets after which a walk is broken off; about three are usual, and each is left for the open with some chance."""
 
@@ -28,8 +30,8 @@ NUMBERS = 4
 
 @kernel
 def ground_direction(
-    alpha: float, n_i: float, n_t: float, x: float, y: float, z: float, u: float, v: float, key: np.uint64
-) -> tuple[bool, float, float, float]:  # fmt: skip
+    alpha: float, n_i: float, n_t: float, arriving: Direction, u: float, v: float, key: np.uint64
+) -> tuple[bool, float, float, float]:
     """Return whether light passes a ground interface, and the unit direction in which it leaves.
 
     Parameters
@@ -38,13 +40,14 @@ def ground_direction(
         Roughness α_g.
     n_i, n_t : float
         Refractive index on the side of the light and on the other.
-    x, y, z : float
+    arriving : (3,) float
         Unit direction of the light, z < 0.
     u, v : float
         Random numbers, uniform in [0, 1), for the normal of the first facet.
     key : uint64
         Of the other random numbers.
     """
+    x, y, z = arriving
     below, refracts = 1.0, False
     for facet in range(MOST_FACETS):
         height = uniform(key, NUMBERS * facet)
@@ -53,8 +56,8 @@ def ground_direction(
             break
         if facet > 0:
             u, v = uniform(key, NUMBERS * facet + 1), uniform(key, NUMBERS * facet + 2)
-        mx, my, mz = visible_normal(alpha, -x, -y, -z, u, v)
-        x, y, z, passes = _at_facet(n_i, n_t, x, y, z, mx, my, mz, uniform(key, NUMBERS * facet + 3))
+        normal = visible_normal(alpha, -x, -y, -z, u, v)
+        x, y, z, passes = _at_facet(n_i, n_t, (x, y, z), normal, uniform(key, NUMBERS * facet + 3))
         if passes:
             # Over to the other side, which from now on is the upper one.
             refracts, n_i, n_t, z, below = not refracts, n_t, n_i, -z, max(1.0 - below, LOWEST)
@@ -64,33 +67,33 @@ def ground_direction(
 
 @kernel
 def ground_density(
-    alpha: float, n_i: float, n_t: float, x: float, y: float, z: float, ox: float, oy: float, oz: float,
-    key: np.uint64,
-) -> float:  # fmt: skip
+    alpha: float, n_i: float, n_t: float, arriving: Direction, leaving: Direction, key: np.uint64
+) -> float:
     """Return a random number whose mean is the density, 1/sr, with which `ground_direction` draws a direction.
 
     At each facet of a random walk, what it sends straight that way and out is added.
 
     Parameters
     ----------
-    alpha, n_i, n_t, x, y, z
+    alpha, n_i, n_t, arriving
         As for `ground_direction`.
-    ox, oy, oz : float
-        Unit direction in which light leaves, below the surface if oz < 0.
+    leaving : (3,) float
+        Unit direction in which light leaves, below the surface if its z < 0.
     key : uint64
         Of the random numbers.
     """
+    x, y, z = arriving
     below, refracts, found = 1.0, False, 0.0
     for facet in range(MOST_FACETS):
         leaves, below = _next_height(alpha, below, x, y, z, uniform(key, NUMBERS * facet))
         if leaves:
             break
         # The direction asked for, as the side sees it on which the ray is.
-        side_z = -oz if refracts else oz
-        found += _straight(alpha, n_i, n_t, -x, -y, -z, ox, oy, side_z, below)
+        asked = leaving[0], leaving[1], -leaving[2] if refracts else leaving[2]
+        found += _straight(alpha, n_i, n_t, (-x, -y, -z), asked, below)
         u, v = uniform(key, NUMBERS * facet + 1), uniform(key, NUMBERS * facet + 2)
-        mx, my, mz = visible_normal(alpha, -x, -y, -z, u, v)
-        x, y, z, passes = _at_facet(n_i, n_t, x, y, z, mx, my, mz, uniform(key, NUMBERS * facet + 3))
+        normal = visible_normal(alpha, -x, -y, -z, u, v)
+        x, y, z, passes = _at_facet(n_i, n_t, (x, y, z), normal, uniform(key, NUMBERS * facet + 3))
         if passes:
             refracts, n_i, n_t, z, below = not refracts, n_t, n_i, -z, max(1.0 - below, LOWEST)
     return found
@@ -116,9 +119,10 @@ def _next_height(alpha: float, below: float, x: float, y: float, z: float, u: fl
 
 @inlined
 def _at_facet(
-    n_i: float, n_t: float, x: float, y: float, z: float, mx: float, my: float, mz: float, choice: float
+    n_i: float, n_t: float, direction: Direction, normal: Direction, choice: float
 ) -> tuple[float, float, float, bool]:
     """Reflect or refract a direction at a facet, by chance after Fresnel; tell whether it was refracted."""
+    (x, y, z), (mx, my, mz) = direction, normal
     facing = min(-(x * mx + y * my + z * mz), 1.0)
     reflectance, _, cos_t = fresnel(n_i, n_t, max(facing, 0.0))
     if choice < reflectance:
@@ -132,14 +136,12 @@ def _at_facet(
 
 
 @inlined
-def _straight(
-    alpha: float, n_i: float, n_t: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float,
-    below: float,
-) -> float:  # fmt: skip
+def _straight(alpha: float, n_i: float, n_t: float, source: Direction, leaving: Direction, below: float) -> float:
     """Return the density, 1/sr, with which a facet sends light in a direction, times the chance that it gets out.
 
-    `ix, iy, iz` points to where the light at the facet comes from. Walter et al. 2007, eq. 13-17, with visible normals.
+    `source` points to where the light at the facet comes from. Walter et al. 2007, eq. 13-17, with visible normals.
     """
+    (ix, iy, iz), (ox, oy, oz) = source, leaving
     if oz > 0.0:
         hx, hy, hz = ix + ox, iy + oy, iz + oz
     else:
@@ -149,12 +151,12 @@ def _straight(
         return 0.0
     scale = (1.0 if hz > 0.0 else -1.0) / np.sqrt(length2)
     hx, hy, hz = hx * scale, hy * scale, hz * scale
-    facing, leaving = ix * hx + iy * hy + iz * hz, ox * hx + oy * hy + oz * hz
-    if facing <= 0.0 or (leaving > 0.0) != (oz > 0.0):
+    facing, away = ix * hx + iy * hy + iz * hz, ox * hx + oy * hy + oz * hz
+    if facing <= 0.0 or (away > 0.0) != (oz > 0.0):
         return 0.0
     reflectance, transmittance, _ = fresnel(n_i, n_t, min(facing, 1.0))
     per_normal = facet_density(alpha, hx, hy, hz) / projected_area(alpha, ix, iy, iz)
     if oz > 0.0:
         return reflectance * per_normal * 0.25 * below ** smith_lambda(alpha, ox, oy, oz)
-    per_normal *= facing * n_t * n_t * -leaving / length2
+    per_normal *= facing * n_t * n_t * -away / length2
     return transmittance * per_normal * max(1.0 - below, LOWEST) ** smith_lambda(alpha, ox, oy, -oz)

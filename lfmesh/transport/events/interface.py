@@ -33,6 +33,7 @@ from lfmesh.transport.paths.automaton import ON_ROUGH_FACE, after_interface
 from lfmesh.transport.tables.tables import ABSORBING, BARE, DIFFUSE, ROUGH, THIN_LENS, Interfaces
 
 Array = NDArray[np.float64]
+Direction = tuple[float, float, float]
 
 IN_WALK, IN_DENSITY = 1 << 21, 1 << 22
 """With the number of the event, numbers of the keys of random walks between facets; see `regions.targets.AIMED_CHILD`
@@ -116,7 +117,7 @@ def is_thin_lens(interfaces: Interfaces, number: int) -> bool:
 
 @inlined
 def through_thin_lens(
-    interfaces: Interfaces, number: int, colour: int, x: float, y: float, dx: float, dy: float, dz: float
+    interfaces: Interfaces, number: int, colour: int, x: float, y: float, direction: Direction
 ) -> tuple[float, float, float, float]:
     """Return the direction behind a thin lens, and the factor (cosine behind / cosine before)⁴.
 
@@ -131,9 +132,10 @@ def through_thin_lens(
         As for `shares`.
     x, y : float, mm
         From the axis of the lens.
-    dx, dy, dz : float
+    direction : (3,) float
         Unit direction in its frame.
     """
+    dx, dy, dz = direction
     power = interfaces.parameters[interfaces.rows[number].first, colour] * abs(dz)
     ux, uy = dx - power * x, dy - power * y
     scale2 = 1.0 / (ux * ux + uy * uy + dz * dz)
@@ -149,9 +151,8 @@ def is_rough(interfaces: Interfaces, number: int) -> bool:
 
 @kernel
 def scattered(
-    interfaces: Interfaces, number: int, options: Options, packet: Any, n_i: float, n_t: float,
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float,
-) -> tuple[bool, float, float, float]:  # fmt: skip
+    interfaces: Interfaces, number: int, options: Options, packet: Any, n_i: float, n_t: float, normal: Direction
+) -> tuple[bool, float, float, float]:
     """Return whether a rough interface transmits a packet, and the direction in which it leaves, both by chance.
 
     No power is lost, so that the packet keeps its weight. In basic radiance the process is symmetric: importance from
@@ -167,11 +168,10 @@ def scattered(
     packet : PACKET
     n_i, n_t : float
         Refractive index before and after the interface.
-    dx, dy, dz : float
-        Unit direction.
-    nx, ny, nz : float
+    normal : (3,) float
         Unit normal along the ray.
     """
+    (nx, ny, nz), dx, dy, dz = normal, packet.dx, packet.dy, packet.dz
     choice = draw(packet, CHOOSE)
     count_event(packet)
     u, v = draw_two(options, packet, BOUNCE_U)
@@ -185,26 +185,30 @@ def scattered(
     a, b, c = dx * px + dy * py + dz * pz, dx * qx + dy * qy + dz * qz, -(dx * nx + dy * ny + dz * nz)
     key = derived(packet.key, IN_WALK + packet.events)
     alpha = interfaces.parameters[row.first, packet.colour]
-    passes, a, b, c = ground_direction(alpha, n_i, n_t, a, b, c, u, v, key)
+    passes, a, b, c = ground_direction(alpha, n_i, n_t, (a, b, c), u, v, key)
     return passes, a * px + b * qx - c * nx, a * py + b * qy - c * ny, a * pz + b * qz - c * nz
 
 
 @kernel
 def scattered_density(
-    interfaces: Interfaces, number: int, packet: Any, n_i: float, n_t: float,
-    dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, ox: float, oy: float, oz: float, light: int,
+    interfaces: Interfaces, number: int, packet: Any, indices: tuple[float, float], normal: Direction,
+    leaving: Direction, light: int,
 ) -> float:  # fmt: skip
     """Return the density, 1/sr, with which `scattered` draws a direction; of ground interfaces, in the mean only.
 
     Parameters
     ----------
-    interfaces, number, packet, n_i, n_t, dx, dy, dz, nx, ny, nz
+    interfaces, number, packet, normal
         As for `scattered`.
-    ox, oy, oz : float
+    indices : (2,) float
+        Refractive index before and after the interface.
+    leaving : (3,) float
         Unit direction in which light leaves.
     light : int
         Tells apart the directions that are asked for at one event.
     """
+    (n_i, n_t), (nx, ny, nz), (ox, oy, oz) = indices, normal, leaving
+    dx, dy, dz = packet.dx, packet.dy, packet.dz
     row = interfaces.rows[number]
     along = ox * nx + oy * ny + oz * nz
     if row.kind == DIFFUSE:
@@ -214,7 +218,8 @@ def scattered_density(
     a, b, c = dx * px + dy * py + dz * pz, dx * qx + dy * qy + dz * qz, -(dx * nx + dy * ny + dz * nz)
     to_a, to_b = ox * px + oy * py + oz * pz, ox * qx + oy * qy + oz * qz
     key = derived(derived(packet.key, IN_DENSITY + packet.events), light)
-    return ground_density(interfaces.parameters[row.first, packet.colour], n_i, n_t, a, b, c, to_a, to_b, -along, key)
+    alpha = interfaces.parameters[row.first, packet.colour]
+    return ground_density(alpha, n_i, n_t, (a, b, c), (to_a, to_b, -along), key)
 
 
 def scatterer(send: Callable[..., None]) -> Callable[..., None]:

@@ -289,13 +289,12 @@ def _evaluate_other(
             return 0.0
     if model.kind == LAMBERTIAN:
         return light * scattering.parameters[model.first, colour] * point.texel / np.pi
-    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
-    bx, by, bz = _local(nx, ny, nz, ox, oy, oz)
+    arriving, leaving = _local(nx, ny, nz, -ix, -iy, -iz), _local(nx, ny, nz, ox, oy, oz)
     value = 0.0
     if model.metal < 1.0:
-        value = gloss_brdf(scattering.parameters, model.first, colour, point.texel, ax, ay, az, bx, by, bz)
+        value = gloss_brdf(scattering.parameters, model.first, colour, point.texel, arriving, leaving)
     if model.metal > 0.0:
-        metal = gloss_brdf(scattering.parameters, model.first + ROWS, colour, 1.0, ax, ay, az, bx, by, bz)
+        metal = gloss_brdf(scattering.parameters, model.first + ROWS, colour, 1.0, arriving, leaving)
         value = (1.0 - model.metal) * value + model.metal * point.texel * metal
     return light * value
 
@@ -318,14 +317,13 @@ def _density_of_gloss(
     (ix, iy, iz), (ox, oy, oz) = incoming, outgoing
     first = scattering.models[point.model].first
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
-    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
-    bx, by, bz = _local(nx, ny, nz, ox, oy, oz)
-    chance = _chance_of_metal(scattering, point, colour, az)
+    arriving, leaving = _local(nx, ny, nz, -ix, -iy, -iz), _local(nx, ny, nz, ox, oy, oz)
+    chance = _chance_of_metal(scattering, point, colour, arriving[2])
     value = 0.0
     if chance < 1.0:
-        value = gloss_density(scattering.parameters, first, colour, point.texel, ax, ay, az, bx, by, bz)
+        value = gloss_density(scattering.parameters, first, colour, point.texel, arriving, leaving)
     if chance > 0.0:
-        metal = gloss_density(scattering.parameters, first + ROWS, colour, 1.0, ax, ay, az, bx, by, bz)
+        metal = gloss_density(scattering.parameters, first + ROWS, colour, 1.0, arriving, leaving)
         value = (1.0 - chance) * value + chance * metal
     return value
 
@@ -338,13 +336,13 @@ def _sample_gloss(
     ix, iy, iz = incoming
     first, texel = scattering.models[point.model].first, point.texel
     nx, ny, nz = _seen_normal(point, -ix, -iy, -iz)
-    ax, ay, az = _local(nx, ny, nz, -ix, -iy, -iz)
-    chance = _chance_of_metal(scattering, point, colour, az)
+    arriving = _local(nx, ny, nz, -ix, -iy, -iz)
+    chance = _chance_of_metal(scattering, point, colour, arriving[2])
     if u < chance:
         u, first, texel = u / chance, first + ROWS, 1.0
     elif chance > 0.0:
         u = min((u - chance) / (1.0 - chance), 1.0)
-    x, y, z = gloss_direction(scattering.parameters, first, colour, texel, ax, ay, az, u, v)
+    x, y, z = gloss_direction(scattering.parameters, first, colour, texel, arriving, u, v)
     ux, uy, uz, vx, vy, vz = tangents(nx, ny, nz)
     ox, oy, oz = x * ux + y * vx + z * nx, x * uy + y * vy + z * ny, x * uz + y * vz + z * nz
     cosine = point.nx * ox + point.ny * oy + point.nz * oz

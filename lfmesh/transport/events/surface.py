@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import barycentric
+from lfmesh.transport.events.facets import barycentric
 from lfmesh.transport.events.scattering import Point, emissivity
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.scattering import THERMAL

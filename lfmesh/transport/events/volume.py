@@ -15,21 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.frame import direction_through, point_through
-from lfmesh.geometry.meshes.shell_tree import next_crossing
+from lfmesh.geometry.ray import Ray as Ray
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.transport.events.bounds import cell_end, own_ray, span
 from lfmesh.transport.packets.book import LOST_OUTSIDE, LOST_STUCK
 from lfmesh.transport.packets.random import uniform
-from lfmesh.transport.tables.volumes import (
-    BOX,
-    BY_TEMPERATURE,
-    CYLINDER,
-    IN_FRONT,
-    OF_BODY,
-    OF_VOXELS,
-    SHELL,
-    Volumes,
-)
+from lfmesh.transport.tables.volumes import BY_TEMPERATURE, OF_BODY, OF_VOXELS, Volumes
 
 Array = NDArray[np.float64]
 
@@ -45,8 +36,8 @@ OPAQUE_DEPTH = 700.0
 MOST_STEPS = 1_000_000
 """Largest number of steps on a line; light that needs more is lost."""
 
-PLACE, STEP, WHICH = 0, 1, 2
-"""Dimensions of a scattering point's random numbers: its place in a step, the step, and the medium."""
+STEP = 1
+"""Dimension of the random number by which a step is drawn in which light is scattered."""
 
 
 class Passage(NamedTuple):
@@ -86,38 +77,6 @@ class Passage(NamedTuple):
     densest: float
 
 
-class ScatteringPoint(NamedTuple):
-    """A point of a line at which light is scattered.
-
-    Attributes
-    ----------
-    t : float, mm
-        Its distance.
-    share : float
-        Of the light that set out, which is scattered there; its mean is `Passage.scattered`.
-    density : float
-        Of the light that is scattered there, over that which set out, 1/mm.
-    medium : int
-        Number of the medium.
-    """
-
-    t: float
-    share: float
-    density: float
-    medium: int
-
-
-class Ray(NamedTuple):
-    """A ray in the object frame or in a medium's own, mm; the direction is a unit vector."""
-
-    x: float
-    y: float
-    z: float
-    dx: float
-    dy: float
-    dz: float
-
-
 class Line(NamedTuple):
     """A ray in one body, or in air, at one wavelength.
 
@@ -154,162 +113,6 @@ class Step(NamedTuple):
     middle: float
     active: int
     only: int
-
-
-@inlined
-def ray_of(packet: Any) -> Ray:
-    """Return the ray of a packet.
-
-    Parameters
-    ----------
-    packet : PACKET
-    """
-    return Ray(packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
-
-
-@inlined
-def along(ray: Ray, t: float) -> tuple[float, float, float]:
-    """Return the point at a distance on a ray, mm.
-
-    Parameters
-    ----------
-    ray : Ray
-    t : float, mm
-    """
-    return ray.x + t * ray.dx, ray.y + t * ray.dy, ray.z + t * ray.dz
-
-
-@inlined
-def own_ray(row: Any, ray: Ray) -> Ray:
-    """Return a ray of the object frame in the own frame of a medium.
-
-    Parameters
-    ----------
-    row : VOLUME
-    ray : Ray
-    """
-    x, y, z = point_through(row.to_own, ray.x, ray.y, ray.z)
-    dx, dy, dz = direction_through(row.to_own, ray.dx, ray.dy, ray.dz)
-    return Ray(x, y, z, dx, dy, dz)
-
-
-@inlined
-def slab(low: float, high: float, o: float, d: float) -> tuple[float, float]:
-    """Return the distances between which a ray is between two planes of a coordinate.
-
-    Parameters
-    ----------
-    low, high : float
-        The planes.
-    o, d : float
-        Start and direction of the ray.
-    """
-    if d == 0.0:
-        return (-np.inf, np.inf) if low <= o <= high else (np.inf, -np.inf)
-    a, b = (low - o) / d, (high - o) / d
-    return (a, b) if a <= b else (b, a)
-
-
-@kernel
-def span(shells: Any, row: Any, ray: Ray, t: float) -> tuple[float, float, float]:
-    """Return the distances between which a ray, in the own frame, is in a medium, as they are seen from one distance.
-
-    Parameters
-    ----------
-    shells : ShellTree or None
-        None: no mesh bounds a medium, and numba compiles nothing for it.
-    row : VOLUME
-    ray : Ray
-    t : float, mm
-
-    Returns
-    -------
-    first, last : float, mm
-        The first is larger if the ray is never in it.
-    holds : float, mm
-        Distance beyond t up to which this is so: the next crossing of a mesh, else inf.
-    """
-    holds = np.inf
-    if shells is not None:
-        inside = True
-        if row.bounds == SHELL:
-            inside, holds = next_crossing(
-                shells, row.nodes[0], row.nodes[1], t, ray.x, ray.y, ray.z, ray.dx, ray.dy, ray.dz
-            )
-        if not inside:
-            return np.inf, -np.inf, holds
-    first, last = _span(row, ray)
-    return first, last, holds
-
-
-@kernel
-def _span(row: Any, ray: Ray) -> tuple[float, float]:
-    """Return the distances between which a ray is in the bounds of a medium, but for those of a mesh, and its grid."""
-    x, y, z, dx, dy, dz = ray
-    first, last = -np.inf, np.inf
-    if row.bounds == IN_FRONT:
-        return slab(-np.inf, 0.0, z, dz) if dz != 0.0 or z < 0.0 else (np.inf, -np.inf)
-    if row.bounds == BOX:
-        for axis in range(3):
-            o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-            a, b = slab(-row.size[axis], row.size[axis], o, d)
-            first, last = max(first, a), min(last, b)
-    elif row.bounds != SHELL:
-        cut = 0.0 if row.bounds == CYLINDER else 1.0
-        a = dx * dx + dy * dy + cut * dz * dz
-        middle = -(x * dx + y * dy + cut * z * dz)
-        radius2 = row.size[0] * row.size[0]
-        if a > 0.0:
-            # The discriminant by the distance of the ray from the axis: far starts lose no digits.
-            s = middle / a
-            px, py, pz = x + s * dx, y + s * dy, cut * (z + s * dz)
-            rest = radius2 - (px * px + py * py + pz * pz)
-            if rest <= 0.0:
-                return np.inf, -np.inf
-            half = np.sqrt(rest / a)
-            first, last = s - half, s + half
-        elif x * x + y * y > radius2:
-            return np.inf, -np.inf
-        if row.bounds == CYLINDER:
-            c, d = slab(-row.size[2], row.size[2], z, dz)
-            first, last = max(first, c), min(last, d)
-    if row.cells[0] > 0:
-        for axis in range(3):
-            o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-            a, b = slab(row.low[axis], row.high[axis], o, d)
-            first, last = max(first, a), min(last, b)
-    return first, last
-
-
-@kernel
-def cell_end(row: Any, t: float, ray: Ray) -> float:
-    """Return the distance, beyond t, at which a ray leaves the present cell of a medium's grid.
-
-    Cells of a trilinear grid have the centres of eight voxels as corners.
-
-    Parameters
-    ----------
-    row : VOLUME
-    t : float, mm
-    ray : Ray
-    """
-    x, y, z, dx, dy, dz = ray
-    shift = 0.5 if row.constant else 0.0
-    nearest = np.inf
-    for axis in range(3):
-        o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-        if d == 0.0:
-            continue
-        o, d = (o - row.origin[axis]) / row.spacing[axis] + shift, d / row.spacing[axis]
-        plane = np.floor(o + t * d) + (1.0 if d > 0.0 else 0.0)
-        ends = (plane - o) / d
-        if ends <= t:
-            # The ray is on this plane, to rounding, or has just passed it.
-            plane += 1.0 if d > 0.0 else -1.0
-            ends = (plane - o) / d
-        if ends > t:
-            nearest = min(nearest, ends)
-    return nearest
 
 
 @inlined
@@ -550,90 +353,3 @@ def _absorbed_in(volumes: Volumes, line: Line, number: int, step: Step) -> tuple
     if not (first <= step.begin and last >= step.end and first < last):
         return False, 0.0
     return True, coefficients(volumes, number, line.colour, step.middle, step.middle, ray)[0]
-
-
-@kernel
-def scattering_point(volumes: Volumes, line: Line, passage: Passage, key: np.uint64) -> ScatteringPoint:
-    """Return a random point of a line at which light is scattered.
-
-    Parameters
-    ----------
-    volumes : Volumes
-    line : Line
-    passage : Passage
-        Of the line, of which some light is scattered.
-    key : uint64
-        As in `pass_through`.
-    """
-    u = uniform(key, PLACE)
-    depth = passage.extinction * passage.length
-    stopped = -np.expm1(-depth)
-    way = -np.log1p(-u * stopped) / passage.extinction
-    t = passage.begin + min(way, passage.length)
-    middle = passage.begin + 0.5 * passage.length if passage.length < np.inf else t
-    # Optical depth up to the point, exact in a cell by Gauss's quadrature, and the coefficients there.
-    total, before = 0.0, 0.0
-    for number in range(len(volumes.rows)):
-        ray = own_ray(volumes.rows[number], line.ray)
-        first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
-        if volumes.rows[number].inside != line.place or not first <= middle <= last:
-            continue
-        ks = coefficients(volumes, number, line.colour, t, middle, ray)[1]
-        total += ks
-        for at in (LOW, HIGH):
-            ka, kt, _ = coefficients(volumes, number, line.colour, passage.begin + at * way, middle, ray)
-            before += 0.5 * way * (ka + kt)
-    drawn = passage.extinction * np.exp(-passage.extinction * way) / stopped
-    density = passage.before * total * np.exp(-before)
-    share = density / (drawn * passage.chance) if passage.chance > 0.0 else 0.0
-    choice, which = uniform(key, WHICH) * total, 0
-    for number in range(len(volumes.rows)):
-        ray = own_ray(volumes.rows[number], line.ray)
-        first, last, _ = span(volumes.shells, volumes.rows[number], ray, middle)
-        if volumes.rows[number].inside != line.place or not first <= middle <= last:
-            continue
-        ks = coefficients(volumes, number, line.colour, t, middle, ray)[1]
-        if ks > 0.0 and choice >= 0.0:
-            which = number
-        choice -= ks
-    return ScatteringPoint(t, share, density, which)
-
-
-@kernel
-def scattered_at(volumes: Volumes, line: Line, t: float, book: Array, key: np.uint64) -> tuple[float, int]:
-    """Return the light that is scattered at a distance on a line, over that which set out, 1/mm, and a random medium.
-
-    Parameters
-    ----------
-    volumes : Volumes
-    line : Line
-    t : float, mm
-        Less than the line's length.
-    book : (slots,) float64
-        Nothing is entered.
-    key : uint64
-        As in `pass_through`.
-    """
-    total = 0.0
-    for number in range(len(volumes.rows)):
-        total += _scattering_at(volumes, line, number, t)
-    if total <= 0.0:
-        return 0.0, 0
-    choice, which = uniform(key, WHICH) * total, 0
-    for number in range(len(volumes.rows)):
-        ks = _scattering_at(volumes, line, number, t)
-        if ks > 0.0 and choice >= 0.0:
-            which = number
-        choice -= ks
-    return pass_through(volumes, line, t, book, 0.0, key).transmittance * total, which
-
-
-@kernel
-def _scattering_at(volumes: Volumes, line: Line, number: int, t: float) -> float:
-    """Return the scattering coefficient of a medium at a distance on a line, 1/mm; 0 outside of it."""
-    row = volumes.rows[number]
-    if row.inside != line.place:
-        return 0.0
-    ray = own_ray(row, line.ray)
-    first, last, _ = span(volumes.shells, row, ray, t)
-    return coefficients(volumes, number, line.colour, t, t, ray)[1] if first <= t <= last else 0.0

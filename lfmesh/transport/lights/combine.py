@@ -15,24 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase
 from lfmesh.transport.events.bodies import RANK, bodies_round
-from lfmesh.transport.events.crossing import EDGE, clear_of, deposit
+from lfmesh.transport.events.crossing import deposit
+from lfmesh.transport.events.facets import EDGE, clear_of
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.scattering import Point, density, evaluate
+from lfmesh.transport.events.scattering_point import ScatteringPoint, scattered_at
 from lfmesh.transport.events.surface import point_of
 from lfmesh.transport.events.travel import transmitted
-from lfmesh.transport.events.volume import (
-    Line,
-    Passage,
-    Ray,
-    ScatteringPoint,
-    along,
-    pass_through,
-    ray_of,
-    scattered_at,
-)
+from lfmesh.transport.events.volume import Line, Passage, pass_through
 from lfmesh.transport.lights.emitting_facets import are_asked as facets_are_asked
 from lfmesh.transport.lights.emitting_facets import radiance as radiance_of_facet
 from lfmesh.transport.lights.emitting_facets import sample as sample_facets

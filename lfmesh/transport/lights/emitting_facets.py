@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.ray import Ray, along
 from lfmesh.kernels.decorators import inlined
-from lfmesh.transport.events.crossing import EMITTER_U, barycentric, crosses, draw_two
+from lfmesh.transport.events.crossing import EMITTER_U, draw_two
+from lfmesh.transport.events.facets import barycentric, crosses
 from lfmesh.transport.events.surface import emitted_radiance, point_of
-from lfmesh.transport.events.volume import Ray, along
 from lfmesh.transport.lights.shadow import Way
 from lfmesh.transport.packets.packet import TO_FACET, Options
 from lfmesh.transport.tables.tables import Emitters, ObjectTables

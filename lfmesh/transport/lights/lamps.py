@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
-from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.lights.intensity import intensity
 from lfmesh.transport.lights.shadow import Way
 from lfmesh.transport.packets.packet import TO_LAMP, Options

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, SPOT
 
 Array = NDArray[np.float64]

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.events.bodies import RANK, bodies_round
+from lfmesh.transport.events.bounds import own_ray, slab
 from lfmesh.transport.events.crossing import EMITTER_U, draw_two
-from lfmesh.transport.events.volume import Ray, own_ray, ray_of, slab
 from lfmesh.transport.lights.shadow import Way
 from lfmesh.transport.packets.packet import NO_SURFACE, TO_MEDIA, Options
 from lfmesh.transport.packets.random import uniform

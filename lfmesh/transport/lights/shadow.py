@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import pasted
-from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.packets.packet import NO_SURFACE, OBJECT_FRAME, OBJECTS, SHADOW, Flow, put
 
 

@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase
 from lfmesh.optics.scattering import near
 from lfmesh.transport.events.bodies import bodies_round
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
-from lfmesh.transport.events.volume import Line, Passage, Ray, along, ray_of, scattered_at, scattering_point
+from lfmesh.transport.events.scattering_point import scattered_at, scattering_point
+from lfmesh.transport.events.volume import Line, Passage
 from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from, point_of_light
 from lfmesh.transport.lights.lamps_on_line import NARROWEST, lit_part
 from lfmesh.transport.lights.shadow import Way, send

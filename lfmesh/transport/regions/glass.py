@@ -7,32 +7,12 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.meshes.levels import PATCH
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.mixture import aimed_straight
-from lfmesh.transport.events.bodies import (
-    RANK,
-    TOO_MANY,
-    beyond_facet,
-    bodies_round,
-    is_in,
-    medium_of,
-    set_bodies,
-)
-from lfmesh.transport.events.crossing import (
-    AIM_DISK,
-    AIM_U,
-    AIM_V,
-    clear_of,
-    draw,
-    facet_normal,
-    lose,
-    meets_patch,
-    nearest_on_facet,
-    next_query_from,
-    reflected,
-    refracted,
-    requery,
-)
+from lfmesh.transport.events.bodies import RANK, TOO_MANY, beyond_facet, bodies_round, is_in, medium_of, set_bodies
+from lfmesh.transport.events.crossing import AIM_DISK, AIM_U, AIM_V, draw, lose, reflected, refracted, requery
+from lfmesh.transport.events.facets import clear_of, facet_normal, meets_patch, nearest_on_facet, next_query_from
 from lfmesh.transport.events.interface import (
     divided,
     is_coated,
@@ -155,10 +135,11 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
         fx, fy, fz = nearest_on_facet(facet, x, y, z)
         sense, normal = -1.0 if entering else 1.0, facet.normal
         after = beyond_facet(
-            objects, glass, inside, prim, entering, fx, fy, fz, sense * normal[0], sense * normal[1], sense * normal[2]
+            objects, glass, inside, prim, entering,
+            Ray(fx, fy, fz, sense * normal[0], sense * normal[1], sense * normal[2]),
         )  # fmt: skip
     else:
-        after = beyond_facet(objects, glass, inside, prim, entering, x, y, z, dx, dy, dz)
+        after = beyond_facet(objects, glass, inside, prim, entering, Ray(x, y, z, dx, dy, dz))
     if after == TOO_MANY:
         lose(options, flow, frames, packet, LOST_CONTRADICTION, objects.lost_slot[body])
         return
@@ -170,7 +151,7 @@ def through_glass(glass: Any, space: ObjectSpace, packet: Any, prim: int, t: flo
     if on_patch:
         nx, ny, nz = curved[2], curved[3], curved[4]
     elif level == PATCH:
-        met, more, nx, ny, nz = meets_patch(flow, glass.patches, glass.across, facet, prim, x, y, z, dx, dy, dz)
+        met, more, nx, ny, nz = meets_patch(flow, glass.patches, glass.across, facet, prim, Ray(x, y, z, dx, dy, dz))
         if rough:
             # A ray that scatters along a curved patch would run between it and the facets, where no query finds a way
             # out: it starts on the facet, and only the normal is the patch's.
@@ -242,9 +223,8 @@ def _through_rough_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any
     if options.adjoint and counts(options, packet):
         _ask_lamps_at_glass(interfaces, space, packet, face)
     passes, dx, dy, dz = scattered(
-        interfaces, face.number, options, packet, face.n_i, face.n_t, packet.dx, packet.dy, packet.dz,
-        face.nx, face.ny, face.nz,
-    )  # fmt: skip
+        interfaces, face.number, options, packet, face.n_i, face.n_t, (face.nx, face.ny, face.nz)
+    )
     fx, fy, fz = _along_facet(objects.facets[face.prim], face)
     if (fx * dx + fy * dy + fz * dz > 0.0) != passes:
         # The normal of a curved patch, or an interpolated one, differs from the facet's, which parts the media.
@@ -329,7 +309,6 @@ def _density_into_air(
     for vx, vy, vz in ((ux, uy, uz), reflected(ux, uy, uz, fx, fy, fz)):
         if (nx * vx + ny * vy + nz * vz > 0.0) == passes:
             density += scattered_density(
-                interfaces, face.number, packet, face.n_i, face.n_t, packet.dx, packet.dy, packet.dz, nx, ny, nz,
-                vx, vy, vz, lamp,
-            )  # fmt: skip
+                interfaces, face.number, packet, (face.n_i, face.n_t), (nx, ny, nz), (vx, vy, vz), lamp
+            )
     return density

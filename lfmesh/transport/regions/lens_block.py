@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.transport.events.crossing import reflected, refracted, safely_behind
+from lfmesh.transport.events.crossing import reflected, refracted
+from lfmesh.transport.events.facets import safely_behind
 from lfmesh.transport.sequences.lens_surfaces import conic_distance, conic_normal
 
 Array = NDArray[np.float64]
@@ -126,7 +128,7 @@ def meet_conics(block: Array) -> None:
         begin, sense, vertex_z = block[FROM + i], block[SENSE + i], block[VERTEX_Z + i]
         c, q = block[CURVATURE + i], block[SQUASH + i]
         x, y, z = block[X + i] + begin * dx, block[Y + i] + begin * dy, block[Z + i] - vertex_z + begin * dz
-        meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+        meets, t = conic_distance(c, q, Ray(x, y, z, dx, dy, dz), sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         nx, ny, nz = conic_normal(c, q, x, y, z, sense)
         along = block[FACET_X + i] * dx + block[FACET_Y + i] * dy + block[FACET_Z + i] * dz
@@ -185,16 +187,13 @@ def set_only_conic(
 
 
 @pasted
-def _crossing(
-    c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, begin: float, sense: float,
-    starts_on: float,
-) -> float:  # fmt: skip
+def _crossing(c: float, q: float, ray: Ray, begin: float, sense: float, starts_on: float) -> float:
     """Return the distance at which a ray crosses a conic in the given sense, counted as `begin` is; inf: nowhere.
 
     A ray that leaves a conic meets it again only on the hollow side; on the other, a root near the start is rounding.
     """
-    meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
-    meets = both(both(meets, begin + t > 0.0), c * q * (z + t * dz) < 1.0)
+    meets, t = conic_distance(c, q, ray, sense)
+    meets = both(both(meets, begin + t > 0.0), c * q * (ray.z + t * ray.dz) < 1.0)
     hollow = sense * c < 0.0
     meets = both(meets, starts_on != sense or hollow)
     return select(meets, t, np.inf)
@@ -213,8 +212,8 @@ def meet_in_order(block: Array) -> None:
         x, y, z = sx + begin * dx, sy + begin * dy, block[Z + i] + begin * dz
         c, q, vertex_z = block[CURVATURE + i], block[SQUASH + i], block[VERTEX_Z + i]
         d, p, next_z = block[NEXT_CURVATURE + i], block[NEXT_SQUASH + i], block[NEXT_VERTEX_Z + i]
-        back = _crossing(c, q, x, y, z - vertex_z, dx, dy, dz, begin, -1.0, on)
-        ahead = _crossing(d, p, x, y, z - next_z, dx, dy, dz, begin, 1.0, on)
+        back = _crossing(c, q, Ray(x, y, z - vertex_z, dx, dy, dz), begin, -1.0, on)
+        ahead = _crossing(d, p, Ray(x, y, z - next_z, dx, dy, dz), begin, 1.0, on)
         forward = ahead < back
         t, sense = select(forward, ahead, back), select(forward, 1.0, -1.0)
         c, q, vertex_z = select(forward, d, c), select(forward, p, q), select(forward, next_z, vertex_z)
@@ -422,5 +421,5 @@ def set_child(block: Array, child: int, i: int, ux: float, uy: float, uz: float)
     block[child + ALONG_X], block[child + ALONG_Y], block[child + ALONG_Z] = ux, uy, uz
     block[child + CLEAR] = safely_behind(
         block[FACET_X + i], block[FACET_Y + i], block[FACET_Z + i], block[OFFSET + i], block[SIZE + i],
-        block[PX + i], block[PY + i], block[PZ + i], ux, uy, uz,
+        Ray(block[PX + i], block[PY + i], block[PZ + i], ux, uy, uz),
     )  # fmt: skip

@@ -9,30 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import move_direction, move_point
+from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.bodies import (
-    RANK,
-    bodies_round,
-    is_in,
-)
-from lfmesh.transport.events.crossing import (
-    MAX_TRIES,
-    box_entry,
-    clear_of,
-    crosses,
-    end,
-    end_here,
-    lose,
-    move_packet,
-    next_query_from,
-    requery,
-    too_deep,
-    write_query,
-)
+from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
+from lfmesh.transport.events.crossing import MAX_TRIES, end, end_here, lose, move_packet, requery, too_deep, write_query
+from lfmesh.transport.events.facets import clear_of, crosses, next_query_from
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.travel import travel
-from lfmesh.transport.events.volume import ray_of
 from lfmesh.transport.lights.combine import bring_light
 from lfmesh.transport.lights.emitting_facets import is_reached
 from lfmesh.transport.packets.book import (
@@ -256,7 +241,7 @@ def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) 
     if packet.kind == SHADOW:
         until = min(until, packet.limit)
     state = bodies_round(packet), objects.rank
-    return _first_patch(glass.tree, state, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, 0.0, until)
+    return _first_patch(glass.tree, state, ray_of(packet), 0.0, until)
 
 
 @inlined
@@ -323,7 +308,7 @@ def _enters_lens(frames: Array, lens: LensTables, packet: Any, t: float) -> bool
     """Tell whether a packet enters the box round the lens before a distance."""
     px, py, pz = move_point(frames, OBJECT_FRAME, CAMERA_FRAME, packet.x, packet.y, packet.z)
     ex, ey, ez = move_direction(frames, OBJECT_FRAME, CAMERA_FRAME, packet.dx, packet.dy, packet.dz)
-    return box_entry(lens.box_low, lens.box_high, px, py, pz, ex, ey, ez) < t
+    return box_entry(lens.box_low, lens.box_high, Ray(px, py, pz, ex, ey, ez)) < t
 
 
 @inlined

@@ -20,7 +20,6 @@ from lfmesh.transport.events.crossing import (
     BOUNCE_U,
     KEEP_BOUNCE,
     PASS,
-    clear_of,
     deposit,
     draw,
     draw_two,
@@ -29,6 +28,7 @@ from lfmesh.transport.events.crossing import (
     thinned,
     windowed,
 )
+from lfmesh.transport.events.facets import clear_of
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
 from lfmesh.transport.events.scattering import Point, albedo, density, evaluate, sample

@@ -10,24 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, move_direction, move_point, point_through
+from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.levels import PATCH
+from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.geometry.surfaces.surface import distance_to
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.phase import evaluate_phase, sampled_cosine
 from lfmesh.optics.scattering import about
 from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.events.bodies import RANK, bodies_round
-from lfmesh.transport.events.crossing import box_entry, deposit, end_here, meets_patch, record, too_deep, windowed
+from lfmesh.transport.events.crossing import deposit, end_here, record, too_deep, windowed
+from lfmesh.transport.events.facets import meets_patch
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import depolarise
-from lfmesh.transport.events.volume import Line, Ray, along, pass_through, ray_of, scattering_point
-from lfmesh.transport.lights.combine import (
-    IN_MEDIUM,
-    ask_lamps_on_line,
-    has_asked,
-    share_of_scattered,
-    wait_for_lights,
-)
+from lfmesh.transport.events.scattering_point import scattering_point
+from lfmesh.transport.events.volume import Line, pass_through
+from lfmesh.transport.lights.combine import IN_MEDIUM, ask_lamps_on_line, has_asked, share_of_scattered, wait_for_lights
 from lfmesh.transport.lights.media_emitters import density as density_to_media
 from lfmesh.transport.packets.book import SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
@@ -132,7 +130,7 @@ def _distance_to_glass(glass: Any, flow: Flow, objects: ObjectTables, packet: An
         return t
     x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
     met, more, _, _, _ = meets_patch(
-        flow, glass.patches, glass.across, objects.facets[prim], prim, x, y, z, packet.dx, packet.dy, packet.dz
+        flow, glass.patches, glass.across, objects.facets[prim], prim, Ray(x, y, z, packet.dx, packet.dy, packet.dz)
     )
     return max(t + more, 0.0) if met else t
 
@@ -143,7 +141,7 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
 
     Where the front is hollow, the medium reaches into the hollow, beyond the border of the lens's box.
     """
-    enters = box_entry(lens.box_low, lens.box_high, x, y, z, dx, dy, dz)
+    enters = box_entry(lens.box_low, lens.box_high, Ray(x, y, z, dx, dy, dz))
     if enters == np.inf or lens.convex_front:
         return enters
     front = lens.surfaces[0]
@@ -151,7 +149,7 @@ def _way_to_lens(lens: LensTables, x: float, y: float, z: float, dx: float, dy: 
     if front.posed:
         x, y, z = point_through(front.unpose, x, y, z)
         dx, dy, dz = direction_through(front.unpose, dx, dy, dz)
-    meets, more = distance_to(front, x, y, z - front.vertex_z, dx, dy, dz, 1.0)
+    meets, more = distance_to(front, Ray(x, y, z - front.vertex_z, dx, dy, dz), 1.0)
     return enters + max(more, 0.0) if meets else enters
 
 

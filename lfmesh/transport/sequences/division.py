@@ -7,6 +7,7 @@ stand in the bundle. What a coating absorbs is entered in the book; the rest of 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel, pasted
 from lfmesh.kernels.vector import both, fused, select
 from lfmesh.optics.fresnel import amplitude_sums, fresnel, refraction, transmittance
@@ -100,10 +101,7 @@ def divide(
 
 
 @pasted
-def go_on(
-    bundle: Array, i: int, moves: bool, x: float, y: float, z: float, ux: float, uy: float, uz: float,
-    fate: float, share: float, taken: float,
-) -> None:  # fmt: skip
+def go_on(bundle: Array, i: int, moves: bool, ray: Ray, fate: float, share: float, taken: float) -> None:
     """Continue ray `i` from a point of a face, or end it there; a ray that has ended is left as it is.
 
     Parameters
@@ -113,9 +111,8 @@ def go_on(
         Place in the block.
     moves : bool
         Whether the ray comes to the point; a ray that misses the face ends where it is.
-    x, y, z : float, mm
-    ux, uy, uz : float
-        Unit direction in which it goes on.
+    ray : Ray
+        The point, and the direction in which it goes on.
     fate : float
         What ends it, or 0, see `bundle.FATE`.
     share : float
@@ -135,12 +132,12 @@ def go_on(
     # Power that is neither passed on nor absorbed is reflected, under total reflection all of it.
     bundle[LEFT_BEHIND + i] += weight - on - taken
     bundle[WEIGHT + i] = on
-    bundle[X + i] = select(moves, x, bundle[X + i])
-    bundle[Y + i] = select(moves, y, bundle[Y + i])
-    bundle[Z + i] = select(moves, z, bundle[Z + i])
-    bundle[DX + i] = select(goes, ux, bundle[DX + i])
-    bundle[DY + i] = select(goes, uy, bundle[DY + i])
-    bundle[DZ + i] = select(goes, uz, bundle[DZ + i])
+    bundle[X + i] = select(moves, ray.x, bundle[X + i])
+    bundle[Y + i] = select(moves, ray.y, bundle[Y + i])
+    bundle[Z + i] = select(moves, ray.z, bundle[Z + i])
+    bundle[DX + i] = select(goes, ray.dx, bundle[DX + i])
+    bundle[DY + i] = select(goes, ray.dy, bundle[DY + i])
+    bundle[DZ + i] = select(goes, ray.dz, bundle[DZ + i])
 
 
 @kernel
@@ -159,7 +156,7 @@ def _refract(bundle: Array, indices: tuple[float, float]) -> None:
         g = fused(-eta, cos_i, cos_t)
         ux, uy, uz = fused(eta, dx, g * nx), fused(eta, dy, g * ny), fused(eta, dz, g * nz)
         x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
-        go_on(bundle, i, True, x, y, z, ux, uy, uz, bundle[FATE + i], share, 0.0)
+        go_on(bundle, i, True, Ray(x, y, z, ux, uy, uz), bundle[FATE + i], share, 0.0)
 
 
 @pasted
@@ -282,7 +279,7 @@ def _turn(bundle: Array, indices: tuple[float, float], mirrors: bool, absorbs: b
         bundle[TAKEN + i] = taken
         ux, uy, uz = on * dx + g * nx, on * dy + g * ny, on * dz + g * nz
         x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
-        go_on(bundle, i, True, x, y, z, ux, uy, uz, fate, share, taken)
+        go_on(bundle, i, True, Ray(x, y, z, ux, uy, uz), fate, share, taken)
 
 
 @kernel
@@ -290,9 +287,9 @@ def _through_thin_lens(bundle: Array, interfaces: Interfaces, number: int, colou
     for i in range(BLOCK):
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
         x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
-        ux, uy, uz, factor = through_thin_lens(interfaces, number, colour, x, y, dx, dy, dz)
+        ux, uy, uz, factor = through_thin_lens(interfaces, number, colour, x, y, (dx, dy, dz))
         ended = bundle[ENDED_ON + i]
-        go_on(bundle, i, True, x, y, z, ux, uy, uz, bundle[FATE + i], 1.0, 0.0)
+        go_on(bundle, i, True, Ray(x, y, z, ux, uy, uz), bundle[FATE + i], 1.0, 0.0)
         passed = both(ended == 0.0, bundle[ENDED_ON + i] == 0.0)
         bundle[ETENDUE + i] *= select(passed, factor, 1.0)
 

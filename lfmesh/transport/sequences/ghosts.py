@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import direction_through, point_through
+from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import count_up_to, drawn_by
@@ -39,14 +40,7 @@ from lfmesh.transport.packets.packet import (
 )
 from lfmesh.transport.paths.automaton import REFLECTED_TWICE
 from lfmesh.transport.sequences.bundle import empty_bundle
-from lfmesh.transport.sequences.follower import (
-    END_ROWS,
-    RAY_ENDED,
-    RAY_MET,
-    RAY_WEIGHT,
-    Route,
-    follow_rays,
-)
+from lfmesh.transport.sequences.follower import END_ROWS, RAY_ENDED, RAY_MET, RAY_WEIGHT, Route, follow_rays
 from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import Camera, MlaTables
 
@@ -175,17 +169,16 @@ def _leave_pixels(
         if not packet.dz < 0.0:
             flow.book[UNFOLLOWED] += packet.weight
             continue
-        _start_ray(room, i, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight, 0.0)
+        _start_ray(room, i, ray_of(packet), packet.weight, 0.0)
         room.order[count] = i
         count += 1
     return count
 
 
 @inlined
-def _start_ray(
-    room: GhostRoom, n: int, x: float, y: float, z: float, dx: float, dy: float, dz: float, weight: float, met: float
-) -> None:
+def _start_ray(room: GhostRoom, n: int, ray: Ray, weight: float, met: float) -> None:
     """Write the ray of a packet, and how many interfaces it has met."""
+    x, y, z, dx, dy, dz = ray
     rays = room.rays
     rays[0, n], rays[1, n], rays[2, n] = x, y, z
     rays[3, n], rays[4, n], rays[5, n] = dx, dy, dz
@@ -222,7 +215,7 @@ def _draw_sequences(wave: NDArray[np.void], count: int, ghosts: GhostTables, opt
         if ghosts.from_pixel[sequence]:
             rays[RAY_WEIGHT, n] /= chance
         else:
-            _start_ray(room, n, x, y, z, dx, dy, dz, ends[RAY_WEIGHT, n] / chance, ends[RAY_MET, n])
+            _start_ray(room, n, Ray(x, y, z, dx, dy, dz), ends[RAY_WEIGHT, n] / chance, ends[RAY_MET, n])
 
 
 @kernel
@@ -239,14 +232,14 @@ def _start_anew(packet: Any, n: int, camera: Camera, ghosts: GhostTables, option
         dx, dy, dz = _to_array(mla, ghosts, frames, packet.x, packet.y, u / ghosts.to_array, v)
     else:
         dx, dy, dz = _at_sine(until, (u - ghosts.to_array) / (1.0 - ghosts.to_array), v)
-    density = _density(mla, ghosts, frames, until, packet.x, packet.y, dx, dy, dz)
+    density = _density(mla, ghosts, frames, until, (packet.x, packet.y), (dx, dy, dz))
     if density > 0.0:
         room.sequence[n], room.chance[n] = sequence, chance
         move = frames[SENSOR_FRAME, CAMERA_FRAME]
         x, y, z = point_through(move, packet.x, packet.y, 0.0)
         dx, dy, dz = direction_through(move, dx, dy, dz)
         weight = area_of_sample(camera.sensor, options.pixels.samples) / (density * chance)
-        _start_ray(room, n, x, y, z, dx, dy, dz, weight, 0.0)
+        _start_ray(room, n, Ray(x, y, z, dx, dy, dz), weight, 0.0)
 
 
 @inlined
@@ -329,8 +322,8 @@ def _at_sine(until: Array, u: float, v: float) -> tuple[float, float, float]:
 
 @kernel
 def _density(
-    mla: MlaTables, ghosts: GhostTables, frames: Array, until: Array, x: float, y: float,
-    dx: float, dy: float, dz: float,
+    mla: MlaTables, ghosts: GhostTables, frames: Array, until: Array, place: tuple[float, float],
+    direction: tuple[float, float, float],
 ) -> float:  # fmt: skip
     """Return the density, in 1/sr of projected solid angle, with which a new direction is drawn; 0 along the sensor.
 
@@ -338,11 +331,12 @@ def _density(
     ----------
     until : (SINES,) float64
         Cumulative chance of the intervals of its sine.
-    x, y : float, mm
+    place : (2,) float, mm
         The point of the sensor.
-    dx, dy, dz : float
-        The direction, sensor frame.
+    direction : (3,) float
+        Sensor frame.
     """
+    (x, y), (dx, dy, dz) = place, direction
     if not dz < 0.0:
         return 0.0
     interval = min(int(SINES * np.sqrt(dx * dx + dy * dy)), SINES - 1)

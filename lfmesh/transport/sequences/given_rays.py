@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import BESIDE_SENSOR, EMITTED, ESCAPED, HOUSING, ON_SENSOR, UNFOLLOWED
@@ -59,6 +60,7 @@ from lfmesh.transport.tables.surroundings import Surroundings
 from lfmesh.transport.tables.tables import Camera, Tables
 
 Array = NDArray[np.float64]
+Corner = tuple[float, float, float]
 
 # Rows beyond those of a bundle: the rays at their starts, camera frame, and their ways.
 _X, _Y, _Z = ROWS * BLOCK, (ROWS + 1) * BLOCK, (ROWS + 2) * BLOCK
@@ -222,12 +224,10 @@ def _judge(bundle: Array) -> None:
 def _find_ways(bundle: Array, count: int, camera: Camera, around: Surroundings) -> int:
     """Find the way of each ray; return a set of bits, one for each way, the first for rays that are not followed."""
     low, high = around.low, around.high
-    _find_entries(
-        bundle, around.before, around.farthest, low[0], low[1], low[2], high[0], high[1]
-    )  # fmt: skip
+    _find_entries(bundle, around.before, around.farthest, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
     for n in range(len(around.boxes)):
         low, high = around.boxes[n, 0], around.boxes[n, 1]
-        _stop_at_box(bundle, low[0], low[1], low[2], high[0], high[1], high[2], around.low[2])
+        _stop_at_box(bundle, (low[0], low[1], low[2]), (high[0], high[1], high[2]), around.low[2])
     ways = 0
     for i in range(count):
         way = int(bundle[_WAY + i])
@@ -239,30 +239,25 @@ def _find_ways(bundle: Array, count: int, camera: Camera, around: Surroundings) 
 
 
 @kernel
-def _find_entries(
-    bundle: Array, before: float, farthest: float,
-    low_x: float, low_y: float, low_z: float, high_x: float, high_y: float,
-) -> None:  # fmt: skip
+def _find_entries(bundle: Array, before: float, farthest: float, low: Corner, high: Corner) -> None:
     """Find the rays that come from object space through the front of the box in which the lens is."""
     for i in range(BLOCK):
         x, y, z, dz = bundle[_X + i], bundle[_Y + i], bundle[_Z + i], bundle[_DZ + i]
-        t = (low_z - z) / dz
+        t = (low[2] - z) / dz
         at_x, at_y = x + t * bundle[_DX + i], y + t * bundle[_DY + i]
-        enters = both(both(at_x > low_x, at_x < high_x), both(at_y > low_y, at_y < high_y))
+        enters = both(both(at_x > low[0], at_x < high[0]), both(at_y > low[1], at_y < high[1]))
         near = both(abs(x) < farthest, both(abs(y) < farthest, abs(z) < farthest))
         starts = both(both(z < before, dz > 0.0), bundle[_WAY + i] == _UNSURE)
         bundle[_WAY + i] = select(both(starts, both(enters, near)), 1.0 * _FROM_OBJECTS, bundle[_WAY + i])
 
 
 @pasted
-def _crosses_box(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, limit: float,
-    low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float,
-) -> bool:  # fmt: skip
+def _crosses_box(ray: Ray, limit: float, low: Corner, high: Corner) -> bool:
     """Return whether a ray may meet a box within a distance; along one of its planes, it may."""
-    ax, bx = (low_x - x) / dx, (high_x - x) / dx
-    ay, by = (low_y - y) / dy, (high_y - y) / dy
-    az, bz = (low_z - z) / dz, (high_z - z) / dz
+    x, y, z, dx, dy, dz = ray
+    ax, bx = (low[0] - x) / dx, (high[0] - x) / dx
+    ay, by = (low[1] - y) / dy, (high[1] - y) / dy
+    az, bz = (low[2] - z) / dz, (high[2] - z) / dz
     near = select(ax < bx, ax, bx)
     far = select(ax < bx, bx, ax)
     near_y, far_y = select(ay < by, ay, by), select(ay < by, by, ay)
@@ -276,15 +271,13 @@ def _crosses_box(
 
 
 @kernel
-def _stop_at_box(
-    bundle: Array, low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float, to_z: float
-) -> None:
+def _stop_at_box(bundle: Array, low: Corner, high: Corner, to_z: float) -> None:
     """Leave rays unsure that may meet a box on their way from object space to the lens, at z = `to_z`."""
     for i in range(BLOCK):
         x, y, z = bundle[_X + i], bundle[_Y + i], bundle[_Z + i]
         dx, dy, dz = bundle[_DX + i], bundle[_DY + i], bundle[_DZ + i]
         limit = (to_z - z) / dz
-        crosses = _crosses_box(x, y, z, dx, dy, dz, limit, low_x, low_y, low_z, high_x, high_y, high_z)
+        crosses = _crosses_box(Ray(x, y, z, dx, dy, dz), limit, low, high)
         stops = both(bundle[_WAY + i] == _FROM_OBJECTS, crosses)
         bundle[_WAY + i] = select(stops, 1.0 * _UNSURE, bundle[_WAY + i])
 
@@ -350,7 +343,7 @@ def _follow_way(bundle: Array, way: int, camera: Camera, route: Route, around: S
         return
     for n in range(len(around.boxes)):
         low, high = around.boxes[n, 0], around.boxes[n, 1]
-        _doubt_at_box(bundle, low[0], low[1], low[2], high[0], high[1], high[2])
+        _doubt_at_box(bundle, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
     _escape(bundle, around.plate, around.opening)
     move_bundle(bundle, frames[CAMERA_FRAME, WORLD_FRAME])
 
@@ -384,14 +377,12 @@ def _end_on_sensor(bundle: Array, pixel: float, columns: float, rows: float) -> 
 
 
 @kernel
-def _doubt_at_box(
-    bundle: Array, low_x: float, low_y: float, low_z: float, high_x: float, high_y: float, high_z: float
-) -> None:
+def _doubt_at_box(bundle: Array, low: Corner, high: Corner) -> None:
     """Count rays as unsure that may meet a box in object space, like those that pass beside the lens."""
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i]
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        crosses = _crosses_box(x, y, z, dx, dy, dz, np.inf, low_x, low_y, low_z, high_x, high_y, high_z)
+        crosses = _crosses_box(Ray(x, y, z, dx, dy, dz), np.inf, low, high)
         doubtful = both(bundle[ENDED_ON + i] == 0.0, crosses)
         bundle[ENDED_ON + i] = select(doubtful, BESIDE, bundle[ENDED_ON + i])
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.meshes.boxes import box_entry
+from lfmesh.geometry.ray import ray_of
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.crossing import at_box, box_entry, end, move_packet
+from lfmesh.transport.events.crossing import at_box, end, move_packet
 from lfmesh.transport.packets.book import UNFOLLOWED
 from lfmesh.transport.packets.packet import (
     CAMERA_FRAME,
@@ -184,7 +186,7 @@ def _hand_on(
 @inlined
 def _way_to_box(lens: LensTables, packet: Any) -> float:
     """Return the distance at which a packet from object space enters the box of the lens; nothing is in its way."""
-    t = box_entry(lens.box_low, lens.box_high, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz)
+    t = box_entry(lens.box_low, lens.box_high, ray_of(packet))
     # By rounding, a ray along the border may miss the box that it was found to enter.
     return t if t < np.inf else 0.0
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN, NEWTON_STEPS, SETTLED, distance_to, first_crossing, form_at
 from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.decorators import kernel, pasted
@@ -178,9 +179,7 @@ def find_return(bundle: Array, lens: LensTables, k: int, sense: float) -> None:
 
 
 @pasted
-def conic_distance(
-    c: float, q: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
-) -> tuple[bool, float]:
+def conic_distance(c: float, q: float, ray: Ray, sense: float) -> tuple[bool, float]:
     """Return whether a ray meets a conic, and the distance, as `surface.conic_distance`, without branches.
 
     The distance is meaningless where the ray misses.
@@ -191,12 +190,12 @@ def conic_distance(
         Curvature, 1/mm.
     q : float
         1 + conic constant.
-    x, y, z : float
+    ray : Ray
         Start relative to the vertex, mm.
-    dx, dy, dz : float
     sense : float
         1: cross the surface along its normal, −1: against it.
     """
+    x, y, z, dx, dy, dz = ray
     a = c * (dx * dx + dy * dy + q * dz * dz)
     b = c * (x * dx + y * dy + q * z * dz) - dz
     g = c * (x * x + y * y + q * z * z) - 2.0 * z
@@ -224,22 +223,19 @@ def conic_normal(c: float, q: float, x: float, y: float, z: float, sense: float)
 
 
 @pasted
-def sphere_crossing(
-    along: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, sense: float
-) -> tuple[float, float, float, float]:
+def sphere_crossing(along: float, ray: Ray, sense: float) -> tuple[float, float, float, float]:
     """Return the squared cosine of incidence at a sphere, the cosine, and two numbers whose ratio is the distance.
 
     Parameters
     ----------
     along : float
         Curvature times sense, so that both senses share the formulas of a ray along +z.
-    x, y, z : float, mm
+    ray : Ray
         From the vertex.
-    dx, dy, dz : float
-        Unit direction.
     sense : float
         As for `conic_distance`.
     """
+    x, y, z, dx, dy, dz = ray
     b = fused(along, fused(x, dx, fused(y, dy, z * dz)), -sense * dz)
     g = fused(along, fused(x, x, fused(y, y, z * z)), -2.0 * sense * z)
     root = fused(b, b, -along * g)
@@ -262,7 +258,7 @@ def _through_sphere(
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        root, cos_i, above, below = sphere_crossing(along, x, y, z, dx, dy, dz, sense)
+        root, cos_i, above, below = sphere_crossing(along, Ray(x, y, z, dx, dy, dz), sense)
         # From the squared cosine, so that neither square root waits for the other.
         cos2_t = fused(eta * eta, root, 1.0 - eta * eta)
         # Zero under total reflection, as the distance shares its division with the transmittance.
@@ -279,7 +275,7 @@ def _through_sphere(
         holds = both(t <= bundle[AGAIN + i], c * z < 1.0)
         fate = select(r2 <= limit, select(both(checked, not holds), DROPPED, 0.0), mount)
         fate = select(both(meets, r2 <= rim * rim), fate, beyond)
-        go_on(bundle, i, meets, x, y, z + vertex_z, ux, uy, uz, fate, share, 0.0)
+        go_on(bundle, i, meets, Ray(x, y, z + vertex_z, ux, uy, uz), fate, share, 0.0)
 
 
 @kernel
@@ -289,7 +285,7 @@ def _meet_conic(bundle: Array, c: float, k: float, vertex_z: float, sense: float
     for i in range(BLOCK):
         x, y, z = bundle[X + i], bundle[Y + i], bundle[Z + i] - vertex_z
         dx, dy, dz = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        meets, t = conic_distance(c, q, x, y, z, dx, dy, dz, sense)
+        meets, t = conic_distance(c, q, Ray(x, y, z, dx, dy, dz), sense)
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         bundle[T + i] = select(both(meets, c * q * z < 1.0), t, -1.0)
         bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i] = x, y, z + vertex_z
@@ -346,9 +342,9 @@ def _search(bundle: Array, i: int, surface: Any, sense: float) -> tuple[bool, fl
     at = -(bundle[Z + i] - surface.vertex_z) / dz
     # Counted from there, as fewer digits are lost than from a start that is far away.
     x, y = bundle[X + i] + at * dx, bundle[Y + i] + at * dy
-    meets, t = first_crossing(surface, x, y, 0.0, dx, dy, dz, sense, -at, np.inf, False)
+    meets, t = first_crossing(surface, Ray(x, y, 0.0, dx, dy, dz), sense, -at, np.inf, False)
     if not meets:
-        meets, t = distance_to(surface, x, y, 0.0, dx, dy, dz, sense)
+        meets, t = distance_to(surface, Ray(x, y, 0.0, dx, dy, dz), sense)
     return meets, at + t
 
 

@@ -30,6 +30,7 @@ from lfmesh.geometry.array.lenslets import (
     meets_profile,
     shape_of,
 )
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
@@ -349,7 +350,7 @@ def _meet_spheres(bundle: Array, sense: float, safe_x: float, safe_y: float) -> 
         # Counted from the plane of the apex, as digits would be lost when a ray comes from far to a small lenslet.
         at = -z / dz
         ax, ay = x + at * dx - bundle[_APEX_X + i], y + at * dy - bundle[_APEX_Y + i]
-        root, cos_i, above, below = sphere_crossing(c * sense, ax, ay, 0.0, dx, dy, dz, sense)
+        root, cos_i, above, below = sphere_crossing(c * sense, Ray(ax, ay, 0.0, dx, dy, dz), sense)
         t = above / below
         rx, ry, pz = ax + t * dx, ay + t * dy, t * dz
         bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i] = rx + bundle[_APEX_X + i], ry + bundle[_APEX_Y + i], pz
@@ -458,7 +459,7 @@ def _next_in_layer(
         leaves, side = leaves_at(lattice, x - cx, y - cy, dx, dy)
         if is_spherical(lenslets.profile):
             met, more = conic_distance(
-                curvature, 0.0, x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz,
+                curvature, 0.0, Ray(x + t * dx - cx - ex, y + t * dy - cy - ey, z + t * dz, dx, dy, dz),
                 1.0 if in_air else -1.0,
             )  # fmt: skip
             hit = t + more
@@ -466,7 +467,7 @@ def _next_in_layer(
             met = met and 0.0 < hit <= leaves and curvature * (z + hit * dz) < 1.0
         else:
             met, hit = meets_profile(
-                lenslets.profile, lenslets, column, row, x - cx, y - cy, z, dx, dy, dz, in_air, t, min(leaves, out)
+                lenslets.profile, lenslets, column, row, Ray(x - cx, y - cy, z, dx, dy, dz), in_air, t, min(leaves, out)
             )
         if met:
             return MEETS_FACE, hit, column, row

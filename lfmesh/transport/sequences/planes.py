@@ -9,22 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.sequences.bundle import (
-    AT_Z,
-    BLOCK,
-    DROPPED,
-    DX,
-    DY,
-    DZ,
-    X,
-    Y,
-    Z,
-    absorb,
-    set_fate,
-    set_normal,
-)
+from lfmesh.transport.sequences.bundle import AT_Z, BLOCK, DROPPED, DX, DY, DZ, X, Y, Z, absorb, set_fate, set_normal
 from lfmesh.transport.sequences.division import divide, go_on
 from lfmesh.transport.sequences.lens_surfaces import NEAR
 from lfmesh.transport.tables.cover import FRONT_ROW, CoverTables
@@ -94,4 +82,4 @@ def _mirror_at_sensor(bundle: Array, sensor: SensorTables) -> None:
         t = -bundle[Z + i] / dz
         x, y = bundle[X + i] + t * dx, bundle[Y + i] + t * dy
         held = both(both(dz > 0.0, t >= 0.0), both(abs(x) <= half_x, abs(y) <= half_y))
-        go_on(bundle, i, True, x, y, 0.0, dx, dy, -dz, select(held, 0.0, DROPPED), sensor.reflectance, 0.0)
+        go_on(bundle, i, True, Ray(x, y, 0.0, dx, dy, -dz), select(held, 0.0, DROPPED), sensor.reflectance, 0.0)

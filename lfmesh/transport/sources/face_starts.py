@@ -7,7 +7,8 @@ import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, facet_normals
-from lfmesh.geometry.surfaces.surface import heights, in_place
+from lfmesh.geometry.surfaces.sag import heights
+from lfmesh.geometry.surfaces.surface import in_place
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 

@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.events.bodies import RANK, TOO_MANY, bodies_at, medium_of, set_bodies
+from lfmesh.transport.events.bounds import own_ray, span
 from lfmesh.transport.events.crossing import record
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.scattering import albedo
 from lfmesh.transport.events.surface import emission_of, opacity_at, point_of
-from lfmesh.transport.events.volume import Ray, coefficients, own_ray, span
+from lfmesh.transport.events.volume import coefficients
 from lfmesh.transport.lights.media_emitters import drawn_point
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
 from lfmesh.transport.packets.packet import E_START, LAMP, NO_SURFACE, OBJECT_FRAME, OBJECTS, Flow, put

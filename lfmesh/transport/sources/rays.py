@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.events.polarisation import across
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (

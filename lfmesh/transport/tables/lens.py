@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.array.array_mesh import OFFSET, cell_mesh
 from lfmesh.geometry.array.lattice import Lattice
-from lfmesh.geometry.array.lenslets import OFFSET, Lenslets, cell_mesh, lenslets
+from lfmesh.geometry.array.lenslets import Lenslets, lenslets
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.levels import EXACT, PATCH

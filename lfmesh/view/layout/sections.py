@@ -13,7 +13,8 @@ from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.surfaces.surface import heights, is_revolved
+from lfmesh.geometry.surfaces.sag import heights
+from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights, ring_profile
 from lfmesh.scene.camera.lens import Lens
 

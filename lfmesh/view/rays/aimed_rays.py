@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.geometry.surfaces.surface import gradients, heights, in_place
+from lfmesh.geometry.surfaces.sag import gradients, heights
+from lfmesh.geometry.surfaces.surface import in_place
 from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME

@@ -14,17 +14,11 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.array.lattice import centre
 from lfmesh.geometry.array.lenslets import faces_at, shape_of, type_of
 from lfmesh.geometry.meshes.levels import EXACT
-from lfmesh.geometry.surfaces.surface import in_place, normals
+from lfmesh.geometry.surfaces.sag import normals
+from lfmesh.geometry.surfaces.surface import in_place
 from lfmesh.optics.glass import Medium, refractive_index
 from lfmesh.transport.events.interface import shares
-from lfmesh.transport.packets.packet import (
-    BACK_FACE,
-    CAMERA_FRAME,
-    CURVED_FACE,
-    SENSOR_FRAME,
-    WORLD_FRAME,
-    Event,
-)
+from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
 from lfmesh.transport.tables.interfaces import InterfaceTables, interface_tables
 from lfmesh.transport.tables.tables import AIR, CURVED_ROW, FLAT_ROW, Interfaces, body_row

@@ -3,11 +3,9 @@
 The kernels are those of a render, so the paths are its paths. With the light they carry W; from the sensor m² sr.
 """
 
-import difflib
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -440,78 +438,3 @@ def _settings(
     if not 0 <= seed < 2**63:
         raise LfmeshError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 − 1")
     return Settings(int(count), colours, SPLIT_MODE[split], cutoff, int(seed))
-
-
-FORMS = {
-    "field": "field x,y,z        a point of object space, mm, world frame",
-    "pixel": "pixel row,column   against the light",
-    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is not in it",
-    "light": "light number       one of the scene's lights alone",
-    "run": "run                as the scene's transport.method launches them",
-}
-"""What `launch` understands, one line each."""
-
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PATTERNS = {
-    "field": rf"({_NUMBER}),({_NUMBER}),({_NUMBER})",
-    "pixel": r"(-?\d+),(-?\d+)",
-    "pixels": r"(-?\d+):(-?\d+),(-?\d+):(-?\d+)",
-    "light": r"(-?\d+)",
-    "run": "",
-}
-
-
-def launch(
-    world: World,
-    spec: str,
-    count: int,
-    *,
-    wavelength_nm: float | None = None,
-    split: str | None = None,
-    weight_cutoff: float | None = None,
-    seed: int | None = None,
-) -> Rays:
-    """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
-
-    Parameters
-    ----------
-    world : World
-    spec : str
-    count : int
-    wavelength_nm, split, weight_cutoff, seed : optional
-        As for the function of that name; left out, as a run of the scene has them.
-
-    Raises
-    ------
-    LfmeshError
-        Words that are none of the forms, and whatever the function raises.
-    """
-    kind, numbers = _read_spec(spec)
-    transport = world.scene.transport
-    split = transport.split if split is None else split
-    seed = transport.seed if seed is None else seed
-    more: dict[str, Any] = {
-        "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff, "seed": seed
-    }  # fmt: skip
-    if kind == "field":
-        return from_field_point(world, [float(n) for n in numbers], count, **more)
-    whole = [int(n) for n in numbers]
-    if kind == "pixel":
-        return from_pixel(world, whole[0], whole[1], count, **more)
-    if kind == "pixels":
-        return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
-    return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
-
-
-def _read_spec(spec: str) -> tuple[str, list[str]]:
-    """Return the kind of a launch and its numbers."""
-    kind, _, rest = spec.strip().partition(" ")
-    forms = "\n  ".join(FORMS.values())
-    if kind not in FORMS:
-        near = difflib.get_close_matches(kind, FORMS, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise LfmeshError(f"launch {spec!r}: no way to launch is called {kind!r}{hint} There are:\n  {forms}")
-    found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
-    if not found:
-        raise LfmeshError(f"launch {spec!r}: cannot be read; it goes\n  {FORMS[kind]}")
-    return kind, list(found.groups())

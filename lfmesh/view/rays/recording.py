@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.transport.engine import Workspace
-from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECTS, WORLD_FRAME, Options
 from lfmesh.transport.regions.glass_round import glass_round
 from lfmesh.transport.sources.rays import RaySource

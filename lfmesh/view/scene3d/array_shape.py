@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.array.array_mesh import cell_pattern
 from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, cell_of
-from lfmesh.geometry.array.lenslets import Lenslets, cell_pattern, faces_at, shape_of, type_of
+from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 
 MOST_LENSLETS = 10_000
 """A larger array is drawn as a plate."""

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.array.array_mesh import cell_mesh, mla_mesh
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.geometry.array.lenslet_profile import (
     first_crossing,
@@ -14,16 +15,8 @@ from lfmesh.geometry.array.lenslet_profile import (
     profile_shape,
     sag_slope_bend,
 )
-from lfmesh.geometry.array.lenslets import (
-    cell_mesh,
-    face_normal,
-    face_sag,
-    faces_at,
-    lenslets,
-    mla_mesh,
-    shape_of,
-    type_of,
-)
+from lfmesh.geometry.array.lenslets import face_normal, face_sag, faces_at, lenslets, shape_of, type_of
+from lfmesh.geometry.ray import Ray
 
 SQUARE = Lattice(False, 0.125, 5, 4)
 HEXAGONAL = Lattice(True, 0.125, 5, 4)
@@ -98,7 +91,7 @@ def test_the_first_of_several_crossings_is_found(axis):
         if side * (profile_shape(profile, 0, c, p[0], p[1])[0] - p[2]) <= 0.0:
             continue
         truth = brute_force(profile, c, p, q - p, side, 1.0)
-        met, t = first_crossing(profile, 0, c, *p, *(q - p), side, 0.0, 1.0)
+        met, t = first_crossing(profile, 0, c, Ray(*p, *(q - p)), side, 0.0, 1.0)
         assert met == bool(len(truth)), seed
         if met:
             found += 1
@@ -152,7 +145,7 @@ def test_a_ray_that_leaves_the_face_does_not_meet_it_at_its_start():
         d = draw.normal(size=3)
         d /= np.linalg.norm(d)
         away = d[2] - gx * d[0] - gy * d[1]
-        met, t = first_crossing(profile, 0, c, x, y, z, *d, -np.sign(away), 0.0, 0.05)
+        met, t = first_crossing(profile, 0, c, Ray(x, y, z, *d), -np.sign(away), 0.0, 0.05)
         # A conic bulges to one side: only a ray within it meets it once more.
         assert not met or t > 1e-9
 

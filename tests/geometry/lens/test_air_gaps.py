@@ -9,7 +9,8 @@ import lfmesh as lf
 from lfmesh.geometry import frame
 from lfmesh.geometry.lens.air_gaps import Circles, cap_on, circles_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.geometry.surfaces.surface import put_in_pose, sag, surface
+from lfmesh.geometry.surfaces.sag import sag
+from lfmesh.geometry.surfaces.surface import put_in_pose, surface
 from lfmesh.geometry.surfaces.tessellation import cap, height_above, rim_radius
 from lfmesh.scene import Scene
 

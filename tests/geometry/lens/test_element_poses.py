@@ -7,7 +7,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry.lens.element_poses import pose_of
-from lfmesh.geometry.surfaces.surface import sag
+from lfmesh.geometry.surfaces.sag import sag
 
 LENS = [
     {"radius_mm": 30.0, "thickness_mm": 4.0, "index": 1.6, "semi_diameter_mm": 6.0},

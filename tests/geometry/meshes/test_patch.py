@@ -6,6 +6,7 @@ import pytest
 
 from lfmesh.geometry.meshes.mesh import Mesh
 from lfmesh.geometry.meshes.patch import edge_curvature, hit_patch, neighbours, patch_points, patches
+from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import surface
 from lfmesh.geometry.surfaces.tessellation import cap
 
@@ -88,7 +89,7 @@ def test_a_patch_between_equal_normals_is_the_plane_of_its_facet():
         target = np.array([0.5, b, c]) @ corners[facet]
         d = draw.normal(size=3)
         d /= np.linalg.norm(d)
-        met, t, *found = hit_patch(of, across, facet, b, c, *(target - 2.0 * d), *d)
+        met, t, *found = hit_patch(of, across, facet, b, c, Ray(*(target - 2.0 * d), *d))
         assert met
         assert abs(t - 2.0) * abs(d @ normal[facet]) < 1e-13
         assert np.abs(np.cross(found, normal[facet])).max() < 1e-13
@@ -104,7 +105,7 @@ def test_a_ray_meets_the_patch_where_30_digits_say(mesh):
         d = np.array([*draw.uniform(-0.3, 0.3, 2), 1.0])
         d /= np.linalg.norm(d)
         o = weights @ corners - 3.0 * d
-        met, t, *normal = hit_patch(of, across, facet, weights[1], weights[2], *o, *d)
+        met, t, *normal = hit_patch(of, across, facet, weights[1], weights[2], Ray(*o, *d))
         assert met
         with mp.workdps(30):
             rows = [[mp.mpf(float(value)) for value in row] for row in of[facet]]
@@ -145,9 +146,9 @@ def test_a_root_beyond_the_edge_is_found_on_the_neighbour(mesh):
         d = np.array([0.0, 0.0, 1.0]) - 2.0 * outwards / np.linalg.norm(outwards)
         d /= np.linalg.norm(d)
         o = weights @ corners - 3.0 * d
-        met, t, *normal = hit_patch(of, across, facet, weights[1], weights[2], *o, *d)
-        there = hit_patch(of, across, other, 1.0 / 3.0, 1.0 / 3.0, *o, *d)
-        alone = hit_patch(of, np.full_like(across, -1), facet, weights[1], weights[2], *o, *d)
+        met, t, *normal = hit_patch(of, across, facet, weights[1], weights[2], Ray(*o, *d))
+        there = hit_patch(of, across, other, 1.0 / 3.0, 1.0 / 3.0, Ray(*o, *d))
+        alone = hit_patch(of, np.full_like(across, -1), facet, weights[1], weights[2], Ray(*o, *d))
         assert met
         if there[0] and alone[0] and abs(there[1] - alone[1]) > 1e-12:
             np.testing.assert_allclose([t, *normal], there[1:], rtol=0, atol=1e-13)
@@ -160,5 +161,5 @@ def test_a_rim_is_continued_by_half_a_patch_and_no_further():
     of = patches(facet.vertices[facet.faces], np.broadcast_to([0.0, 0.0, 1.0], (1, 3, 3)))
     across = np.full((1, 3), -1)
     for beyond, expected in ((0.49, True), (0.51, False)):
-        met, *_ = hit_patch(of, across, 0, 0.5, 0.0, 0.5, -beyond, -1.0, 0.0, 0.0, 1.0)
+        met, *_ = hit_patch(of, across, 0, 0.5, 0.0, Ray(0.5, -beyond, -1.0, 0.0, 0.0, 1.0))
         assert met == expected

@@ -7,7 +7,8 @@ import trimesh
 from lfmesh.geometry.meshes.mesh import Mesh, facet_normals
 from lfmesh.geometry.meshes.vertex_normals import estimated_corner_normals, is_closed, smooth_edges, smooth_groups
 from lfmesh.geometry.meshes.weld import welded
-from lfmesh.geometry.surfaces.surface import normals, sag, surface
+from lfmesh.geometry.surfaces.sag import normals, sag
+from lfmesh.geometry.surfaces.surface import surface
 from lfmesh.geometry.surfaces.tessellation import cap, element, revolved, ring_profile
 
 ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), semi_diameter=12.0)

@@ -4,17 +4,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.surface import (
-    distance_to,
-    half_slope_at,
-    normal_at,
-    normals,
-    reach,
-    sag,
-    sag_at,
-    slope,
-    surface,
-)
+from lfmesh.geometry.ray import Ray
+from lfmesh.geometry.surfaces.sag import normals, reach, sag, slope
+from lfmesh.geometry.surfaces.surface import distance_to, half_slope_at, normal_at, sag_at, surface
 
 SURFACES = {
     "plane": (np.inf, 0.0, ()),
@@ -87,7 +79,7 @@ def test_distance_from_a_point_near_the_surface(case, displacement):
         if abs(along) < 0.2:
             continue
         start = at - rng.uniform(-displacement, displacement) * d
-        meets, t = distance_to(of, *start, *d, np.sign(along))
+        meets, t = distance_to(of, Ray(*start, *d), np.sign(along))
         assert meets
         s, e = [mp.mpf(q) for q in start], [mp.mpf(q) for q in d]
 
@@ -118,7 +110,7 @@ def test_of_several_crossings_the_one_next_to_the_start_is_returned():
             gap = np.abs(np.delete(roots, number) - root).min()
             for off in (-1e-4, 1e-4, *(gap * np.array([-0.55, -0.5, -0.1, 0.1, 0.5, 0.55]))):
                 start = o + (root + off) * d
-                meets, t = distance_to(ridge, *start, *d, sense)
+                meets, t = distance_to(ridge, Ray(*start, *d), sense)
                 assert meets
                 assert abs(t + off) < 1e-12
 
@@ -128,12 +120,12 @@ def test_a_ray_that_passes_the_surface_by_is_told_so(case):
     radius, conic, _ = SURFACES[case]
     of = made(case)
     z = float(np.copysign(abs(radius) / (1.0 + conic), radius))
-    assert not distance_to(of, reach(of) * 1.001, 0.0, z, 0.0, 0.0, 1.0, 1.0)[0]
-    assert distance_to(of, reach(of) * 0.999, 0.0, z, 0.0, 0.0, 1.0, 1.0)[0]
+    assert not distance_to(of, Ray(reach(of) * 1.001, 0.0, z, 0.0, 0.0, 1.0), 1.0)[0]
+    assert distance_to(of, Ray(reach(of) * 0.999, 0.0, z, 0.0, 0.0, 1.0), 1.0)[0]
 
 
 def test_a_ray_beside_a_plane_does_not_meet_it():
-    assert not distance_to(surface(np.inf), 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0, 1.0)[0]
+    assert not distance_to(surface(np.inf), Ray(0.0, 0.0, 1e-3, 1.0, 0.0, 0.0), 1.0)[0]
 
 
 def test_reach_is_where_the_conic_turns_back(case):

@@ -5,7 +5,8 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.mesh import facet_normals
-from lfmesh.geometry.surfaces.surface import normals, reach, sag, surface
+from lfmesh.geometry.surfaces.sag import normals, reach, sag
+from lfmesh.geometry.surfaces.surface import surface
 from lfmesh.geometry.surfaces.tessellation import (
     ANNULUS_LEAN,
     cap,

@@ -21,7 +21,7 @@ IN, OUT = (1.0, 1.5), (1.5, 1.0)
 def many_directions(alpha, n_i, n_t, x, y, z, seed, directions):
     for k in range(len(directions)):
         key = derived(seed, k)
-        passes, ox, oy, oz = ground_direction(alpha, n_i, n_t, x, y, z, uniform(key, -1), uniform(key, -2), key)
+        passes, ox, oy, oz = ground_direction(alpha, n_i, n_t, (x, y, z), uniform(key, -1), uniform(key, -2), key)
         directions[k, 0], directions[k, 1], directions[k, 2] = ox, oy, oz
         if passes != (oz < 0.0):
             directions[k, 0] = np.nan
@@ -31,7 +31,7 @@ def many_directions(alpha, n_i, n_t, x, y, z, seed, directions):
 def many_densities(alpha, n_i, n_t, x, y, z, wanted, seed, densities):
     for k in range(len(densities)):
         densities[k] = ground_density(
-            alpha, n_i, n_t, x, y, z, wanted[k, 0], wanted[k, 1], wanted[k, 2], derived(seed, k)
+            alpha, n_i, n_t, (x, y, z), (wanted[k, 0], wanted[k, 1], wanted[k, 2]), derived(seed, k)
         )
 
 

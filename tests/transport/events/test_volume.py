@@ -9,8 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from lfmesh.geometry.frame import IDENTITY
+from lfmesh.geometry.ray import Ray
 from lfmesh.scene import Scene
-from lfmesh.transport.events.volume import Line, Passage, Ray, pass_through, scattering_point
+from lfmesh.transport.events.scattering_point import scattering_point
+from lfmesh.transport.events.volume import Line, Passage, pass_through
 from lfmesh.transport.packets.random import descendant
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines

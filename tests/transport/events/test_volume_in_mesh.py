@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.frame import rotation
 from lfmesh.geometry.meshes.shell_tree import LEAF, next_crossing, tree_of
+from lfmesh.geometry.ray import Ray
 from lfmesh.transport.tables.volumes import Volumes
 from tests.transport.events.test_volume import passage, slab, volumes_of
 
@@ -161,8 +162,8 @@ def test_trees_hold_every_facet_once() -> None:
     assert leaves["count"].sum() == 2 * len(corners)
     assert leaves["count"].max() <= LEAF
     assert sorted(map(tuple, tree.corners[: len(corners), 0])) == sorted(map(tuple, corners[:, 0]))
-    assert next_crossing(tree, second, last, 0.0, 5.0, 5.0, 5.0, 0.0, 0.0, 1.0)[0]
-    assert not next_crossing(tree, begin, end, 0.0, 5.0, 5.0, 5.0, 0.0, 0.0, 1.0)[0]
+    assert next_crossing(tree, second, last, 0.0, Ray(5.0, 5.0, 5.0, 0.0, 0.0, 1.0))[0]
+    assert not next_crossing(tree, begin, end, 0.0, Ray(5.0, 5.0, 5.0, 0.0, 0.0, 1.0))[0]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from lfmesh.transport.events.volume import Passage, Ray, pass_through, scattered_at, scattering_point
+from lfmesh.geometry.ray import Ray
+from lfmesh.transport.events.scattering_point import scattered_at, scattering_point
+from lfmesh.transport.events.volume import Passage, pass_through
 from lfmesh.transport.lights.lamps_on_line import (
     density_by_angle,
     distance_by_angle,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.events.volume import Ray
 from lfmesh.transport.lights.media_emitters import density, point_of_media
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.tables.volumes import Volumes

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS, normals, sag, slope, surface
+from lfmesh.geometry.surfaces.sag import normals, sag, slope
+from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS, surface
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.transport.events.crossing import FLOAT32_GRAIN
+from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.regions import lens_block as lb
 
 EPSILON = np.finfo(np.float64).eps

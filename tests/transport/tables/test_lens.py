@@ -6,7 +6,8 @@ import pytest
 from lfmesh.geometry.frame import rotation
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.meshes.mesh import Mesh
-from lfmesh.geometry.surfaces.surface import put_in_pose, sag, slope, surface
+from lfmesh.geometry.surfaces.sag import sag, slope
+from lfmesh.geometry.surfaces.surface import put_in_pose, surface
 from lfmesh.geometry.surfaces.tessellation import OVERREACH, revolved
 from lfmesh.transport.tables.lens import _free_radius, least_dz, steepest_slope
 

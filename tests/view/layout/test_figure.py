@@ -17,7 +17,8 @@ from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.view.layout import figure as layout_figure
 from lfmesh.view.layout.content import Layout, layout
-from lfmesh.view.layout.figure import encoded, sheet_figure, spread
+from lfmesh.view.layout.figure import encoded, sheet_figure
+from lfmesh.view.layout.sheet import spread
 
 SCENES = sorted(path.stem for path in asset_path("scenes").glob("*.toml"))
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))

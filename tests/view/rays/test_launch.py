@@ -8,7 +8,8 @@ from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport import engine
 from lfmesh.transport.packets.packet import Event
-from lfmesh.view.rays.launch import as_in_run, from_field_point, from_light, from_pixel, from_pixels, launch
+from lfmesh.view.rays.launch import as_in_run, from_field_point, from_light, from_pixel, from_pixels
+from lfmesh.view.rays.launch_line import launch
 
 LAMPS = (
     lf.PointLight(position_mm=(-60.0, -255.0, -260.0), power_w=10.0),

@@ -1,0 +1,249 @@
+"""Microlens array of the analytic truth: every lenslet's face, and rays through both faces. See `analytic`."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.accuracy.analytic_rays import (
+    NEWTON_STEPS,
+    Array,
+    Rays,
+    conic_transfer,
+    into_frame,
+    out_of_frame,
+    refract,
+    turned,
+)
+from lfmesh.geometry.array.lattice import Lattice
+from lfmesh.geometry.array.lenslets import lenslets
+from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.scene import BackFace, Scene
+
+CELL_STEPS = 6
+"""Lenslets tried in turn: a ray may meet its neighbour's cap before the one that its first guess lies in."""
+
+
+@dataclass(frozen=True)
+class LensletArray:
+    """The microlens array: every lenslet's face, and where the array stands.
+
+    Attributes
+    ----------
+    turn : (3, 3) float64, origin : (3,) float64
+        Of the frame whose z runs from the curved face into the glass.
+    curvature : (rows, columns) float64, 1/mm
+    apex : (rows, columns, 2) float64, mm
+    centre : (rows, columns, 2) float64, mm
+    conic : (rows, columns) float64
+    terms : (rows, columns, n) float64
+        Coefficients of r⁴, r⁶, ...
+    bends : (2,) float64
+        1 for each of x and y, but 0 for that along cylinders.
+    back : LensletArray or None
+        Lenslets on the other face, in a frame of their own, which looks the other way.
+    """
+
+    turn: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    curved_to_lens: bool
+    index: float
+    thickness: float
+    hexagonal: bool
+    pitch: float
+    curvature: NDArray[np.float64]
+    apex: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    conic: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    bends: NDArray[np.float64]
+    back: "LensletArray | None" = None
+
+    @property
+    def spherical(self) -> bool:
+        """True if all lenslets are spheres."""
+        return not self.conic.any() and not self.terms.any() and bool(self.bends.all())
+
+
+def lenslet_array(scene: Scene, face_z: float, wavelength_nm: float) -> LensletArray:
+    """Return the microlens array of a scene whose face towards the lens stands at `face_z`.
+
+    Parameters
+    ----------
+    scene : Scene
+    face_z : float, mm
+    wavelength_nm : float, nm
+    """
+    mla = scene.camera.mla
+    assert mla is not None
+    lattice = Lattice(
+        mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
+    )
+    # What the form errors are is data, drawn from the scene's seed; what rays do there is worked out here.
+    drawn = lenslets(
+        lattice, np.asarray(mla.radius_mm, np.float64), mla.thickness_mm,
+        decenter_mm=mla.form.decenter_mm, radius_error=mla.form.radius_error, seed=mla.form.seed,
+        conic=mla.conic, asphere_mm=mla.asphere_mm, cylinder_axis=mla.cylinder_axis,
+    )  # fmt: skip
+    row, column = np.indices((lattice.rows, lattice.columns))
+    kinds = mla.types
+    if kinds == 1:
+        kind = np.zeros_like(row)
+    elif mla.cylinder_axis is not None:
+        kind = (column if mla.cylinder_axis == "y" else row) % kinds
+    elif lattice.hexagonal:
+        kind = (column - row // 2 + 2 * row) % 3 if kinds == 3 else (column + row) % 2
+    else:
+        kind = (column + row) % kinds
+    curvature = 1.0 / np.asarray(mla.radius_mm, np.float64)[kind]
+    centre = lattice.centres()
+    apex = centre.copy()
+    if len(drawn.stretch):
+        curvature = curvature * drawn.stretch.reshape(curvature.shape)
+    if len(drawn.decentre):
+        apex = apex + drawn.decentre.reshape(apex.shape)
+    turn = turned(mla.pose.tilt_deg)
+    origin = np.add([0.0, 0.0, face_z], mla.pose.shift_mm)
+    to_lens = mla.curved_side == "lens"
+    if not to_lens:
+        # The curved face stands at the far side, and its own z looks back.
+        origin = origin + turn @ [0.0, 0.0, mla.thickness_mm]
+        turn = turn @ np.diag([1.0, 1.0, -1.0])
+    index = refractive_index(mla.medium, wavelength_nm)
+    profiles = [mla.profile_of(k) for k in range(kinds)]
+    terms = np.zeros((kinds, max(len(given) for _, given in profiles)))
+    for own, (_, given) in zip(terms, profiles, strict=True):
+        own[: len(given)] = given
+    face = LensletArray(
+        turn, origin, to_lens, index, mla.thickness_mm, lattice.hexagonal, lattice.pitch, curvature, apex, centre,
+        np.array([conic for conic, _ in profiles])[kind], terms[kind],
+        np.array([mla.cylinder_axis != "x", mla.cylinder_axis != "y"], np.float64),
+    )  # fmt: skip
+    return face if mla.back is None else replace(face, back=_other_face(face, mla.back))
+
+
+def _other_face(face: LensletArray, back: BackFace) -> LensletArray:
+    """Return the lenslets on the other face, all alike, in their own frame."""
+    alike = np.ones(face.curvature.shape)
+    return replace(
+        face,
+        turn=face.turn @ np.diag([1.0, 1.0, -1.0]),
+        origin=face.origin + face.turn @ [*back.decenter_mm, face.thickness],
+        curvature=alike / back.radius_mm,
+        apex=face.centre,
+        conic=back.conic * alike,
+        terms=np.multiply.outer(alike, np.array(back.asphere_mm or (0.0,))),
+        bends=np.array([back.cylinder_axis != "x", back.cylinder_axis != "y"], np.float64),
+    )
+
+
+def through_array(rays: Rays, mla: LensletArray) -> None:
+    """Take the rays through both faces of the array, in whichever order they come."""
+    if mla.back is not None:
+        order = (mla, mla.back) if mla.curved_to_lens else (mla.back, mla)
+        for face, (before, after) in zip(order, ((AIR, mla.index), (mla.index, AIR)), strict=True):
+            rays.p, rays.d = into_frame(rays, face.turn, face.origin)
+            _through_lenslets(rays, face, before, after)
+            rays.p, rays.d = out_of_frame(rays.p, rays.d, face.turn, face.origin)
+        return
+    rays.p, rays.d = into_frame(rays, mla.turn, mla.origin)
+    if mla.curved_to_lens:
+        _through_lenslets(rays, mla, AIR, mla.index)
+        _through_flat_face(rays, mla, mla.index, AIR)
+    else:
+        _through_flat_face(rays, mla, AIR, mla.index)
+        _through_lenslets(rays, mla, mla.index, AIR)
+    rays.p, rays.d = out_of_frame(rays.p, rays.d, mla.turn, mla.origin)
+
+
+def _through_flat_face(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
+    kind = rays.p.dtype.type
+    t = (kind(mla.thickness) - rays.p[:, 2]) / rays.d[:, 2]
+    rays.p = rays.p + t[:, None] * rays.d
+    # Between the faces a ray may leave through the array's edge.
+    rays.alive &= _nearest_cell(mla, rays.p) >= 0
+    along = np.sign(rays.d[:, 2])
+    refract(rays, np.stack([np.zeros_like(t), np.zeros_like(t), along], axis=1), before, after)
+
+
+def _through_lenslets(rays: Rays, mla: LensletArray, before: float, after: float) -> None:
+    """Refract the rays at the face of the lenslet in whose cell they meet it.
+
+    A ray whose cell does not settle crosses the wall between unlike lenslets; it is left out.
+    """
+    kind = rays.p.dtype.type
+    to_apexes = -rays.p[:, 2] / rays.d[:, 2]
+    at = rays.p + to_apexes[:, None] * rays.d
+    cell = _nearest_cell(mla, at)
+    settled = np.zeros(len(cell), np.bool_)
+    for _ in range(CELL_STEPS):
+        flat = np.maximum(cell, 0)
+        apex = mla.apex.reshape(-1, 2)[flat].astype(kind)
+        c = mla.curvature.reshape(-1)[flat].astype(kind)
+        p = np.column_stack([rays.p[:, :2] - apex, rays.p[:, 2]])
+        if mla.spherical:
+            t = conic_transfer(p, rays.d * np.sign(rays.d[:, 2:]), c, kind(0)) * np.sign(rays.d[:, 2])
+        else:
+            t = _profile_transfer(p, rays.d, mla, flat, c)
+        q = p + t[:, None] * rays.d
+        hit = np.column_stack([q[:, :2] + apex, q[:, 2]])
+        there = _nearest_cell(mla, hit)
+        settled = (there == cell) & (cell >= 0)
+        if settled.all():
+            break
+        cell = there
+    rays.alive &= settled
+    rays.p = hit
+    normal = np.column_stack([-c[:, None] * q[:, :2], 1 - c * q[:, 2]])
+    if not mla.spherical:
+        normal = np.column_stack([-_profile(mla, flat, c, q)[1], np.ones_like(c)])
+    normal = normal * np.sign(rays.d[:, 2:])
+    refract(rays, normal, before, after)
+
+
+def _profile(mla: LensletArray, cell: NDArray[np.int64], c: Array, q: Array) -> tuple[Array, Array]:
+    """Return the sag and the slopes (n, 2) of lenslets that are no spheres, at points from their apexes."""
+    kind = q.dtype.type
+    across = q[:, :2] * mla.bends.astype(kind)
+    r2 = (across * across).sum(axis=1)
+    root = np.sqrt(1 - (1 + mla.conic.reshape(-1)[cell].astype(kind)) * c * c * r2)
+    sag, steep = c * r2 / (1 + root), c / root
+    for j, a in enumerate(mla.terms.reshape(mla.conic.size, mla.terms.shape[-1])[cell].astype(kind).T):
+        sag = sag + a * r2 ** (j + 2)
+        steep = steep + (2 * j + 4) * a * r2 ** (j + 1)
+    return sag, steep[:, None] * across
+
+
+def _profile_transfer(p: Array, d: Array, mla: LensletArray, cell: NDArray[np.int64], c: Array) -> Array:
+    """Return the distances to the faces of lenslets that are no spheres, by Newton's method from the apexes."""
+    t = -p[:, 2] / d[:, 2]
+    for _ in range(NEWTON_STEPS):
+        q = p + t[:, None] * d
+        sag, slopes = _profile(mla, cell, c, q)
+        step = (q[:, 2] - sag) / (d[:, 2] - (slopes * d[:, :2]).sum(axis=1))
+        t = t - step
+        if not np.any(np.abs(step) > 4 * np.finfo(t.dtype).eps * (1 + np.abs(t))):
+            break
+    return np.asarray(t)
+
+
+def _nearest_cell(mla: LensletArray, p: Array) -> NDArray[np.int64]:
+    """Return the number of the cell whose centre is nearest to each point; −1 outside the array."""
+    rows, columns = mla.curvature.shape
+    x, y = p[:, 0].astype(np.float64) / mla.pitch, p[:, 1].astype(np.float64) / mla.pitch
+    far = 2.0 * (rows + columns)
+    x, y = (np.nan_to_num(a, nan=far, posinf=far, neginf=far) for a in (x, y))
+    spacing = np.sqrt(0.75) if mla.hexagonal else 1.0
+    first = mla.centre[0, 0] / mla.pitch
+    middle = np.rint((y - first[1]) / spacing)
+    nearest = np.full(len(p), np.inf)
+    best_row, best_column = middle.copy(), np.zeros_like(middle)
+    for row in (middle - 1, middle, middle + 1) if mla.hexagonal else (middle,):
+        start = first[0] + (0.5 * np.mod(row, 2) if mla.hexagonal else 0.0)
+        column = np.rint(x - start)
+        distance = (x - start - column) ** 2 + (y - first[1] - row * spacing) ** 2
+        nearer = distance < nearest
+        nearest = np.where(nearer, distance, nearest)
+        best_row, best_column = np.where(nearer, row, best_row), np.where(nearer, column, best_column)
+    inside = (best_row >= 0) & (best_row < rows) & (best_column >= 0) & (best_column < columns)
+    return np.where(inside, best_row * columns + best_column, -1).astype(np.int64)

@@ -1,0 +1,222 @@
+"""An image as one EXR file: its pixels, and in the metadata everything else that reads it back."""
+
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lfmesh
+from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order
+from lfmesh.files import exr
+from lfmesh.files.inputs import within
+from lfmesh.files.json_values import plain_json
+from lfmesh.lightfield.views.upright import Upright
+from lfmesh.scene import Scene
+from lfmesh.scene.settings.transport import REPLICATES
+from lfmesh.transport.checks.aim_proof import AimProof
+from lfmesh.transport.checks.blind_check import BlindCheck
+from lfmesh.transport.checks.found import found
+from lfmesh.transport.checks.order_check import OrderCheck
+from lfmesh.transport.packets.ledger import Ledger
+from lfmesh.transport.render.adaptive import Refinement
+from lfmesh.transport.render.certainty import Certainty
+from lfmesh.transport.render.image import Image
+
+FORMAT = 2
+"""Of the run folder; a reader refuses any other."""
+
+PARTS, HITS, ERROR, UPPER = ("raw", "stderr"), "hits", "error", "upper"
+
+
+@contextmanager
+def fitting(path: Path, advice: str) -> Iterator[None]:
+    """Turn what goes wrong with the metadata of a file into one line that names the file.
+
+    Parameters
+    ----------
+    path : Path
+    advice : str
+        What to do, such as "render the scene again".
+    """
+    try:
+        yield
+    except (
+        LfmeshError,
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        IndexError,
+        ArithmeticError,
+        RecursionError,
+    ) as e:
+        what = (
+            f"{e.args[0]!r} is missing" if isinstance(e, KeyError) else f"{str(e).splitlines()[0] if str(e) else e!r}"
+        )
+        raise FileError(f"{path} is damaged: {what[:200]}; {advice}") from None
+
+
+def refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
+    """Raise a FileError where an image's pixels are not those that were saved.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file, for the message.
+    spectral : SpectralImage
+    """
+    if spectral.metadata.get("pixels_sha256") != _digest(*spectral.parts.values()):
+        raise FileError(f"{path} is damaged: its pixels are not those that were saved")
+
+
+def image_from(spectral: exr.SpectralImage, path: Path) -> Image:
+    """Return the image of a file whose pixels are those that were saved.
+
+    Parameters
+    ----------
+    spectral : SpectralImage
+    path : Path
+        Of the file, beside which its scene is.
+    """
+    with fitting(path, "render the scene again"):
+        image = _image_of(spectral, path.parent)
+        _refuse_impossible(image)
+    return image
+
+
+def _refuse_impossible(image: Image) -> None:
+    """Raise a ValueError where an image's numbers cannot be those of a render."""
+    columns, rows = image.scene.camera.sensor.pixels
+    shape = (rows, columns, image.scene.channels)
+    if image.mean.shape != shape:
+        raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
+    if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
+        raise ValueError("it has pixels that are negative, infinite or no number")
+    # A single replicate has no spread, and NaN stands for its error.
+    if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
+        raise ValueError("it has standard errors that are negative or infinite")
+    for name in ("seconds", "samples"):
+        value = getattr(image, name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{name} is {value!r}, no number")
+    if isinstance(image.replicates, bool) or not isinstance(image.replicates, int) or image.replicates < 0:
+        raise ValueError(f"replicates_finished is {image.replicates!r}, no count")
+    if not isinstance(image.engine, str) or not isinstance(image.coatings, dict):
+        raise ValueError("engine or coatings are not what lfmesh writes")
+
+
+def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
+    metadata = spectral.metadata
+    image = Image(
+        mean=spectral.parts["raw"].astype(np.float64),
+        stderr=spectral.parts["stderr"].astype(np.float64),
+        scene=scene_from(metadata, folder),
+        ledger=Ledger.from_dict(metadata["ledger"]),
+        seconds=metadata["seconds"],
+        replicates=metadata["replicates_finished"],
+        samples=metadata["samples_per_pixel"],
+        engine=metadata["engine"],
+        refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
+        hits=spectral.parts.get(HITS),
+        aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
+        blind=BlindCheck.from_dict(metadata["blind"]) if metadata.get("blind") else None,
+        order=OrderCheck(**metadata["order"]) if metadata.get("order") else None,
+        coatings=metadata.get("coatings") or {},
+        certainty=_certainty_of(spectral.parts),
+    )
+    # Runs of older versions hold no warnings, but the numbers that they follow from.
+    told = metadata.get("warnings")
+    image.warnings = in_order(found(image)) if told is None else tuple(PictureWarning.from_dict(each) for each in told)
+    return image
+
+
+def _certainty_of(parts: dict[str, NDArray[Any]]) -> Certainty | None:
+    """Return errors and bounds that were saved; None of an image of a single part, which tells them itself."""
+    if ERROR not in parts or UPPER not in parts:
+        return None
+    return Certainty(parts[ERROR].astype(np.float64), parts[UPPER].astype(np.float64))
+
+
+def write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
+    """Write the pixels of an image for a run that will live in `home`; return the metadata.
+
+    Parameters
+    ----------
+    path : Path
+    image : Image
+    home : Path
+        Folder of the run.
+    """
+    mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
+    parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
+    if image.hits is not None:
+        parts[HITS] = np.asarray(image.hits, np.uint32)
+    if image.certainty is not None:
+        parts |= {name: np.asarray(getattr(image.certainty, name), np.float32) for name in (ERROR, UPPER)}
+    metadata = _metadata(image, _digest(*parts.values()), home)
+    exr.write(path, exr.SpectralImage(parts, image.wavelengths_nm, metadata))
+    return metadata
+
+
+def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
+    transport = image.scene.transport
+    metadata = {
+        "format": FORMAT,
+        "lfmesh_version": lfmesh.__version__,
+        "name": image.scene.name,
+        "warnings": [warning.as_dict() for warning in image.warnings],
+        "unit": "W per pixel",
+        "orientation": Upright.of(image.scene).raw_in_words,
+        "wavelengths_nm": list(image.wavelengths_nm),
+        "scene_digest": image.scene.digest,
+        **scene_metadata(image.scene, home),
+        "seed": transport.seed,
+        "method": transport.method,
+        "engine": image.engine,
+        "complete": image.complete,
+        "replicates": transport.replicates,
+        "replicates_finished": image.replicates,
+        "samples_per_pixel": image.samples,
+        "refinement": asdict(image.refinement) if image.refinement else None,
+        "aim": image.aim._asdict() if image.aim else None,
+        "blind": asdict(image.blind) if image.blind else None,
+        "order": asdict(image.order) if image.order else None,
+        "coatings": image.coatings,
+        "seconds": image.seconds,
+        "ledger": image.ledger.as_dict(),
+        "pixels_sha256": pixels_sha256,
+    }
+    finite: dict[str, Any] = plain_json(metadata)
+    return finite
+
+
+def _digest(*parts: NDArray[Any]) -> str:
+    """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
+    digest = hashlib.sha256()
+    for pixels in parts:
+        digest.update(np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).data)
+    return digest.hexdigest()
+
+
+def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
+    """Return what `scene_from` reads, for a file that will live in `home`."""
+    scene = scene if scene.folder == home.resolve() and scene.digests else within(scene, home)
+    return {"scene_toml": scene.dump_toml(), "scene_folder": ".", "inputs": scene.digests}
+
+
+def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
+    """Return the scene as rendered, without asking whether its meshes and textures still exist."""
+    table = tomllib.loads(metadata["scene_toml"])
+    # Files written when every scene without replicates had 8 do not name them.
+    table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
+    scene = Scene(**table).in_folder(folder / metadata["scene_folder"])
+    inputs = metadata.get("inputs", {})
+    if not isinstance(inputs, dict) or not all(isinstance(digest, str) for digest in inputs.values()):
+        raise ValueError("inputs are not digests by path")
+    return scene.with_digests(inputs)

@@ -1,0 +1,85 @@
+"""Launch of rays by a line of words, such as "field 0,0,-500"."""
+
+import difflib
+import re
+from typing import Any
+
+from lfmesh.errors import LfmeshError
+from lfmesh.transport.world import World
+from lfmesh.view.rays.launch import as_in_run, from_field_point, from_light, from_pixel, from_pixels
+from lfmesh.view.rays.paths import Rays
+
+FORMS = {
+    "field": "field x,y,z        a point of object space, mm, world frame",
+    "pixel": "pixel row,column   against the light",
+    "pixels": "pixels r:r,c:c     a box of pixels, rows and columns as Python slices: the end is not in it",
+    "light": "light number       one of the scene's lights alone",
+    "run": "run                as the scene's transport.method launches them",
+}
+"""What `launch` understands, one line each."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+
+_PATTERNS = {
+    "field": rf"({_NUMBER}),({_NUMBER}),({_NUMBER})",
+    "pixel": r"(-?\d+),(-?\d+)",
+    "pixels": r"(-?\d+):(-?\d+),(-?\d+):(-?\d+)",
+    "light": r"(-?\d+)",
+    "run": "",
+}
+
+
+def launch(
+    world: World,
+    spec: str,
+    count: int,
+    *,
+    wavelength_nm: float | None = None,
+    split: str | None = None,
+    weight_cutoff: float | None = None,
+    seed: int | None = None,
+) -> Rays:
+    """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
+
+    Parameters
+    ----------
+    world : World
+    spec : str
+    count : int
+    wavelength_nm, split, weight_cutoff, seed : optional
+        As for the function of that name; left out, as a run of the scene has them.
+
+    Raises
+    ------
+    LfmeshError
+        Words that are none of the forms, and whatever the function raises.
+    """
+    kind, numbers = _read_spec(spec)
+    transport = world.scene.transport
+    split = transport.split if split is None else split
+    seed = transport.seed if seed is None else seed
+    more: dict[str, Any] = {
+        "wavelength_nm": wavelength_nm, "split": split, "weight_cutoff": weight_cutoff, "seed": seed
+    }  # fmt: skip
+    if kind == "field":
+        return from_field_point(world, [float(n) for n in numbers], count, **more)
+    whole = [int(n) for n in numbers]
+    if kind == "pixel":
+        return from_pixel(world, whole[0], whole[1], count, **more)
+    if kind == "pixels":
+        return from_pixels(world, range(*whole[:2]), range(*whole[2:]), count, **more)
+    return from_light(world, whole[0], count, **more) if kind == "light" else as_in_run(world, count, **more)
+
+
+def _read_spec(spec: str) -> tuple[str, list[str]]:
+    """Return the kind of a launch and its numbers."""
+    kind, _, rest = spec.strip().partition(" ")
+    forms = "\n  ".join(FORMS.values())
+    if kind not in FORMS:
+        near = difflib.get_close_matches(kind, FORMS, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise LfmeshError(f"launch {spec!r}: no way to launch is called {kind!r}{hint} There are:\n  {forms}")
+    found = re.fullmatch(_PATTERNS[kind], re.sub(r"\s+", "", rest))
+    if not found:
+        raise LfmeshError(f"launch {spec!r}: cannot be read; it goes\n  {FORMS[kind]}")
+    return kind, list(found.groups())

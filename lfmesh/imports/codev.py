@@ -10,13 +10,14 @@ surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM
 import math
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import laurent_glass, private_glass
-from lfmesh.imports.lens_making import lens_of
+from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_coating_file
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -76,14 +77,22 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    if choices.configuration not in (None, 1):
-        raise SceneError(f"{path}: configuration = {choices.configuration}: zoom positions of .seq files are not read")
+    refuse_coating_file(path, choices)
+    lines = read_lines(path) if lines is None else lines
+    lens, report, count = _read(path, lines, choices)
+    note_focal_lengths(report, count, lambda k: _read(path, lines, replace(choices, configuration=k))[1])
+    return lens, report
+
+
+def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
+    """Return the lens at one zoom position, what became of the commands, and the number of positions."""
     reader = _Reader(Report(path))
-    for at, words in commands(read_lines(path) if lines is None else lines):
+    for at, words in commands(lines):
         reader.take(at, words)
+    reader.zoom_to(choices.configuration)
     made = reader.finished()
     try:
-        return lens_of(made, reader.report, choices.substitutes), reader.report
+        return lens_of(made, reader.report, choices.substitutes), reader.report, reader.positions
     except SceneError as error:
         if reader.radii is not None:
             raise
@@ -141,6 +150,8 @@ class _Reader:
         self.ended = False
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
+        self.positions = 1
+        self.zooms: list[tuple[int, list[str]]] = []
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -421,8 +432,47 @@ class _Reader:
         self._taken()
 
     def _on_zoo(self, words: list[str]) -> None:
-        how = "zoom positions: the surfaces are taken as they stand in the file"
-        self.report.add(self.at, " ".join(["ZOO", *words]), Verdict.APPROXIMATED, how)
+        # What becomes of it is known with the position that is asked for.
+        if len(words) == 1 and _is_number(words[0]):
+            self.positions = int(number(words[0]))
+        self.zooms.append((self.at, words))
+
+    def zoom_to(self, wanted: int | None) -> None:
+        """Give the lens the values of one zoom position.
+
+        `ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each.
+
+        Parameters
+        ----------
+        wanted : int, optional
+            From 1; if left out, the values that stand in the surfaces.
+
+        Raises
+        ------
+        SceneError
+            The file does not have it.
+        """
+        count = self.positions
+        if wanted is not None and not 1 <= wanted <= count:
+            has = "has one configuration" if count == 1 else f"has configurations 1 to {count}"
+            raise SceneError(f"{self.report.path}: configuration = {wanted}: the file {has}")
+        for at, words in self.zooms:
+            text = " ".join(["ZOO", *words])
+            is_count = len(words) == 1
+            if is_count and count > 1 and wanted is None:
+                how = f"{count} configurations: the values are taken that stand in the surfaces"
+                self.report.add(at, text, Verdict.APPROXIMATED, how)
+            elif is_count and count > 1:
+                self.report.add(at, text, Verdict.TAKEN)
+            elif is_count or count == 1 or wanted is None or words[0].upper() in _WITHOUT_EFFECT:
+                self.report.add(at, text, Verdict.WITHOUT_EFFECT)
+            else:
+                command, values = words[:-count], words[-count:]
+                misplaced = any(_SURFACE_NAME.match(value.upper()) for value in values)
+                if not 1 <= len(command) <= 2 or _is_number(command[0]) or misplaced:
+                    self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
+                else:
+                    self.take(at, [*command, values[wanted - 1]])
 
     def _on_prv(self, _: list[str]) -> None:
         self.in_private_glass = True

@@ -1,6 +1,7 @@
 """Reading scene files, with every fault of a file in one error."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
     """
     if lens.file is None:
         return lens
-    held = load_lens(_lens_path(lens.file, folder), lens.file_choices)
+    held = load_lens(_lens_path(lens.file, folder), _choices_in(folder, lens))
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
     if lens.stop_size:
         beside |= {key: getattr(lens, key) for key in STOP_SIZES}
@@ -213,7 +214,7 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
     file = lens.pop("file")
     chosen = {key: lens.pop(key) for key in FILE_CHOICES if key in lens}
     try:
-        choices = Lens(file=file, **chosen).file_choices
+        choices = _choices_in(folder, Lens(file=file, **chosen))
     except SceneError as error:
         return [f"{_LENS}: {error}"], {}
     try:
@@ -228,6 +229,13 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         lens["coatings"] = {**held.get("coatings", {}), **lens["coatings"]}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
     return [], {f"{_LENS}.surfaces": file}
+
+
+def _choices_in(folder: Path, lens: Lens) -> FileChoices:
+    """Return the choices that a lens makes from its file, with paths relative to a folder."""
+    choices = lens.file_choices
+    given = choices.coating_file
+    return choices if given is None else replace(choices, coating_file=str(folder / given))
 
 
 def _lens_path(file: str, folder: Path) -> Path:

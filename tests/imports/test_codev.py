@@ -9,6 +9,7 @@ from lfmesh.imports import zemax
 from lfmesh.imports.codev import commands, read
 from lfmesh.imports.report import Verdict
 from lfmesh.scene import load_lens
+from lfmesh.scene.camera.lens import FileChoices
 from lfmesh.scene.materials.own_glass import OwnGlass
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
@@ -190,3 +191,42 @@ def test_a_missing_line_rdm_is_named_as_the_likely_cause():
 def test_multilayers_are_said_to_be_left_out():
     _, report = read(Path("lens.seq"), singlet().replace("  STO\n", "  STO\n  MLT 'ar.mul'\n").splitlines())
     assert ["the surface is traced bare" in line.how for line in report.of(Verdict.APPROXIMATED)] == [True]
+
+
+ZOOM = SINGLET_SEQ.replace("GO\n", "ZOO 3\nZOO THI S1 5.0 6.0 7.5\nZOO THC S1 0 0 0\nZOO EPD 10.0 9.0 8.0\nGO\n")
+
+
+@pytest.mark.parametrize("position", [1, 2, 3])
+def test_a_zoom_position_is_the_lens_whose_surfaces_hold_its_values(position):
+    thickness, diameter = ((5.0, 10.0), (6.0, 9.0), (7.5, 8.0))[position - 1]
+    alone = SINGLET_SEQ.replace("GO\n", f"THI S1 {thickness}\nEPD {diameter}\nGO\n")
+    assert lens_of(ZOOM, choices=FileChoices(configuration=position)) == lens_of(alone)
+
+
+def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
+    report = report_of(ZOOM)
+    (line,) = report.of(Verdict.APPROXIMATED)
+    assert line.how == "3 configurations: the values are taken that stand in the surfaces"
+    each = [read(FILE, ZOOM.splitlines(), FileChoices(configuration=k))[1].focal_length_mm for k in (1, 2, 3)]
+    assert len({round(length, 3) for length in each}) == 3
+    listed = ", ".join(f"{k}: {length:.6g} mm" for k, length in enumerate(each, 1))
+    assert report.notes[-1] == f"focal lengths of the configurations: {listed}"
+
+
+@pytest.mark.parametrize(
+    ("text", "position", "said"),
+    [
+        (ZOOM, 4, "configuration = 4: the file has configurations 1 to 3"),
+        (SINGLET_SEQ, 2, "configuration = 2: the file has one configuration"),
+        (ZOOM.replace("5.0 6.0 7.5", "5.0 6.0"), 2, "it must name one command and its values at 3 positions"),
+        (ZOOM.replace("THI S1 5.0 6.0 7.5", "ADE S1 0.0 1.0 2.0"), 2, "the axis is not turned back"),
+    ],
+)
+def test_zoom_positions_that_cannot_be_taken_are_refused(text, position, said):
+    with pytest.raises(SceneError, match=said):
+        lens_of(text, choices=FileChoices(configuration=position))
+
+
+def test_a_coating_file_is_for_zemax_files_only():
+    with pytest.raises(SceneError, match=r"coating_file = 'a\.dat': only for \.zmx files"):
+        lens_of(SINGLET_SEQ, choices=FileChoices(coating_file="a.dat"))

@@ -38,7 +38,9 @@ Examples:
 """
 )
 def convert(
-    source: Annotated[str, Parameter(name="in", help='Lens file: .zmx, .seq, .csv or .toml; or "lib:" and a name.')],
+    source: Annotated[
+        str, Parameter(name="in", help='Lens file: .zmx, .seq, .len, .json, .csv or .toml; or "lib:" and a name.')
+    ],
     target: Annotated[Path, Parameter(name="out", help="Lens file to write: .toml, .zmx or .seq.")],
     /,
     *,

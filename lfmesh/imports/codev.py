@@ -17,7 +17,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import laurent_glass, private_glass
-from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_coating_file
+from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -77,7 +77,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    refuse_coating_file(path, choices)
+    refuse_choices(path, choices, configurations=True)
     lines = read_lines(path) if lines is None else lines
     lens, report, count = _read(path, lines, choices)
     note_focal_lengths(report, count, lambda k: _read(path, lines, replace(choices, configuration=k))[1])

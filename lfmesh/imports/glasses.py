@@ -84,7 +84,7 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         find_glass(f"{maker}/{stem}")
     if not catalogues:
         # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
-        own = find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
+        own = "/" in name or find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
         return name, "" if own else f"the file names no catalogue; taken as {glass_in_words(name)}"
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
 

@@ -31,10 +31,20 @@ OFF_MM = 1e-9
 _MOST_DIGITS = 17
 
 
-def refuse_coating_file(path: Path, choices: FileChoices) -> None:
-    """Raise a SceneError where a coating file is given for a lens file whose format names no coatings of it."""
+def refuse_choices(path: Path, choices: FileChoices, configurations: bool = False) -> None:
+    """Raise a SceneError where a choice is made that the format of a lens file does not leave open.
+
+    Parameters
+    ----------
+    path : Path
+    choices : FileChoices
+    configurations : bool
+        Whether the format has several.
+    """
     if choices.coating_file is not None:
         raise SceneError(f"{path}: coating_file = {choices.coating_file!r}: only for .zmx files; omit it")
+    if not configurations and choices.configuration not in (None, 1):
+        raise SceneError(f"{path}: configuration = {choices.configuration}: the file has one configuration")
 
 
 def note_focal_lengths(report: Report, count: int, report_of: Callable[[int], Report]) -> None:

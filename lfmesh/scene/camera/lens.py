@@ -469,9 +469,9 @@ class Lens(Model):
     """The main lens as its prescription, or the file that holds it."""
 
     file: Text | None = None
-    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx or CODE V .seq file, or a
-    table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with lfmesh; it is read in place
-    of `surfaces`."""
+    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
+    optiland .json file, or a table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with
+    lfmesh; it is read in place of `surfaces`."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None

@@ -177,6 +177,7 @@ def _check_bounds(data: dict[str, Any], name: str) -> None:
 
 
 def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
+    lens_table = _lens_with_file(data)
     lens_faults, origin = _inline_lens(data, folder)
     gltf, gltf_faults = take_keys(data, folder)
     try:
@@ -189,12 +190,20 @@ def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
     if lens_faults or gltf_faults:
         raise _refused(name, lens_faults + gltf_faults)
     scene = scene.in_folder(folder)
+    scene._lens_table = lens_table
     if gltf is None:
         return scene
     try:
         return gltf_reader()(scene, gltf)
     except LfmeshError as error:
         raise _refused(name, str(error).split("\n")) from None
+
+
+def _lens_with_file(data: dict[str, Any]) -> dict[str, Any] | None:
+    """Return a copy of the table of the lens, if it names a file."""
+    camera = data.get("camera")
+    lens = camera.get("lens") if isinstance(camera, dict) else None
+    return dict(lens) if isinstance(lens, dict) and isinstance(lens.get("file"), str) else None
 
 
 def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
-from lfmesh.imports.glasses import laurent_glass, private_glass
+from lfmesh.imports.glasses import Medium, formula_glass, private_glass
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
@@ -150,6 +150,7 @@ class _Reader:
         self.ended = False
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
+        self.doubts: dict[str, tuple[int, str, str]] = {}
         self.positions = 1
         self.zooms: list[tuple[int, list[str]]] = []
         self.at, self.text = 0, ""
@@ -205,6 +206,9 @@ class _Reader:
             self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
         for surface in made.surfaces:
             self._move(surface)
+        for name, (at, text, how) in self.doubts.items():
+            if any(surface.glass == name for surface in made.surfaces):
+                self.report.add(at, text, Verdict.APPROXIMATED, how)
         lines = made.wavelengths_nm
         middle = len(lines) // 2
         made.primary = max(0, min(self.reference - 1 if self.reference is not None else middle, len(lines) - 1))
@@ -490,14 +494,15 @@ class _Reader:
             self.private.append(words[0].strip("'\""))
             try:
                 formula = words[1].upper() if len(words) > 1 and not _is_number(words[1]) else None
+                glass: Medium
                 if formula is None:
-                    glass = private_glass(self.private_nm, numbers(words[1:]))
-                elif formula == "LAU":
-                    glass = laurent_glass(numbers(words[2:]))
+                    glass, how = private_glass(self.private_nm, numbers(words[1:])), ""
                 else:
-                    raise GlassError(f"formula {formula} is not read")
+                    glass, how = formula_glass(formula, numbers(words[2:]))
                 self.made.indices[self.private[-1]] = glass
                 self._taken()
+                if how:
+                    self.doubts[self.private[-1]] = self.at, self.text, how
             except (GlassError, ValueError) as error:
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)

@@ -8,6 +8,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports import zemax
 from lfmesh.imports.codev import commands, read
 from lfmesh.imports.report import Verdict
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens
 from lfmesh.scene.camera.lens import FileChoices
 from lfmesh.scene.materials.own_glass import OwnGlass
@@ -170,12 +171,43 @@ def test_a_private_glass_by_laurents_formula_is_the_formula():
         assert lens.surfaces[0].glass.index_at(nm) == pytest.approx(square**0.5, abs=1e-8)
 
 
-@pytest.mark.parametrize("formula", ["GMS 1.0 0.01", "LAU", "LAU 0.1", "SEL x"])
+@pytest.mark.parametrize("formula", ["GMS 1.0", "GMS 1.0 0.25", "LAU", "LAU 0.1", "SEL x"])
 def test_a_private_glass_that_no_surface_has_is_never_in_the_way(formula):
     private = f"PRV\n  PWL 550.0\n  'GLUE' {formula}\nEND\n"
     lens, report = read(Path("lens.seq"), singlet(private=private).splitlines())
     assert lens.surfaces[0].glass == "SCHOTT/N-BK7"
     assert ["refused where a surface has it" in line.how for line in report.of(Verdict.UNKNOWN)] == [True]
+    with pytest.raises(SceneError, match="GLUE"):
+        read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
+
+
+BK7 = "1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653"
+
+
+@pytest.mark.parametrize(
+    ("formula", "index"),
+    [
+        (f"GMS {BK7}", lambda um: refractive_index("SCHOTT/N-BK7", 1e3 * um)),
+        (f"SLM {BK7}", lambda um: refractive_index("SCHOTT/N-BK7", 1e3 * um)),
+        ("GML 2.36 0.001 0.0255", lambda um: (2.36 + 0.001 * um**2 + 0.0255 / um**2) ** 0.5),
+        ("CAU 1.5 0.004 2e-6", lambda um: 1.5 + 0.004 / um**2 + 2e-6 / um**4),
+        ("HAR 1.5 0.004 0.12", lambda um: 1.5 + 0.004 / (um - 0.12)),
+    ],
+)
+def test_private_glasses_by_other_formulas_are_the_formulas_and_said(formula, index):
+    private = f"PRV\n  PWL 550.0\n  'GLUE' {formula}\nEND\n"
+    lens, report = read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
+    for nm in (404.7, 486.13, 587.6, 656.27, 1013.9):
+        assert lens.surfaces[0].glass.index_at(nm) == pytest.approx(index(1e-3 * nm), abs=2e-8)
+    said = [line.how for line in report.of(Verdict.APPROXIMATED)]
+    assert said == [f"formula {formula[:3]} with its coefficients in the order that other readers take"]
+    _, unused = read(Path("lens.seq"), singlet(private=private).splitlines())
+    assert not unused.of(Verdict.APPROXIMATED)
+
+
+def test_sellmeiers_coefficients_in_another_order_are_refused():
+    b1, c1, b2, c2, b3, c3 = BK7.split()
+    private = f"PRV\n  PWL 550.0\n  'GLUE' SLM {b1} {b2} {b3} {c1} {c2} {c3}\nEND\n"
     with pytest.raises(SceneError, match="GLUE"):
         read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
 

@@ -9,16 +9,17 @@ surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.codev_commands import commands
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium, formula_glass, private_glass
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
-from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.numbers import is_number, may_matter, number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
@@ -102,39 +103,6 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
         ) from None
 
 
-def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the commands of a file: the line that each starts on, from 1, and its words; quoted words keep a quote."""
-    held, start = "", 0
-    for at, line in enumerate(lines, 1):
-        text = _without_comment(line).rstrip()
-        start = start if held else at
-        if text.endswith("&"):
-            held += text[:-1] + " "
-            continue
-        for part in _split(held + text):
-            words = re.findall(r"'[^']*'?|\"[^\"]*\"?|[^\s'\"]+(?:'[^']*')?", part)
-            if words:
-                yield start, words
-        held = ""
-
-
-def _without_comment(line: str) -> str:
-    quote = ""
-    for i, sign in enumerate(line):
-        if quote:
-            quote = "" if sign == quote else quote
-        elif sign == "!":
-            return line[:i]
-        elif sign in "'\"" and (i == 0 or line[i - 1].isspace()):
-            quote = sign
-    return line
-
-
-def _split(text: str) -> list[str]:
-    """Split at semicolons outside quotes."""
-    return re.findall(r"(?:'[^']*'?|\"[^\"]*\"?|[^;'\"])+", text)
-
-
 class _Reader:
     """Reads command by command; one without a method of its name is looked up in the tables above."""
 
@@ -177,7 +145,7 @@ class _Reader:
             elif command in COEFFICIENTS and len(command) == 1:
                 self._coefficient(COEFFICIENTS.index(command), rest)
             elif command in _REFUSED:
-                if any(map(_nonzero, rest)) or not rest:
+                if any(map(may_matter, rest)) or not rest:
                     self.report.refuse(at, self.text, _REFUSED[command])
             else:
                 self._other(command, rest)
@@ -343,7 +311,7 @@ class _Reader:
 
     def _on_cuy(self, words: list[str]) -> None:
         surface, rest = self._named(words)
-        if _is_number(rest[0]):
+        if is_number(rest[0]):
             surface.curvature = number(rest[0])
             self._taken()
         else:
@@ -351,7 +319,7 @@ class _Reader:
 
     def _on_thi(self, words: list[str]) -> None:
         surface, rest = self._named(words)
-        if _is_number(rest[0]):
+        if is_number(rest[0]):
             surface.thickness = number(rest[0])
             self._taken()
         else:
@@ -437,7 +405,7 @@ class _Reader:
 
     def _on_zoo(self, words: list[str]) -> None:
         # What becomes of it is known with the position that is asked for.
-        if len(words) == 1 and _is_number(words[0]):
+        if len(words) == 1 and is_number(words[0]):
             self.positions = int(number(words[0]))
         self.zooms.append((self.at, words))
 
@@ -473,7 +441,7 @@ class _Reader:
             else:
                 command, values = words[:-count], words[-count:]
                 misplaced = any(_SURFACE_NAME.match(value.upper()) for value in values)
-                if not 1 <= len(command) <= 2 or _is_number(command[0]) or misplaced:
+                if not 1 <= len(command) <= 2 or is_number(command[0]) or misplaced:
                     self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
                 else:
                     self.take(at, [*command, values[wanted - 1]])
@@ -493,7 +461,7 @@ class _Reader:
         else:
             self.private.append(words[0].strip("'\""))
             try:
-                formula = words[1].upper() if len(words) > 1 and not _is_number(words[1]) else None
+                formula = words[1].upper() if len(words) > 1 and not is_number(words[1]) else None
                 glass: Medium
                 if formula is None:
                     glass, how = private_glass(self.private_nm, numbers(words[1:])), ""
@@ -506,15 +474,3 @@ class _Reader:
             except (GlassError, ValueError) as error:
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
-
-
-def _nonzero(word: str) -> bool:
-    return not _is_number(word) or float(word) != 0 or not math.isfinite(float(word))
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

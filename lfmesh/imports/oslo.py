@@ -14,7 +14,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.glasses import private_glass
 from lfmesh.imports.lens_making import lens_of, refuse_choices
-from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.numbers import is_number, may_matter, number, numbers
 from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
@@ -106,7 +106,7 @@ class _Reader:
             elif command in COEFFICIENTS:
                 self._coefficient(COEFFICIENTS.index(command), number(rest[0]))
             elif command in _REFUSED:
-                if not rest or any(map(_counts, rest)):
+                if not rest or any(map(may_matter, rest)):
                     raise ValueError(f"{_REFUSED[command]} are not supported")
                 self._add(Verdict.WITHOUT_EFFECT)
             elif command in _SOLVES:
@@ -260,12 +260,12 @@ class _Reader:
         surface = self._surface
         if words[0].upper() == "MOD":
             # A name may stand before the numbers.
-            words = words[1:] if _is_number(words[1]) else words[2:]
+            words = words[1:] if is_number(words[1]) else words[2:]
             if len(words) == 2 and number(words[1]) > 10.0:
                 surface.model = number(words[0]), number(words[1])
                 self._add(Verdict.TAKEN)
                 return
-        if not _is_number(words[0]):
+        if not is_number(words[0]):
             surface.glass = words[0]
         elif len(words) == 1:
             surface.model = number(words[0]), 0.0
@@ -277,15 +277,3 @@ class _Reader:
                 raise ValueError(str(error)) from None
             surface.glass = own
         self._add(Verdict.TAKEN)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _counts(word: str) -> bool:
-    return not _is_number(word) or float(word) != 0.0

@@ -6,7 +6,8 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.imports import zemax
-from lfmesh.imports.codev import commands, read
+from lfmesh.imports.codev import read
+from lfmesh.imports.codev_commands import commands
 from lfmesh.imports.report import Verdict
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens

@@ -94,12 +94,12 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
 
 
 def _refuse_ambiguous(name: str) -> None:
-    """Raise if a name without a maker means glasses that differ."""
+    """Raise if a name without a maker means glasses that differ, SCHOTT's successor of an old one among them."""
     found: dict[str, float] = {}
-    for maker in MAKERS:
+    for full in (*(f"{maker}/{name}" for maker in MAKERS), f"SCHOTT/N-{name}"):
         try:
-            find_glass(f"{maker}/{name}")
-            found[f"{maker}/{name}"] = refractive_index(f"{maker}/{name}", D_LINE_NM)
+            find_glass(full)
+            found[full] = refractive_index(full, D_LINE_NM)
         except GlassError:
             continue
     if found and max(found.values()) - min(found.values()) > SAME:

@@ -33,11 +33,14 @@ Examples:
     lfmesh lens convert singlet.zmx singlet.toml
     lfmesh lens convert old.seq new.toml --glass BK7=SCHOTT/N-BK7
     lfmesh lens convert zoom.zmx tele.toml --configuration 2
+    lfmesh lens convert coated.zmx coated.toml --coatings COATING.DAT
     lfmesh lens convert lib:cooke_triplet_50mm triplet.zmx
 """
 )
 def convert(
-    source: Annotated[str, Parameter(name="in", help='Lens file: .zmx, .seq, .csv or .toml; or "lib:" and a name.')],
+    source: Annotated[
+        str, Parameter(name="in", help='Lens file: .zmx, .seq, .len, .json, .csv or .toml; or "lib:" and a name.')
+    ],
     target: Annotated[Path, Parameter(name="out", help="Lens file to write: .toml, .zmx or .seq.")],
     /,
     *,
@@ -45,7 +48,8 @@ def convert(
         list[str] | None,
         Parameter(help="NAME=GLASS or NAME=INDEX, in place of a name that the catalogue does not have; repeatable."),
     ] = None,
-    configuration: Annotated[int | None, Parameter(help="Which configuration of a .zmx file, from 1.")] = None,
+    configuration: Annotated[int | None, Parameter(help="Which configuration of a .zmx or .seq file, from 1.")] = None,
+    coatings: Annotated[Path | None, Parameter(help="Coating file of a .zmx file, where none is beside it.")] = None,
     every_line: Annotated[bool, Parameter(name="--lines", negative=(), help="Say what became of every line.")] = False,
 ) -> int:
     """Read a lens file of another program, say what became of its lines, and write it in another format."""
@@ -54,7 +58,8 @@ def convert(
 
     if configuration is not None and configuration < 1:
         raise LfmeshError(f"--configuration {configuration}: they count from 1")
-    lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration))
+    coating_file = None if coatings is None else str(coatings)
+    lens, report = read_lens_file(source, FileChoices(_glasses(glass or []), configuration, coating_file))
     notes = write_lens_file(lens, target, report.conditions)
     for line in (*report.text(every_line), *notes):
         print(wrapped(line))

@@ -6,12 +6,12 @@ Importing this part registers its readers in the scene's table (`lfmesh.scene.ca
 """
 
 from lfmesh.imports.gltf_scene import GltfScene, read_gltf, with_gltf
-from lfmesh.imports.lens_file import read_lens, read_lens_file, write_lens_file
+from lfmesh.imports.lens_file import READERS, read_lens, read_lens_file, write_lens_file
 from lfmesh.scene.camera.lens_readers import register
 from lfmesh.scene.objects import gltf_keys
 
 __all__ = ["GltfScene", "read_gltf", "read_lens", "read_lens_file", "with_gltf", "write_lens_file"]
 
-for _ending in (".zmx", ".seq", ".csv"):
+for _ending in READERS:
     register(_ending, read_lens)
 gltf_keys.register(with_gltf)

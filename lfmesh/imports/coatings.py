@@ -19,7 +19,7 @@ from lfmesh.imports.text import read_lines
 from lfmesh.scene.materials.coatings import UNCOATED, Coating, Layer, MeasuredIndex, MeasuredReflectance
 
 if TYPE_CHECKING:
-    from lfmesh.imports.prescription import FileSurface
+    from lfmesh.imports.prescription import FileSurface, Prescription
 
 USUAL_FILE = "COATING.DAT"
 """Name of the coating file of a lens that names none."""
@@ -76,20 +76,22 @@ class CoatingFile:
     entries: dict[str, tuple[str, list[list[str]]]] = field(default_factory=dict)
 
     @classmethod
-    def beside(cls, lens_file: Path, name: str | None) -> "CoatingFile | None":
+    def beside(cls, lens_file: Path, name: str | Path | None) -> "CoatingFile | None":
         """Read the coating file in the folder of a lens file, if there is one; capitals do not matter.
 
         Parameters
         ----------
         lens_file : Path
-        name : str, optional
-            As the lens file gives it; else the usual one.
+        name : str or Path, optional
+            As the lens file gives it, else the usual one; or the path of one that is given and must be there.
 
         Raises
         ------
         SceneError
             As in `read`.
         """
+        if isinstance(name, Path):
+            return cls.read(name)
         wanted = (name or USUAL_FILE).upper()
         try:
             found = [path for path in sorted(lens_file.parent.iterdir()) if path.name.upper() == wanted]
@@ -178,8 +180,7 @@ class CoatingFile:
 def lens_coatings(
     surfaces: Sequence["FileSurface"],
     media: Sequence[Medium | None],
-    primary_nm: float,
-    file_name: str | None,
+    prescription: "Prescription",
     report: Report,
 ) -> tuple[dict[str, Coating], list[str | None]]:
     """Return the coatings of a lens by name, and the name that each surface gives.
@@ -189,15 +190,14 @@ def lens_coatings(
     surfaces : sequence of FileSurface
     media : sequence of Medium
         What follows each; None is air.
-    primary_nm : float
-        Primary wavelength.
-    file_name : str, optional
-        Of the coating file, as the lens file gives it.
+    prescription : Prescription
+        Gives the primary wavelength, in which quarter waves count, and the coating file.
     report : Report
         Gets the verdict on each line with a coating.
     """
     coatings: dict[str, Coating] = {}
     names: list[str | None] = []
+    primary_nm, file_name = prescription.primary_nm, prescription.coating_file
     coated = any(surface.coating for surface in surfaces)
     file = CoatingFile.beside(report.path, file_name) if coated else None
     before: Medium | None = None
@@ -210,16 +210,33 @@ def lens_coatings(
                 bare = "no coating, since it has the same medium on both sides"
             else:
                 try:
-                    found = found_coating(name, primary_nm, file, file_name or USUAL_FILE)
+                    found = found_coating(name, primary_nm, file, str(file_name or USUAL_FILE))
                 except UnreadableCoatingError as error:
                     bare = f"{error}; the surface is traced bare"
             if found is not None:
                 free = _free_name(name_in_scene(name), found.coating, coatings)
                 names[-1], coatings[free] = free, found.coating
-            how = bare or (found.how if found is not None else "")
+            how = bare
+            if found is not None:
+                beyond = _beyond_tables(found.coating, prescription.wavelengths_nm)
+                how = "; ".join(filter(None, (found.how, beyond)))
             report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
         before = medium
     return coatings, names
+
+
+def _beyond_tables(coating: Coating, wavelengths_nm: Sequence[float]) -> str:
+    """Return what to say of a coating whose tables do not reach all of some wavelengths."""
+    tables = {layer.measured.wavelengths_nm for layer in coating.layers or () if layer.measured is not None}
+    tables |= {coating.measured.wavelengths_nm} if coating.measured is not None else set()
+    for table in sorted(tables):
+        beyond = [line for line in wavelengths_nm if not table[0] <= line <= table[-1]]
+        if len(table) > 1 and beyond:
+            return (
+                f"at {', '.join(f'{line:g}' for line in beyond)} nm its index or shares are those at the nearer end of "
+                f"a table from {table[0]:g} to {table[-1]:g} nm"
+            )
+    return ""
 
 
 def found_coating(

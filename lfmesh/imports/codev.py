@@ -9,15 +9,17 @@ surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.codev_commands import commands
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
-from lfmesh.imports.glasses import laurent_glass, private_glass
-from lfmesh.imports.lens_making import lens_of
-from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.glasses import Medium, formula_glass, private_glass
+from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
+from lfmesh.imports.numbers import is_number, may_matter, number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
@@ -76,14 +78,22 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    if choices.configuration not in (None, 1):
-        raise SceneError(f"{path}: configuration = {choices.configuration}: zoom positions of .seq files are not read")
+    refuse_choices(path, choices, configurations=True)
+    lines = read_lines(path) if lines is None else lines
+    lens, report, count = _read(path, lines, choices)
+    note_focal_lengths(report, count, lambda k: _read(path, lines, replace(choices, configuration=k))[1])
+    return lens, report
+
+
+def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
+    """Return the lens at one zoom position, what became of the commands, and the number of positions."""
     reader = _Reader(Report(path))
-    for at, words in commands(read_lines(path) if lines is None else lines):
+    for at, words in commands(lines):
         reader.take(at, words)
+    reader.zoom_to(choices.configuration)
     made = reader.finished()
     try:
-        return lens_of(made, reader.report, choices.substitutes), reader.report
+        return lens_of(made, reader.report, choices.substitutes), reader.report, reader.positions
     except SceneError as error:
         if reader.radii is not None:
             raise
@@ -91,39 +101,6 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
             f"{error}; the file has no line RDM, so that the first numbers of its surfaces count as curvatures: if "
             "they are radii, put RDM before them"
         ) from None
-
-
-def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the commands of a file: the line that each starts on, from 1, and its words; quoted words keep a quote."""
-    held, start = "", 0
-    for at, line in enumerate(lines, 1):
-        text = _without_comment(line).rstrip()
-        start = start if held else at
-        if text.endswith("&"):
-            held += text[:-1] + " "
-            continue
-        for part in _split(held + text):
-            words = re.findall(r"'[^']*'?|\"[^\"]*\"?|[^\s'\"]+(?:'[^']*')?", part)
-            if words:
-                yield start, words
-        held = ""
-
-
-def _without_comment(line: str) -> str:
-    quote = ""
-    for i, sign in enumerate(line):
-        if quote:
-            quote = "" if sign == quote else quote
-        elif sign == "!":
-            return line[:i]
-        elif sign in "'\"" and (i == 0 or line[i - 1].isspace()):
-            quote = sign
-    return line
-
-
-def _split(text: str) -> list[str]:
-    """Split at semicolons outside quotes."""
-    return re.findall(r"(?:'[^']*'?|\"[^\"]*\"?|[^;'\"])+", text)
 
 
 class _Reader:
@@ -141,6 +118,9 @@ class _Reader:
         self.ended = False
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
+        self.doubts: dict[str, tuple[int, str, str]] = {}
+        self.positions = 1
+        self.zooms: list[tuple[int, list[str]]] = []
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -165,7 +145,7 @@ class _Reader:
             elif command in COEFFICIENTS and len(command) == 1:
                 self._coefficient(COEFFICIENTS.index(command), rest)
             elif command in _REFUSED:
-                if any(map(_nonzero, rest)) or not rest:
+                if any(map(may_matter, rest)) or not rest:
                     self.report.refuse(at, self.text, _REFUSED[command])
             else:
                 self._other(command, rest)
@@ -194,6 +174,9 @@ class _Reader:
             self.report.add(first.line, "S", Verdict.APPROXIMATED, how)
         for surface in made.surfaces:
             self._move(surface)
+        for name, (at, text, how) in self.doubts.items():
+            if any(surface.glass == name for surface in made.surfaces):
+                self.report.add(at, text, Verdict.APPROXIMATED, how)
         lines = made.wavelengths_nm
         middle = len(lines) // 2
         made.primary = max(0, min(self.reference - 1 if self.reference is not None else middle, len(lines) - 1))
@@ -328,7 +311,7 @@ class _Reader:
 
     def _on_cuy(self, words: list[str]) -> None:
         surface, rest = self._named(words)
-        if _is_number(rest[0]):
+        if is_number(rest[0]):
             surface.curvature = number(rest[0])
             self._taken()
         else:
@@ -336,7 +319,7 @@ class _Reader:
 
     def _on_thi(self, words: list[str]) -> None:
         surface, rest = self._named(words)
-        if _is_number(rest[0]):
+        if is_number(rest[0]):
             surface.thickness = number(rest[0])
             self._taken()
         else:
@@ -421,8 +404,47 @@ class _Reader:
         self._taken()
 
     def _on_zoo(self, words: list[str]) -> None:
-        how = "zoom positions: the surfaces are taken as they stand in the file"
-        self.report.add(self.at, " ".join(["ZOO", *words]), Verdict.APPROXIMATED, how)
+        # What becomes of it is known with the position that is asked for.
+        if len(words) == 1 and is_number(words[0]):
+            self.positions = int(number(words[0]))
+        self.zooms.append((self.at, words))
+
+    def zoom_to(self, wanted: int | None) -> None:
+        """Give the lens the values of one zoom position.
+
+        `ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each.
+
+        Parameters
+        ----------
+        wanted : int, optional
+            From 1; if left out, the values that stand in the surfaces.
+
+        Raises
+        ------
+        SceneError
+            The file does not have it.
+        """
+        count = self.positions
+        if wanted is not None and not 1 <= wanted <= count:
+            has = "has one configuration" if count == 1 else f"has configurations 1 to {count}"
+            raise SceneError(f"{self.report.path}: configuration = {wanted}: the file {has}")
+        for at, words in self.zooms:
+            text = " ".join(["ZOO", *words])
+            is_count = len(words) == 1
+            if is_count and count > 1 and wanted is None:
+                how = f"{count} configurations: the values are taken that stand in the surfaces"
+                self.report.add(at, text, Verdict.APPROXIMATED, how)
+            elif is_count and count > 1:
+                self.report.add(at, text, Verdict.TAKEN)
+            elif is_count or count == 1 or wanted is None or words[0].upper() in _WITHOUT_EFFECT:
+                self.report.add(at, text, Verdict.WITHOUT_EFFECT)
+            else:
+                command, values = words[:-count], words[-count:]
+                misplaced = any(_SURFACE_NAME.match(value.upper()) for value in values)
+                if not 1 <= len(command) <= 2 or is_number(command[0]) or misplaced:
+                    self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
+                else:
+                    self.take(at, [*command, values[wanted - 1]])
 
     def _on_prv(self, _: list[str]) -> None:
         self.in_private_glass = True
@@ -439,27 +461,16 @@ class _Reader:
         else:
             self.private.append(words[0].strip("'\""))
             try:
-                formula = words[1].upper() if len(words) > 1 and not _is_number(words[1]) else None
+                formula = words[1].upper() if len(words) > 1 and not is_number(words[1]) else None
+                glass: Medium
                 if formula is None:
-                    glass = private_glass(self.private_nm, numbers(words[1:]))
-                elif formula == "LAU":
-                    glass = laurent_glass(numbers(words[2:]))
+                    glass, how = private_glass(self.private_nm, numbers(words[1:])), ""
                 else:
-                    raise GlassError(f"formula {formula} is not read")
+                    glass, how = formula_glass(formula, numbers(words[2:]))
                 self.made.indices[self.private[-1]] = glass
                 self._taken()
+                if how:
+                    self.doubts[self.private[-1]] = self.at, self.text, how
             except (GlassError, ValueError) as error:
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
-
-
-def _nonzero(word: str) -> bool:
-    return not _is_number(word) or float(word) != 0 or not math.isfinite(float(word))
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

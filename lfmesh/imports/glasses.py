@@ -1,5 +1,9 @@
 """Glasses that lens files name: found in the catalogue or refused, never guessed."""
 
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
 from lfmesh.scene.materials.own_glass import OwnGlass
@@ -10,7 +14,7 @@ UNLIKE = 2e-3
 SAME = 1e-4
 """Difference of nd up to which glasses of one name count as the same: makers' melts differ by some 1e-5."""
 
-LAURENT_FROM_NM, LAURENT_STEP_NM, LAURENT_ROWS = 365.0, 5.0, 148
+FORMULA_FROM_NM, FORMULA_STEP_NM, FORMULA_ROWS = 365.0, 5.0, 148
 """Table that stands for a formula: from 365 to 1,100 nm, so close that a spline through it is off by 1e-9."""
 
 Medium = float | str | OwnGlass
@@ -84,18 +88,18 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         find_glass(f"{maker}/{stem}")
     if not catalogues:
         # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
-        own = find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
+        own = "/" in name or find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
         return name, "" if own else f"the file names no catalogue; taken as {glass_in_words(name)}"
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
 
 
 def _refuse_ambiguous(name: str) -> None:
-    """Raise if a name without a maker means glasses that differ."""
+    """Raise if a name without a maker means glasses that differ, SCHOTT's successor of an old one among them."""
     found: dict[str, float] = {}
-    for maker in MAKERS:
+    for full in (*(f"{maker}/{name}" for maker in MAKERS), f"SCHOTT/N-{name}"):
         try:
-            find_glass(f"{maker}/{name}")
-            found[f"{maker}/{name}"] = refractive_index(f"{maker}/{name}", D_LINE_NM)
+            find_glass(full)
+            found[full] = refractive_index(full, D_LINE_NM)
         except GlassError:
             continue
     if found and max(found.values()) - min(found.values()) > SAME:
@@ -106,29 +110,68 @@ def _refuse_ambiguous(name: str) -> None:
         )
 
 
-def laurent_glass(coefficients: list[float]) -> Medium:
-    """Return a glass by Laurent's formula, n² = a₀ + a₁ λ² + a₂ λ⁻² + a₃ λ⁻⁴ + a₄ λ⁻⁶ + a₅ λ⁻⁸ with λ in µm.
+def formula_glass(formula: str, coefficients: list[float]) -> tuple[Medium, str]:
+    """Return a glass by one of CODE V's dispersion formulas, λ in µm, and what to say of it.
+
+    "LAU" or "GML", Laurent's n² = a₀ + a₁ λ² + a₂ λ⁻² + a₃ λ⁻⁴ + a₄ λ⁻⁶ + a₅ λ⁻⁸; "GMS" or "SLM", Sellmeier's
+    n² = 1 + Σ b λ² / (λ² − c) by pairs of b and c; "CAU", Cauchy's n = a₀ + a₁ λ⁻² + a₂ λ⁻⁴ + ...; "HAR", Hartmann's
+    n = a₀ + a₁ / (λ − a₂).
 
     Parameters
     ----------
+    formula : str
     coefficients : list of float
-        Up to six.
 
     Raises
     ------
     GlassError
-        There are others, or they give no index.
+        The formula is none of these, has another number of coefficients, or they give no index.
     """
-    if not 1 <= len(coefficients) <= 6:
-        raise GlassError(f"{len(coefficients)} coefficients of Laurent's formula, which has 1 to 6")
-    rows = [LAURENT_FROM_NM + LAURENT_STEP_NM * k for k in range(LAURENT_ROWS)]
-    squares = [
-        sum(a * (1e-3 * nm) ** power for a, power in zip(coefficients, (0, 2, -2, -4, -6, -8), strict=False))
-        for nm in rows
-    ]
-    if not min(squares) >= 1.0:
-        raise GlassError("its formula gives no index of 1 or more")
-    return private_glass(rows, [square**0.5 for square in squares])
+    if formula not in FORMULAS:
+        raise GlassError(f"formula {formula} is not read; {', '.join(FORMULAS)} are")
+    count, index = FORMULAS[formula]
+    if len(coefficients) not in count:
+        raise GlassError(f"{len(coefficients)} coefficients of formula {formula}, which has {count[0]} to {count[-1]}")
+    rows = [FORMULA_FROM_NM + FORMULA_STEP_NM * k for k in range(FORMULA_ROWS)]
+    try:
+        indices = [index(coefficients, 1e-3 * nm) for nm in rows]
+    except (ZeroDivisionError, ValueError):
+        raise GlassError("its formula gives no index of 1 or more") from None
+    steps = [abs(after - before) for before, after in pairwise(indices)]
+    if not min(indices) >= 1.0 or max(steps) > MOST_STEP:
+        raise GlassError("its formula gives no index of 1 or more, or a pole, from 365 to 1,100 nm")
+    # The manual that gives the coefficients' order was at hand for Laurent's formula alone.
+    how = "" if formula == "LAU" else f"formula {formula} with its coefficients in the order that other readers take"
+    return private_glass(rows, indices), how
+
+
+def _laurent(a: list[float], um: float) -> float:
+    return math.sqrt(sum(each * um**power for each, power in zip(a, (0, 2, -2, -4, -6, -8), strict=False)))
+
+
+def _sellmeier(a: list[float], um: float) -> float:
+    pairs = zip(a[::2], a[1::2], strict=True)
+    return math.sqrt(1.0 + sum(b * um * um / (um * um - c) for b, c in pairs))
+
+
+def _cauchy(a: list[float], um: float) -> float:
+    return sum(each * um ** (-2 * k) for k, each in enumerate(a))
+
+
+def _hartmann(a: list[float], um: float) -> float:
+    return a[0] + a[1] / (um - a[2])
+
+
+FORMULAS: dict[str, tuple[range | tuple[int, ...], Callable[[list[float], float], float]]] = {
+    **dict.fromkeys(("LAU", "GML"), (range(1, 7), _laurent)),
+    **dict.fromkeys(("GMS", "SLM"), ((2, 4, 6), _sellmeier)),
+    "CAU": (range(1, 7), _cauchy),
+    "HAR": ((3,), _hartmann),
+}
+"""Number of coefficients of each formula, and its index."""
+
+MOST_STEP = 0.01
+"""Step of the index in 5 nm, above which there is a pole: glasses change by a tenth of that."""
 
 
 def unlike(name: str, index_d: float) -> str:

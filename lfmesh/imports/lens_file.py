@@ -3,18 +3,26 @@
 from pathlib import Path
 
 from lfmesh.errors import SceneError
-from lfmesh.imports import codev, codev_writer, lens_table, zemax, zemax_writer
+from lfmesh.imports import codev, codev_writer, lens_table, optiland_json, oslo, zemax, zemax_writer
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.report import Report
 from lfmesh.scene import load_lens, toml
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
-_READERS = {".zmx": zemax.read, ".seq": codev.read, ".csv": lens_table.read}
+READERS = {
+    ".zmx": zemax.read,
+    ".seq": codev.read,
+    ".len": oslo.read,
+    ".json": optiland_json.read,
+    ".csv": lens_table.read,
+}
+"""Readers of lens files of other programs, by their ending."""
+
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
 
 
 def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
-    """Return the lens of a `.zmx`, `.seq` or `.csv` file, with a LensFileWarning of what is not exactly the file's.
+    """Return the lens of a file of another program, with a LensFileWarning of what is not exactly the file's.
 
     Raises
     ------
@@ -32,7 +40,8 @@ def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tup
     Parameters
     ----------
     path : str or Path
-        A `.zmx`, `.seq`, `.csv` or `.toml` file; or "lib:" and the name of a lens that comes with lfmesh.
+        A `.toml` file, or one of another program with an ending of `READERS`; or "lib:" and the name of a lens that
+        comes with lfmesh.
     choices : FileChoices
         Of a file of another program.
 
@@ -43,11 +52,11 @@ def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tup
     """
     name = str(path)
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
+    reader = READERS.get(path.suffix.lower())
     if reader is not None and not name.startswith("lib:"):
         return reader(path, choices=choices)
     if path.suffix.lower() != ".toml" and not name.startswith("lib:"):
-        raise SceneError(f"{name}: unknown ending; a lens is read from .toml, {', '.join(_READERS)} or lib:NAME")
+        raise SceneError(f"{name}: unknown ending; a lens is read from .toml, {', '.join(READERS)} or lib:NAME")
     return load_lens(name, choices), Report(path)
 
 

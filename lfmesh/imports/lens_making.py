@@ -6,9 +6,10 @@ a size open.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import accumulate
+from pathlib import Path
 
 import numpy as np
 
@@ -21,13 +22,50 @@ from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
-from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
 
 OFF_MM = 1e-9
 """How far a surface may lie off after its term in r² was rewritten."""
 
 _MOST_DIGITS = 17
+
+
+def refuse_choices(path: Path, choices: FileChoices, configurations: bool = False) -> None:
+    """Raise a SceneError where a choice is made that the format of a lens file does not leave open.
+
+    Parameters
+    ----------
+    path : Path
+    choices : FileChoices
+    configurations : bool
+        Whether the format has several.
+    """
+    if choices.coating_file is not None:
+        raise SceneError(f"{path}: coating_file = {choices.coating_file!r}: only for .zmx files; omit it")
+    if not configurations and choices.configuration not in (None, 1):
+        raise SceneError(f"{path}: configuration = {choices.configuration}: the file has one configuration")
+
+
+def note_focal_lengths(report: Report, count: int, report_of: Callable[[int], Report]) -> None:
+    """Note the focal lengths of all configurations of a file, where it has several.
+
+    Parameters
+    ----------
+    report : Report
+    count : int
+        Number of configurations.
+    report_of : callable
+        Returns the report of a configuration, from 1.
+    """
+    lengths = []
+    for k in range(1, count + 1 if count > 1 else 1):
+        try:
+            lengths.append(f"{k}: {report_of(k).focal_length_mm:.6g} mm")
+        except SceneError:
+            lengths.append(f"{k}: not supported")
+    if lengths:
+        report.notes.append(f"focal lengths of the configurations: {', '.join(lengths)}")
 
 
 def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, str | float] | None = None) -> Lens:
@@ -84,7 +122,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
                 f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
                 f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
             )
-    coatings, names = lens_coatings(made.kept, made.media, prescription.primary_nm, prescription.coating_file, report)
+    coatings, names = lens_coatings(made.kept, made.media, prescription, report)
     # Forbes' mild terms end at their radius, so that no f-number may size them.
     f_number = None if made.kept[stop].forbes else f_number
     surfaces = []

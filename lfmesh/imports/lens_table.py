@@ -13,7 +13,7 @@ from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.glasses import named_glass
-from lfmesh.imports.lens_making import lens_of
+from lfmesh.imports.lens_making import lens_of, refuse_choices
 from lfmesh.imports.numbers import number
 from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -73,8 +73,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     SceneError
         The file cannot be read, or holds what the lens cannot have.
     """
-    if choices.configuration not in (None, 1):
-        raise SceneError(f"{path}: configuration = {choices.configuration}: a table has one")
+    refuse_choices(path, choices)
     report = Report(path)
     lines = read_lines(path) if lines is None else lines
     filled = [(at, line) for at, line in enumerate(lines, 1) if line.strip(" \t;,\r")]

@@ -23,3 +23,17 @@ def number(word: str) -> float:
 def numbers(words: list[str]) -> list[float]:
     """Return some words as numbers; errors as in `number`."""
     return [number(word) for word in words]
+
+
+def is_number(word: str) -> bool:
+    """Return whether a word is a number, finite or not."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def may_matter(word: str) -> bool:
+    """Return whether a word is anything but a number that is zero."""
+    return not is_number(word) or float(word) != 0.0

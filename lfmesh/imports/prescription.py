@@ -1,6 +1,7 @@
 """A prescription as lens files hold it, with object and image, lengths in the file's unit."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
@@ -98,8 +99,8 @@ class Prescription:
         Glass catalogues that the file uses, the first first.
     indices : dict
         Index, or glass, by name of the materials that the file defines itself.
-    coating_file : str, optional
-        Name of the file, beside this one, that defines coatings.
+    coating_file : str or Path, optional
+        Name of the file, beside this one, that defines coatings; or the path of one that is given in its place.
     """
 
     surfaces: list[FileSurface] = field(default_factory=list)
@@ -113,7 +114,7 @@ class Prescription:
     fields: list[FieldPoint] = field(default_factory=list)
     makers: list[str] = field(default_factory=list)
     indices: dict[str, Medium] = field(default_factory=dict)
-    coating_file: str | None = None
+    coating_file: str | Path | None = None
 
     @property
     def primary_nm(self) -> float:

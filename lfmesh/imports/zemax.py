@@ -11,6 +11,7 @@ by the stop's own size (FLOA). DIAM is the semi-diameter that rays fill, and sto
 """
 
 import math
+import ntpath
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from pathlib import Path
 from lfmesh.errors import SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
-from lfmesh.imports.lens_making import lens_of
+from lfmesh.imports.lens_making import lens_of, note_focal_lengths
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -66,19 +67,8 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     """
     lines = read_lines(path) if lines is None else lines
     lens, report, count = _read(path, lines, choices)
-    if count > 1:
-        lengths = [_focal_length(path, lines, replace(choices, configuration=k)) for k in range(1, count + 1)]
-        listed = ", ".join(f"{k}: {length}" for k, length in enumerate(lengths, 1))
-        report.notes.append(f"focal lengths of the configurations: {listed}")
+    note_focal_lengths(report, count, lambda k: _read(path, lines, replace(choices, configuration=k))[1])
     return lens, report
-
-
-def _focal_length(path: Path, lines: list[str], choices: FileChoices) -> str:
-    try:
-        _, report, _ = _read(path, lines, choices)
-    except SceneError:
-        return "not supported"
-    return f"{report.focal_length_mm:.6g} mm"
 
 
 def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
@@ -87,6 +77,8 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
     for at, line in enumerate(lines, 1):
         reader.take(at, line)
     made, found = reader.finished(), reader.configurations
+    if choices.coating_file is not None:
+        made.coating_file = Path(choices.coating_file)
     found.apply(made, reader.report, choices.configuration)
     return lens_of(made, reader.report, choices.substitutes), reader.report, found.count
 
@@ -319,7 +311,7 @@ class _Reader:
 
     def _on_cofn(self, words: list[str]) -> None:
         names = [word.strip('"') for word in words]
-        self.made.coating_file = next((name for name in names if name.upper().endswith(".DAT")), None)
+        self.made.coating_file = next((ntpath.basename(name) for name in names if name.upper().endswith(".DAT")), None)
         self._taken()
 
     def _on_mnum(self, words: list[str]) -> None:

@@ -46,7 +46,8 @@ OF_ZERNIKE_TERMS = 0, 14
 ORDER_OF_BREAK = 6
 """Parameter of a coordinate break: 0 shifts and then tilts about x, y and z, others tilt about z, y and x first. It
 follows the shifts in x and y and the three angles, right-handed, each about the axes that the last one left (Zemax's
-"Rotation Matrix and Tilt About X/Y/Z in OpticStudio")."""
+"Rotation Matrix and Tilt About X/Y/Z in OpticStudio"; the sign also by its help, 24.2, "Tilt/Decenter", and the global
+coordinates of a chain of prisms that its article 194 lists)."""
 
 REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",

@@ -1,6 +1,7 @@
 """Reading scene files, with every fault of a file in one error."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def with_lens_file(lens: Lens, folder: Path) -> Lens:
     """
     if lens.file is None:
         return lens
-    held = load_lens(_lens_path(lens.file, folder), lens.file_choices)
+    held = load_lens(_lens_path(lens.file, folder), _choices_in(folder, lens))
     beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
     if lens.stop_size:
         beside |= {key: getattr(lens, key) for key in STOP_SIZES}
@@ -176,6 +177,7 @@ def _check_bounds(data: dict[str, Any], name: str) -> None:
 
 
 def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
+    lens_table = _lens_with_file(data)
     lens_faults, origin = _inline_lens(data, folder)
     gltf, gltf_faults = take_keys(data, folder)
     try:
@@ -188,12 +190,20 @@ def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
     if lens_faults or gltf_faults:
         raise _refused(name, lens_faults + gltf_faults)
     scene = scene.in_folder(folder)
+    scene._lens_table = lens_table
     if gltf is None:
         return scene
     try:
         return gltf_reader()(scene, gltf)
     except LfmeshError as error:
         raise _refused(name, str(error).split("\n")) from None
+
+
+def _lens_with_file(data: dict[str, Any]) -> dict[str, Any] | None:
+    """Return a copy of the table of the lens, if it names a file."""
+    camera = data.get("camera")
+    lens = camera.get("lens") if isinstance(camera, dict) else None
+    return dict(lens) if isinstance(lens, dict) and isinstance(lens.get("file"), str) else None
 
 
 def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str]]:
@@ -213,7 +223,7 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
     file = lens.pop("file")
     chosen = {key: lens.pop(key) for key in FILE_CHOICES if key in lens}
     try:
-        choices = Lens(file=file, **chosen).file_choices
+        choices = _choices_in(folder, Lens(file=file, **chosen))
     except SceneError as error:
         return [f"{_LENS}: {error}"], {}
     try:
@@ -228,6 +238,13 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         lens["coatings"] = {**held.get("coatings", {}), **lens["coatings"]}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
     return [], {f"{_LENS}.surfaces": file}
+
+
+def _choices_in(folder: Path, lens: Lens) -> FileChoices:
+    """Return the choices that a lens makes from its file, with paths relative to a folder."""
+    choices = lens.file_choices
+    given = choices.coating_file
+    return choices if given is None else replace(choices, coating_file=str(folder / given))
 
 
 def _lens_path(file: str, folder: Path) -> Path:

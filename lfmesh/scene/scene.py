@@ -18,6 +18,7 @@ from lfmesh.optics.glass import absorption_per_mm, catalogue_name, refractive_in
 from lfmesh.optics.metals import metal_index
 from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.lens import FILE_CHOICES
 from lfmesh.scene.inputs import digest_of, file_stamp, files_of, found
 from lfmesh.scene.light.lights import Light
 from lfmesh.scene.light.particles import Particles
@@ -74,6 +75,8 @@ class Scene(Model, Shown):
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)
+    # Table of the lens as the scene file has it, where that names a lens file, whose other choices may be asked for.
+    _lens_table: dict[str, Any] | None = PrivateAttr(default=None)
     _found: dict[str, tuple[Path, tuple[object, ...]]] = PrivateAttr(default_factory=dict)
     _digest: str = PrivateAttr(default="")
 
@@ -211,7 +214,7 @@ class Scene(Model, Shown):
         there = {name: path for name in names if (path := self.resolve(name)).is_file()}
         return self.with_digests(self._digests | {name: digest_of(path) for name, path in there.items()})
 
-    def changed(self, values: dict[str, Any]) -> "Scene":
+    def changed(self, values: dict[str, Any], *, solves: bool = False) -> "Scene":
         """Return a copy with some values replaced, checked like a file.
 
         Parameters
@@ -219,6 +222,8 @@ class Scene(Model, Shown):
         values : dict
             New value by path, such as {"camera.mla.pitch_mm": 0.1, "targets[0].position_mm": [0, 0, -400]};
             None takes an optional value out.
+        solves : bool
+            They are what follows from the scene itself, so that its lens stays the one of its file.
 
         Raises
         ------
@@ -227,6 +232,11 @@ class Scene(Model, Shown):
         """
         # What no path leads through stays the model that it is, and is not checked again.
         data = _opened(self)
+        table = self._lens_table
+        chosen = {("camera", "lens", key) for key in FILE_CHOICES}
+        if table is not None and any(steps_of(path)[:3] in chosen for path in values):
+            # The lens file is read again, when the scene is solved.
+            data["camera"] = _opened(data["camera"]) | {"lens": dict(table)}
         for path, value in values.items():
             *parents, last = steps_of(path)
             place: Any = data
@@ -237,6 +247,7 @@ class Scene(Model, Shown):
             place[last] = value
         scene = Scene(**data)
         scene._folder, scene._digests = self._folder, dict(self._digests)
+        scene._lens_table = table if solves else _changed_table(table, values)
         return scene
 
     def camera_alone(self, values: dict[str, Any] | None = None) -> "Scene":
@@ -639,6 +650,19 @@ _NUMBER = re.compile(r"[0-9]{1,9}")
 def steps_of(path: str) -> tuple[str | int, ...]:
     """Return the keys and numbers of a path such as "targets[0].position_mm"."""
     return tuple(int(s) if _NUMBER.fullmatch(s) else s for s in path.replace("]", "").replace("[", ".").split("."))
+
+
+def _changed_table(table: dict[str, Any] | None, values: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the table of a lens with a file after changes by path; None where they reach what the file holds."""
+    table = None if table is None else dict(table)
+    for path, value in values.items():
+        steps = steps_of(path)
+        if table is None or steps[:2] != ("camera", "lens")[: len(steps)]:
+            continue
+        if len(steps) != 3:
+            return None
+        table |= {str(steps[2]): value}
+    return table
 
 
 def _opened(value: Any) -> Any:

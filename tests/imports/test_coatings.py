@@ -10,7 +10,8 @@ import lfmesh as lf
 from lfmesh.errors import LensFileWarning, SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.imports.report import Verdict
-from lfmesh.scene import load_lens
+from lfmesh.scene import load_lens, loads
+from lfmesh.scene.camera.lens import FileChoices
 
 PRIMARY_NM = 587.5618
 
@@ -270,3 +271,37 @@ def test_a_scene_may_give_a_lens_of_a_file_coatings_beside_its_own(tmp_path: Pat
     text = f'camera = {{ focus_mm = 500.0, lens = {{ file = "plate.zmx", {own} }}, '
     (tmp_path / "scene.toml").write_text(text + "sensor = { pixels = [4, 4], pixel_mm = 1.0 } }")
     assert set(lf.load(tmp_path / "scene.toml").camera.lens.coatings) == {"STACK", "extra"}
+
+
+def test_wavelengths_beyond_a_materials_table_are_said(tmp_path):
+    (tmp_path / "COATING.DAT").write_text(FILE)
+    text = PLATE.format(front="PLAIN", back="NONE").replace("FTYP 0 0 1 1", "FTYP 0 0 1 2")
+    (tmp_path / "plate.zmx").write_text(text.replace("WAVM 1 0.5875618 1\n", "WAVM 1 0.5875618 1\nWAVM 2 0.85 1\n"))
+    (line,) = [line for line in read_lens_file(tmp_path / "plate.zmx")[1].lines if line.text == "COAT PLAIN"]
+    assert line.verdict is Verdict.APPROXIMATED
+    assert line.how == "at 850 nm its index or shares are those at the nearer end of a table from 400 to 700 nm"
+    assert not [line for line in read(tmp_path, "PLAIN")[1].lines if "nearer end" in line.how]
+
+
+def test_a_coating_file_that_is_given_comes_before_the_one_beside_the_lens_file(tmp_path):
+    given = tmp_path / "elsewhere" / "mine.dat"
+    given.parent.mkdir()
+    given.write_text(FILE)
+    (tmp_path / "plate.zmx").write_text(PLATE.format(front="STACK", back="NONE"))
+    lens, report = read_lens_file(tmp_path / "plate.zmx", FileChoices(coating_file=str(given)))
+    assert not [line for line in report.of(Verdict.APPROXIMATED) if "bare" in line.how]
+    beside, _ = read(tmp_path, "STACK")
+    assert lens.coatings == beside.coatings
+    (tmp_path / "Coating.dat").write_text(FILE.replace("MGF2 0.1 1 0", "MGF2 0.2 1 0"))
+    assert read_lens_file(tmp_path / "plate.zmx", FileChoices(coating_file=str(given)))[0] == lens
+    scene = loads(
+        """schema_version = 1
+camera = { focus_mm = 500.0, lens = { file = "plate.zmx", coating_file = "elsewhere/mine.dat" }, \
+sensor = { pixels = [2, 2], pixel_mm = 0.1 } }
+targets = [{ shape = { kind = "plane", width_mm = 1.0, height_mm = 1.0 }, position_mm = [0.0, 0.0, -500.0] }]
+""".replace("\\\n", ""),
+        tmp_path,
+    )
+    assert scene.camera.lens.coatings == lens.coatings
+    with pytest.raises(SceneError, match=r"none\.dat: cannot be read"):
+        read_lens_file(tmp_path / "plate.zmx", FileChoices(coating_file=str(tmp_path / "none.dat")))

@@ -6,9 +6,12 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.imports import zemax
-from lfmesh.imports.codev import commands, read
+from lfmesh.imports.codev import read
+from lfmesh.imports.codev_commands import commands
 from lfmesh.imports.report import Verdict
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import load_lens
+from lfmesh.scene.camera.lens import FileChoices
 from lfmesh.scene.materials.own_glass import OwnGlass
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
@@ -169,12 +172,43 @@ def test_a_private_glass_by_laurents_formula_is_the_formula():
         assert lens.surfaces[0].glass.index_at(nm) == pytest.approx(square**0.5, abs=1e-8)
 
 
-@pytest.mark.parametrize("formula", ["GMS 1.0 0.01", "LAU", "LAU 0.1", "SEL x"])
+@pytest.mark.parametrize("formula", ["GMS 1.0", "GMS 1.0 0.25", "LAU", "LAU 0.1", "SEL x"])
 def test_a_private_glass_that_no_surface_has_is_never_in_the_way(formula):
     private = f"PRV\n  PWL 550.0\n  'GLUE' {formula}\nEND\n"
     lens, report = read(Path("lens.seq"), singlet(private=private).splitlines())
     assert lens.surfaces[0].glass == "SCHOTT/N-BK7"
     assert ["refused where a surface has it" in line.how for line in report.of(Verdict.UNKNOWN)] == [True]
+    with pytest.raises(SceneError, match="GLUE"):
+        read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
+
+
+BK7 = "1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653"
+
+
+@pytest.mark.parametrize(
+    ("formula", "index"),
+    [
+        (f"GMS {BK7}", lambda um: refractive_index("SCHOTT/N-BK7", 1e3 * um)),
+        (f"SLM {BK7}", lambda um: refractive_index("SCHOTT/N-BK7", 1e3 * um)),
+        ("GML 2.36 0.001 0.0255", lambda um: (2.36 + 0.001 * um**2 + 0.0255 / um**2) ** 0.5),
+        ("CAU 1.5 0.004 2e-6", lambda um: 1.5 + 0.004 / um**2 + 2e-6 / um**4),
+        ("HAR 1.5 0.004 0.12", lambda um: 1.5 + 0.004 / (um - 0.12)),
+    ],
+)
+def test_private_glasses_by_other_formulas_are_the_formulas_and_said(formula, index):
+    private = f"PRV\n  PWL 550.0\n  'GLUE' {formula}\nEND\n"
+    lens, report = read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
+    for nm in (404.7, 486.13, 587.6, 656.27, 1013.9):
+        assert lens.surfaces[0].glass.index_at(nm) == pytest.approx(index(1e-3 * nm), abs=2e-8)
+    said = [line.how for line in report.of(Verdict.APPROXIMATED)]
+    assert said == [f"formula {formula[:3]} with its coefficients in the order that other readers take"]
+    _, unused = read(Path("lens.seq"), singlet(private=private).splitlines())
+    assert not unused.of(Verdict.APPROXIMATED)
+
+
+def test_sellmeiers_coefficients_in_another_order_are_refused():
+    b1, c1, b2, c2, b3, c3 = BK7.split()
+    private = f"PRV\n  PWL 550.0\n  'GLUE' SLM {b1} {b2} {b3} {c1} {c2} {c3}\nEND\n"
     with pytest.raises(SceneError, match="GLUE"):
         read(Path("lens.seq"), singlet(glass="'GLUE'", private=private).splitlines())
 
@@ -190,3 +224,42 @@ def test_a_missing_line_rdm_is_named_as_the_likely_cause():
 def test_multilayers_are_said_to_be_left_out():
     _, report = read(Path("lens.seq"), singlet().replace("  STO\n", "  STO\n  MLT 'ar.mul'\n").splitlines())
     assert ["the surface is traced bare" in line.how for line in report.of(Verdict.APPROXIMATED)] == [True]
+
+
+ZOOM = SINGLET_SEQ.replace("GO\n", "ZOO 3\nZOO THI S1 5.0 6.0 7.5\nZOO THC S1 0 0 0\nZOO EPD 10.0 9.0 8.0\nGO\n")
+
+
+@pytest.mark.parametrize("position", [1, 2, 3])
+def test_a_zoom_position_is_the_lens_whose_surfaces_hold_its_values(position):
+    thickness, diameter = ((5.0, 10.0), (6.0, 9.0), (7.5, 8.0))[position - 1]
+    alone = SINGLET_SEQ.replace("GO\n", f"THI S1 {thickness}\nEPD {diameter}\nGO\n")
+    assert lens_of(ZOOM, choices=FileChoices(configuration=position)) == lens_of(alone)
+
+
+def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
+    report = report_of(ZOOM)
+    (line,) = report.of(Verdict.APPROXIMATED)
+    assert line.how == "3 configurations: the values are taken that stand in the surfaces"
+    each = [read(FILE, ZOOM.splitlines(), FileChoices(configuration=k))[1].focal_length_mm for k in (1, 2, 3)]
+    assert len({round(length, 3) for length in each}) == 3
+    listed = ", ".join(f"{k}: {length:.6g} mm" for k, length in enumerate(each, 1))
+    assert report.notes[-1] == f"focal lengths of the configurations: {listed}"
+
+
+@pytest.mark.parametrize(
+    ("text", "position", "said"),
+    [
+        (ZOOM, 4, "configuration = 4: the file has configurations 1 to 3"),
+        (SINGLET_SEQ, 2, "configuration = 2: the file has one configuration"),
+        (ZOOM.replace("5.0 6.0 7.5", "5.0 6.0"), 2, "it must name one command and its values at 3 positions"),
+        (ZOOM.replace("THI S1 5.0 6.0 7.5", "ADE S1 0.0 1.0 2.0"), 2, "the axis is not turned back"),
+    ],
+)
+def test_zoom_positions_that_cannot_be_taken_are_refused(text, position, said):
+    with pytest.raises(SceneError, match=said):
+        lens_of(text, choices=FileChoices(configuration=position))
+
+
+def test_a_coating_file_is_for_zemax_files_only():
+    with pytest.raises(SceneError, match=r"coating_file = 'a\.dat': only for \.zmx files"):
+        lens_of(SINGLET_SEQ, choices=FileChoices(coating_file="a.dat"))

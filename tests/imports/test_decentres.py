@@ -8,6 +8,7 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.imports import codev, zemax
+from lfmesh.imports.decentres import START, Move
 
 SAME_MM = 1e-11
 
@@ -161,3 +162,21 @@ def test_decentres_that_no_lens_here_has_are_refused():
         codev.read(Path("lens.seq"), tilted.splitlines())
     with pytest.raises(SceneError, match="plain ones and those with DAR are supported"):
         codev.read(Path("lens.seq"), tilted.replace("ADE 3\n", "ADE 3\n  REV\n").splitlines())
+
+
+def test_tilts_turn_as_a_published_listing_of_zemax_shows():
+    """A chain of equal prisms, tilted about x one by one ("How to Work in Global Coordinates", Zemax KB 194, page 4).
+
+    Relative to the first surface, the target prism stands at y = -162.03, z = 191.384 and is tilted by +83.007 degrees:
+    a chain that turns evenly runs along half its last turn, so that this turn leads from +z towards -y, right-handed.
+    """
+    steps, turn = 5, 83.007
+    place = START
+    for _ in range(steps):
+        place = place.moved(Move.shifted_then_tilted((0.0, 0.0, 0.0), (turn / steps, 0.0, 0.0))).along(50.0)
+    x, y, z = place.vertex
+    published = np.degrees(np.arctan2(-162.03, 191.384))
+    assert x == 0.0
+    # The prisms' own depths and angles are not published; half a step is what they may change.
+    assert np.degrees(np.arctan2(y, z)) == pytest.approx(published, abs=turn / steps)
+    np.testing.assert_allclose(place.turn.apply([0.0, 0.0, 1.0])[1], -np.sin(np.radians(turn)), rtol=1e-12)

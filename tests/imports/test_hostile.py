@@ -1,13 +1,18 @@
 """Garbage under the name of a lens file ends in one clear line, quickly."""
 
+import json
+
 import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.scene import load_lens
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
+from tests.imports.test_optiland_json import LENS as OPTILAND
+from tests.imports.test_oslo import LENS as LEN
 from tests.processor_time import processor_seconds
 
+FILES = [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ), (".len", LEN), (".json", json.dumps(OPTILAND, indent=1))]
 GARBAGE = {
     "empty": (b"", "it has no line S"),
     "zeros": (bytes(100_000), "no text"),
@@ -50,16 +55,16 @@ def test_surfaces_without_end_are_refused(tmp_path, ending, line):
         load_lens(path)
 
 
-@pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
+@pytest.mark.parametrize(("ending", "text"), FILES)
 @pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
 def test_any_cut_of_a_file_is_a_lens_or_one_clear_error(tmp_path, ending, text):
     path = tmp_path / f"lens{ending}"
-    for end in range(0, len(text), 7):
+    for end in range(0, len(text), max(7, len(text) // 100)):
         path.write_text(text[:end])
         assert str(path) in outcome(path)
 
 
-@pytest.mark.parametrize(("ending", "text"), [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ)])
+@pytest.mark.parametrize(("ending", "text"), FILES)
 @pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
 def test_changed_words_make_a_lens_or_one_clear_error(tmp_path, ending, text):
     draw = np.random.default_rng(2)

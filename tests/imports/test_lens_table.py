@@ -104,6 +104,6 @@ def test_a_scene_takes_a_table_and_unknown_endings_are_named(tmp_path: Path) -> 
     assert load_lens(tmp_path / "lens.csv") == read_lens_file(tmp_path / "lens.csv")[0]
     (tmp_path / "lens.oth").write_text("radius")
     with pytest.raises(
-        SceneError, match=r"unknown ending; a lens is read from \.toml, \.zmx, \.seq, \.csv or lib:NAME"
+        SceneError, match=r"unknown ending; a lens is read from \.toml, \.zmx, \.seq, \.len, \.json, \.csv or lib:NAME"
     ):
         read_lens_file(tmp_path / "lens.oth")

@@ -513,11 +513,19 @@ def test_a_name_that_makers_give_to_different_glasses_needs_its_maker():
     assert lens_of(other, choices=FileChoices({"F2": "SCHOTT/F2"})).surfaces[0].glass == "SCHOTT/F2"
 
 
+def test_an_old_name_is_not_another_makers_glass_where_schotts_successor_differs():
+    """SCHOTT's BK10 had nd = 1.49782, as N-BK10 has; the catalogue knows the name for a glass of LZOS alone."""
+    old = changed("GLAS N-BK7 0 0 1.5168 64.17", "GLAS BK10 0 0 1.5 40")
+    said = refusal_of(old)
+    assert "glass 'BK10' means different glasses: LZOS/BK10 (nd = 1.56889), SCHOTT/N-BK10 (nd = 1.49782)" in said
+    assert lens_of(old.replace("GCAT SCHOTT", "GCAT LZOS")).surfaces[0].glass == "LZOS/BK10"
+
+
 def test_a_name_without_a_catalogue_that_only_another_maker_has_is_said():
-    # SCHOTT's BK10 of old had nd = 1.49782.
-    report = report_of(changed("GLAS N-BK7 0 0 1.5168 64.17", "GLAS BK10 0 0 1.5 40").replace("GCAT SCHOTT\n", ""))
+    # SCHOTT's SK2 of old and its N-SK2 have the same index.
+    report = report_of(changed("GLAS N-BK7 0 0 1.5168 64.17", "GLAS SK2 0 0 1.5 40").replace("GCAT SCHOTT\n", ""))
     assert any(
-        "the file names no catalogue; taken as LZOS/BK10" in line.how for line in report.of(Verdict.APPROXIMATED)
+        "the file names no catalogue; taken as HIKARI/SK2" in line.how for line in report.of(Verdict.APPROXIMATED)
     )
     assert not any("catalogue" in line.how for line in report_of(SINGLET_ZMX.replace("GCAT SCHOTT\n", "")).lines)
 

@@ -81,13 +81,27 @@ def check_step(content: bytes) -> None:
         raise UnusableError(f"broken: {len(missing)} entities are named and not there, the first is #{missing[0]}")
 
 
-def step_to_glb(content: bytes, tolerance_mm: float | None) -> bytes:
-    """Return the bodies of a STEP file as a GLB file, with the surfaces that their faces lie on."""
+def step_to_glb(content: bytes, tolerance_mm: float | None, factor: float = 1.0) -> bytes:
+    """Return the bodies of a STEP file as a GLB file, with the surfaces that their faces lie on.
+
+    Parameters
+    ----------
+    content : bytes
+    tolerance_mm : float, optional
+        How far a facet may lie off its surface; omitted, by the size of the bodies.
+    factor : float
+        By which both are multiplied, and the turn of an edge.
+    """
     import cascadio
 
     def meshed(tolerance: float) -> bytes:
         made: bytes = cascadio.load(
-            content, "step", tol_linear=tolerance, tol_angular=TURN_RAD, use_parallel=False, include_brep=True
+            content,
+            "step",
+            tol_linear=tolerance,
+            tol_angular=min(TURN_RAD * factor, 1.0),
+            use_parallel=False,
+            include_brep=True,
         )
         if not made:
             raise UnusableError("broken, or not a STEP file: OpenCASCADE finds no body in it")
@@ -97,7 +111,7 @@ def step_to_glb(content: bytes, tolerance_mm: float | None) -> bytes:
         tolerance_mm = max(DEFAULT_TOLERANCE * _diagonal_mm(meshed(COARSE_MM)), FINEST_MM)
     if tolerance_mm < FINEST_MM:
         raise UnusableError(f"tolerance_mm = {tolerance_mm:g} is finer than {FINEST_MM:g}, the finest")
-    return meshed(tolerance_mm)
+    return meshed(tolerance_mm * factor)
 
 
 def _diagonal_mm(glb: bytes) -> float:
@@ -259,11 +273,11 @@ class _Build:
 def main(arguments: list[str]) -> None:
     """Read `path`, write `out`: a GLB file of a STEP file, an npz file of a 3MF file.
 
-    The arguments are path, out, tolerance in mm (or 0: that of the file's size), and the limits: memory and output in
-    MiB, seconds.
+    The arguments are path, out, tolerance in mm (or 0: that of the file's size), a factor of it, and the limits: memory
+    and output in MiB, seconds.
     """
-    path, out, tolerance = Path(arguments[0]), Path(arguments[1]), float(arguments[2])
-    memory, output, seconds = map(int, arguments[3:])
+    path, out, tolerance, factor = Path(arguments[0]), Path(arguments[1]), float(arguments[2]), float(arguments[3])
+    memory, output, seconds = map(int, arguments[4:])
     _limit(memory, seconds, output)
     try:
         if path.suffix.lower() == ".3mf":
@@ -272,7 +286,7 @@ def main(arguments: list[str]) -> None:
         else:
             content = path.read_bytes()
             check_step(content)
-            out.write_bytes(step_to_glb(content, tolerance or None))
+            out.write_bytes(step_to_glb(content, tolerance or None, factor))
     except UnusableError as reason:
         sys.exit(f"unusable: {reason}")
     except MemoryError:

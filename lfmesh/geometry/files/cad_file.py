@@ -6,9 +6,11 @@ each is opened by `cad_child` in a process of its own, within limits; what it ma
 
 import io
 import json
+import os
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -18,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.errors import MeshError
+from lfmesh.errors import LensFileWarning, MeshError
 from lfmesh.geometry.files import cad_child, step_surfaces
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.optical_face import Told
@@ -31,14 +33,26 @@ ENDINGS = (*STEP_ENDINGS, ".3mf")
 MOST_BYTES = 2**28
 """Of a file."""
 
-MOST_SECONDS = 25
-"""For opening one."""
+MOST_SECONDS, SECONDS_PER_MEBIBYTE = 25, 10
+"""Processor time for opening one: at least, and beyond that by its size."""
+
+SECONDS = "LFMESH_CAD_SECONDS"
+"""Environment variable that sets the processor time in place of these."""
+
+WAITING = 60
+"""Time on the clock over the processor time, beyond which the process counts as stuck."""
+
+COARSER = (1.0, 10.0, 100.0)
+"""Factors of the tolerance by which the facets of a STEP file are tried, until its time is enough."""
 
 MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
 """Memory of the process that opens a file, and the size of what it makes of it."""
 
 MM_PER_METRE = 1e3
 """glTF 2.0, section 3.4: all linear distances are metres."""
+
+OUT_OF_TIME = (-24, -9)
+"""Codes that a process ends with whose processor time is over: SIGXCPU, or SIGKILL where that did not end it."""
 
 STRETCHED = 1e-12
 """How far a body's frame may be from a rotation: rounding."""
@@ -52,7 +66,8 @@ def bodies_of_3mf(path: Path) -> list[tuple[str, Array, Array]]:
     MeshError
         The file is broken, or opening it takes more than the limits.
     """
-    with np.load(io.BytesIO(_opened(path.resolve(), file_stamp(path), None)), allow_pickle=False) as arrays:
+    content, _ = _opened(path.resolve(), file_stamp(path), None, most_seconds(path))
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return [(str(name), arrays[f"vertices_{k}"], arrays[f"faces_{k}"]) for k, name in enumerate(arrays["names"])]
 
 
@@ -72,7 +87,9 @@ def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
         The file is broken, opening it takes more than the limits, or the library that opens it is not there. Its
         message names the STEP file, too where the GLB file is found wrong.
     """
-    content = _opened(path.resolve(), file_stamp(path), tolerance_mm)
+    content, doubt = _opened(path.resolve(), file_stamp(path), tolerance_mm, most_seconds(path))
+    if doubt:
+        warnings.warn(f"{path}: {doubt}", LensFileWarning, stacklevel=2)
     with tempfile.TemporaryDirectory() as folder:
         glb = Path(folder) / "solid.glb"
         glb.write_bytes(content)
@@ -83,25 +100,67 @@ def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
 
 
 @lru_cache(maxsize=8)
-def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None) -> bytes:
-    """Return what `cad_child` makes of a file that is the one with this stamp."""
-    if path.suffix.lower() in STEP_ENDINGS and find_spec("cascadio") is None:
+def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, seconds: int) -> tuple[bytes, str]:
+    """Return what `cad_child` makes of a file that is the one with this stamp, and what is not as it should be.
+
+    A STEP file whose facets take more than some processor time, s, gets coarser ones.
+    """
+    is_step = path.suffix.lower() in STEP_ENDINGS
+    if is_step and find_spec("cascadio") is None:
         raise MeshError(f"{path}: STEP files need cascadio: pip install 'lfmesh[cad]', or save it as STL or GLB")
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise MeshError(f"{path}: has {size / 2**20:.0f} MiB; {MOST_BYTES // 2**20} MiB are the most")
-    limits = [str(number) for number in (MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES, MOST_SECONDS)]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        # Not by -m: the package would be loaded, and its compiled parts count as memory.
-        command = [sys.executable, "-P", cad_child.__file__, str(path), str(out), repr(tolerance_mm or 0.0), *limits]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False)
-        except subprocess.TimeoutExpired:
-            raise MeshError(f"{path}: opening it took more than {MOST_SECONDS} s, the most; {_way_out(path)}") from None
-        if done.returncode == 0 and out.is_file():
-            return out.read_bytes()
-    raise MeshError(f"{path}: {_reason(path, done.returncode, done.stderr)}")
+        for factor in COARSER if is_step else COARSER[:1]:
+            done = _child(cad_child.__file__, path, out, seconds, repr(tolerance_mm or 0.0), repr(factor))
+            if done.returncode == 0 and out.is_file():
+                return out.read_bytes(), _coarser_in_words(factor, tolerance_mm, seconds)
+            if done.returncode not in OUT_OF_TIME:
+                break
+    raise MeshError(f"{path}: {_reason(path, done.returncode, done.stderr, seconds)}")
+
+
+def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -> str:
+    """Return what to say of facets that are coarser than asked for by a factor; nothing where it is 1."""
+    if factor == 1.0:
+        return ""
+    asked = f"tolerance_mm = {tolerance_mm:g}" if tolerance_mm else "usual"
+    return (
+        f"making its facets took more than {seconds} s of processor time, the most; they are coarser and lie up to "
+        f"{factor:g} times as far off its surfaces as {asked}; set the environment variable {SECONDS} to more, or give "
+        "a larger tolerance_mm"
+    )
+
+
+def most_seconds(path: Path) -> int:
+    """Return the processor time, s, that opening a file may take: by its size, or as the environment sets it.
+
+    Raises
+    ------
+    MeshError
+        The environment variable is no whole number above 0.
+    """
+    given = os.environ.get(SECONDS, "").strip()
+    if not given:
+        return MOST_SECONDS + SECONDS_PER_MEBIBYTE * path.stat().st_size // 2**20
+    if not (given.isdecimal() and int(given) > 0):
+        raise MeshError(f"{path}: {SECONDS} = {given[:30]!r}: it must be a whole number of seconds above 0")
+    return int(given)
+
+
+def _child(program: str, path: Path, out: Path, seconds: int, *options: str) -> subprocess.CompletedProcess[bytes]:
+    """Run a program on a file, in a process of its own within limits."""
+    limits = [str(number) for number in (MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES, seconds)]
+    # Not by -m: the package would be loaded, and its compiled parts count as memory.
+    command = [sys.executable, "-P", program, str(path), str(out), *options, *limits]
+    # Where the system limits no processor time, the clock has to do.
+    wait = WAITING * seconds if find_spec("resource") is not None else seconds
+    try:
+        return subprocess.run(command, capture_output=True, timeout=wait, check=False)
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, OUT_OF_TIME[0], b"", b"")
 
 
 def _way_out(path: Path) -> str:
@@ -111,7 +170,7 @@ def _way_out(path: Path) -> str:
     return "save it with fewer facets"
 
 
-def _reason(path: Path, code: int, errors: bytes) -> str:
+def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
     """Return why the child failed on a file: what it says, or what its end tells.
 
     Parameters
@@ -121,6 +180,8 @@ def _reason(path: Path, code: int, errors: bytes) -> str:
         It ended with.
     errors : bytes
         It wrote.
+    seconds : int
+        Processor time that it had.
     """
     lines = errors.decode("utf-8", errors="replace").splitlines()
     said = next((line.removeprefix("unusable: ") for line in lines if line.startswith("unusable: ")), None)
@@ -130,8 +191,12 @@ def _reason(path: Path, code: int, errors: bytes) -> str:
         return said
     if any("File too large" in line for line in lines) or code == -25:
         return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_way_out(path)}"
-    if code in (-24, -9):
-        return f"opening it took more than {MOST_SECONDS} s or {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
+    if code in OUT_OF_TIME:
+        coarser = ", with coarser facets as well" if path.suffix.lower() in STEP_ENDINGS else ""
+        return (
+            f"opening it took more than {seconds} s of processor time{coarser}; set the environment variable {SECONDS} "
+            f"to more, or {_way_out(path)}"
+        )
     if code < 0:
         # OpenCASCADE may crash where it gets no memory, as it may on a file that it does not expect.
         return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
@@ -202,14 +267,9 @@ def _face_of_kernel(told: Any) -> dict[str, Any] | None:
 @lru_cache(maxsize=8)
 def _own_surfaces(path: Path, stamp: tuple[object, ...]) -> list[dict[str, Any]]:
     """Return the surfaces that `step_surfaces` reads from a file; none where it comes to no end within the limits."""
-    limits = [str(number) for number in (MOST_MEBIBYTES, MOST_SECONDS)]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        command = [sys.executable, "-P", step_surfaces.__file__, str(path), str(out), *limits]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False)
-        except subprocess.TimeoutExpired:
-            return []
+        done = _child(step_surfaces.__file__, path, out, most_seconds(path))
         if done.returncode or not out.is_file():
             return []
         surfaces: list[dict[str, Any]] = json.loads(out.read_text())

@@ -314,8 +314,11 @@ def surfaces_of(content: str) -> list[dict[str, Any]]:
 
 
 def main(arguments: list[str]) -> None:
-    """Read `path`, write `out` as JSON. The arguments are path and out, and the limits: memory in MiB, seconds."""
-    path, out, memory, seconds = Path(arguments[0]), Path(arguments[1]), *map(int, arguments[2:])
+    """Read `path`, write `out` as JSON.
+
+    The arguments are path and out, and the limits: memory and output in MiB, seconds.
+    """
+    path, out, memory, output, seconds = Path(arguments[0]), Path(arguments[1]), *map(int, arguments[2:])
     try:
         import resource
     except ImportError:
@@ -324,6 +327,7 @@ def main(arguments: list[str]) -> None:
         for what, most in (
             (resource.RLIMIT_AS, memory * 2**20),
             (resource.RLIMIT_CPU, seconds),
+            (resource.RLIMIT_FSIZE, output * 2**20),
             (resource.RLIMIT_CORE, 0),
         ):
             resource.setrlimit(what, (most, most))

@@ -181,13 +181,25 @@ def _closed(path: Path, mesh: Mesh, keeps_normals: bool, what_it_is: str) -> Mes
     mesh = Mesh(mesh.vertices, mesh.faces[with_area], given)
     body = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     if not body.is_watertight or not body.is_winding_consistent:
-        open_edges = 3 * len(mesh.faces) - 2 * len(body.face_adjacency)
-        what = f"{open_edges} of its edges join no second facet" if open_edges else "its facets do not all face one way"
-        raise MeshError(f"{path}: {what_it_is} must be a closed body; {what}; mend it and export again")
+        raise MeshError(f"{path}: {what_it_is} must be a closed body; {_fault_of(mesh)}; mend it and export again")
     corners = mesh.vertices[np.unique(mesh.faces)]
     if np.linalg.matrix_rank(corners - corners.mean(axis=0)) < 3:
         raise MeshError(f"{path}: {what_it_is} must be a closed body; its facets all lie in one plane")
     return mesh.flipped() if body.volume < 0.0 else mesh
+
+
+def _fault_of(mesh: Mesh) -> str:
+    """Return why a mesh is no closed body whose facets all face one way."""
+    doubled = len(mesh.faces) - len(np.unique(np.sort(mesh.faces, axis=1), axis=0))
+    if doubled:
+        return f"{doubled} of its {len(mesh.faces)} facets are doubled: another one has the same corners"
+    edges = np.sort(np.concatenate([mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
+    joins = np.unique(edges, axis=0, return_counts=True)[1]
+    if (joins == 1).any():
+        return f"{(joins == 1).sum()} of its edges join no second facet"
+    if (joins > 2).any():
+        return f"{(joins > 2).sum()} of its edges join more than two facets"
+    return "its facets do not all face one way"
 
 
 def _normals_of_file(path: Path, mesh: Mesh) -> Array | None:

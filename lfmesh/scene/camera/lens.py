@@ -434,7 +434,7 @@ class Element(Model):
             )
 
 
-FILE_CHOICES = ("substitutes", "configuration")
+FILE_CHOICES = ("substitutes", "configuration", "coating_file")
 """Keys of a lens that choose from its file."""
 
 
@@ -448,10 +448,13 @@ class FileChoices:
         Catalogue glass or index by the name that the file uses, in place of looking the name up.
     configuration : int, optional
         From 1; if left out, the one whose values stand in the file's surfaces.
+    coating_file : str, optional
+        Path of the file that defines the coatings; if left out, the one beside the lens file.
     """
 
     substitutes: Mapping[str, str | float] = field(default_factory=dict)
     configuration: int | None = None
+    coating_file: str | None = None
 
     def given(self) -> list[str]:
         """Return the keys of the choices that are made."""
@@ -466,13 +469,16 @@ class Lens(Model):
     """The main lens as its prescription, or the file that holds it."""
 
     file: Text | None = None
-    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx or CODE V .seq file, or a
-    table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with lfmesh; it is read in place
-    of `surfaces`."""
+    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
+    optiland .json file, or a table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with
+    lfmesh; it is read in place of `surfaces`."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
     """Which configuration of the file, from 1; if left out, the one whose values stand in its surfaces."""
+    coating_file: Text | None = None
+    """Zemax's coating file that defines the coatings which a .zmx file names, relative to the scene file; if left out,
+    the one beside the lens file."""
     name: Text | None = None
     """What the lens is called."""
     source: Text | None = None

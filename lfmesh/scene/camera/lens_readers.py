@@ -8,7 +8,7 @@ from lfmesh.scene.camera.lens import FileChoices, Lens
 
 Reader = Callable[[Path, FileChoices], Lens]
 
-_PARTS = dict.fromkeys((".zmx", ".seq", ".csv"), "lfmesh.imports")
+_PARTS = dict.fromkeys((".zmx", ".seq", ".len", ".json", ".csv"), "lfmesh.imports")
 """Part that registers the reader of an ending when it is imported; by name, for the scene knows nothing of it."""
 
 _readers: dict[str, Reader] = {}

@@ -54,7 +54,7 @@ def solved(scene: Scene) -> Scene:
             )
     if lens is not scene.camera.lens:
         # The lens came after the scene was checked: check the two together.
-        scene = scene.changed({"camera.lens": lens.model_dump()})
+        scene = scene.changed({"camera.lens": lens.model_dump()}, solves=True)
     scene = in_its_air(scene)
     camera = scene.camera
     mla = _with_radii(camera.mla, primary) if camera.mla is not None else None
@@ -65,7 +65,7 @@ def solved(scene: Scene) -> Scene:
     if camera == scene.camera:
         return scene
     # Checked again: a stop made larger, or a radius from a focal length, may make surfaces cross.
-    return scene.changed({"camera": camera.model_dump()})
+    return scene.changed({"camera": camera.model_dump()}, solves=True)
 
 
 def air_thickness_mm(mla: MicrolensArray, wavelength_nm: float) -> float:

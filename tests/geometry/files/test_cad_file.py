@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.errors import MeshError, SceneError
+from lfmesh.errors import LensFileWarning, MeshError, SceneError
 from lfmesh.geometry.files import cad_file
 from lfmesh.geometry.files.mesh_file import load_mesh
 from tests.processor_time import processor_seconds
@@ -214,10 +214,38 @@ def test_broken_and_endless_step_files_are_refused_in_one_line(tmp_path, monkeyp
         assert reason in refusal(path), content[:60]
     path.write_text(text)
     assert "tolerance_mm = 1e-09 is finer than 1e-06" in refusal(path, tolerance_mm=1e-9)
-    monkeypatch.setattr(cad_file, "MOST_SECONDS", 2)
+    monkeypatch.setenv(cad_file.SECONDS, "1")
     begun = processor_seconds()
-    assert "more than" in refusal(path, tolerance_mm=1e-6)
+    message = refusal(path, tolerance_mm=1e-6)
+    assert "took more than 1 s of processor time, with coarser facets as well" in message
+    assert cad_file.SECONDS in message
     assert processor_seconds() - begun < 10.0
+    monkeypatch.setenv(cad_file.SECONDS, "soon")
+    assert "LFMESH_CAD_SECONDS = 'soon': it must be a whole number" in refusal(path)
+
+
+@needs_cascadio
+def test_step_facets_that_take_too_long_are_made_coarser_with_a_warning(tmp_path, monkeypatch):
+    # The child ends, out of time, unless its facets are coarser: what the system does to it after some seconds.
+    program = Path(cad_file.cad_child.__file__).read_text()
+    program = program.replace("def main(", "import os, signal\n\n\ndef main(")
+    limited = "    if factor < 10.0:\n        os.kill(os.getpid(), signal.SIGXCPU)\n    memory, output"
+    monkeypatch.setattr(cad_file.cad_child, "__file__", str(tmp_path / "child.py"))
+    (tmp_path / "child.py").write_text(program.replace("    memory, output", limited, 1))
+    path = tmp_path / "a.step"
+    path.write_text((SOLIDS / "biconvex.step").read_text())
+    with pytest.warns(LensFileWarning, match="up to 10 times as far off its surfaces as tolerance_mm = 0.001"):
+        (coarse,) = load_mesh(path, tolerance_mm=1e-3)
+    monkeypatch.undo()
+    (same,) = load_mesh(SOLIDS / "biconvex.step", tolerance_mm=1e-2)
+    (fine,) = load_mesh(SOLIDS / "biconvex.step", tolerance_mm=1e-3)
+    assert len(same.mesh.faces) // 2 <= len(coarse.mesh.faces) < len(fine.mesh.faces)
+
+
+def test_time_for_a_file_grows_with_its_size(tmp_path):
+    path = tmp_path / "a.step"
+    path.write_bytes(b"x" * 2**20)
+    assert cad_file.most_seconds(path) == cad_file.MOST_SECONDS + cad_file.SECONDS_PER_MEBIBYTE
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,15 @@ def test_an_open_mesh_is_refused_as_glass_in_one_line(tmp_path, ending):
     assert "\n" not in str(e.value)
 
 
+def test_doubled_facets_are_called_doubled(tmp_path):
+    whole = ball(2)
+    for again in (whole.faces[:5], whole.faces[:5, ::-1]):
+        faces = np.concatenate([whole.faces, again])
+        path = saved(tmp_path / "doubled.stl", trimesh.Trimesh(whole.vertices, faces, process=False))
+        with pytest.raises(MeshError, match=rf"closed body; 5 of its {len(faces)} facets are doubled"):
+            load(path)
+
+
 TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
 
 WITHOUT_VOLUME = {

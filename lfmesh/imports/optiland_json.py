@@ -1,0 +1,235 @@
+"""Lens files of optiland (`.json`): what its `save_optiland_file` writes, as far as it is centred and refracts.
+
+The format is the dictionary of optiland's `Optic`: `surface_group.surfaces` from the object to the image, each with a
+`geometry` (kind, vertex in the frame of the first surface, radius, conic, coefficients) and the `material_post` that
+follows. Lengths are mm, wavelengths µm. What a surface has beyond what is known here is *unknown*, unless it is empty.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path, PureWindowsPath
+from typing import Any
+
+from lfmesh.errors import SceneError
+from lfmesh.imports.conditions import FieldPoint
+from lfmesh.imports.lens_making import lens_of, refuse_choices
+from lfmesh.imports.prescription import FileSurface, Prescription
+from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.text import read_lines
+from lfmesh.optics.glass import MAKERS
+from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
+
+_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+_APERTURES = {"EPD": "epd", "imageFNO": "f_number", "objectNA": "object_na"}
+_FIELDS = {
+    **dict.fromkeys(("angle", "AngleField"), "angle"),
+    **dict.fromkeys(("object_height", "ObjectHeightField"), "object"),
+    **dict.fromkeys(("paraxial_image_height", "ParaxialImageHeightField"), "image"),
+    **dict.fromkeys(("real_image_height", "RealImageHeightField"), "image"),
+}
+_FIRST_POWER = {"Plane": 0, "StandardGeometry": 0, "EvenAsphere": 2, "OddAsphere": 1}
+"""Kinds of surface that are read, and the power of r of their first coefficient; 0: they have none."""
+_TOLERANCES = ("tol", "max_iter")
+_KNOWN = {
+    "geometry": ("type", "cs", "radius", "conic", "coefficients", *_TOLERANCES),
+    "surface": (
+        *("type", "thickness", "geometry", "material_pre", "material_post", "is_stop", "aperture", "comment"),
+        *("interaction_model", "coating", "bsdf", "is_reflective", "surface_type"),
+    ),
+    "file": ("version", "name", "aperture", "fields", "wavelengths", "surface_group"),
+}
+_WITHOUT_EFFECT = ("ray_tracer", "pickups", "solves")
+"""How rays are aimed, and what an optimisation holds: present values stand in the surfaces."""
+
+
+def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
+    """Return the lens of an optiland file, and what became of its parts.
+
+    Parameters
+    ----------
+    path : Path
+    lines : list of str, optional
+        Its text, in place of reading it.
+    choices : FileChoices
+        Substitutes of glasses.
+
+    Raises
+    ------
+    SceneError
+        The file cannot be read, or holds what the lens cannot have.
+    """
+    refuse_choices(path, choices)
+    try:
+        data = json.loads("\n".join(read_lines(path) if lines is None else lines))
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{path}: no JSON: {str(error)[:100]}") from None
+    group = data.get("surface_group") if isinstance(data, dict) else None
+    if not isinstance(group, dict) or not isinstance(group.get("surfaces"), list):
+        raise SceneError(f"{path}: no optiland lens file: it has no list surface_group.surfaces")
+    report = Report(path)
+    try:
+        made = _Reader(report, data).prescription(group["surfaces"])
+    except (TypeError, KeyError, AttributeError) as error:
+        raise SceneError(f"{path}: broken: {str(error)[:100]}") from None
+    return lens_of(made, report, choices.substitutes), report
+
+
+class _Reader:
+    """Reads part by part; a part is named by its path in the file."""
+
+    def __init__(self, report: Report, data: Mapping[str, Any]) -> None:
+        self.report, self.data = report, data
+
+    def prescription(self, entries: list[Any]) -> Prescription:
+        """Return what the file holds."""
+        made = Prescription(name=self.data.get("name") or None)
+        for k, entry in enumerate(entries):
+            where = f"surfaces[{k}]"
+            made.surfaces.append(FileSurface(0, where))
+            try:
+                self._surface(made.surfaces[-1], entry, where)
+                self.report.add(0, where, Verdict.TAKEN)
+            except ValueError as error:
+                self.report.refuse(0, where, str(error))
+        z = [self._number(entry["geometry"]["cs"], "z", infinite=True) for entry in entries]
+        for surface, here, after in zip(made.surfaces, z, z[1:], strict=False):
+            surface.thickness = after - here
+        for key, take in (("aperture", self._aperture), ("fields", self._fields), ("wavelengths", self._wavelengths)):
+            try:
+                take(made, self.data[key])
+                self.report.add(0, key, Verdict.TAKEN)
+            except ValueError as error:
+                self.report.refuse(0, key, str(error))
+        self._rest("", self.data, _KNOWN["file"])
+        return made
+
+    def _number(self, entry: Mapping[str, Any], key: str, infinite: bool = False) -> float:
+        value = entry[key]
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise ValueError(f"{key} = {str(value)[:30]} is no number")
+        if not infinite and math.isinf(value):
+            raise ValueError(f"{key} = {value} is not finite")
+        return float(value)
+
+    def _rest(self, where: str, entry: Mapping[str, Any], known: tuple[str, ...]) -> None:
+        """Name the keys that are not known and hold something."""
+        for key, value in entry.items():
+            filled = any(value.values()) if isinstance(value, dict) else bool(value)
+            if key not in known and filled:
+                verdict = Verdict.WITHOUT_EFFECT if key in _WITHOUT_EFFECT else Verdict.UNKNOWN
+                self.report.add(0, f"{where}{key}", verdict)
+
+    def _surface(self, surface: FileSurface, entry: Mapping[str, Any], where: str) -> None:
+        surface.stop = bool(entry.get("is_stop"))
+        shape = entry["geometry"]
+        self._rest(f"{where}.", entry, _KNOWN["surface"])
+        self._rest(f"{where}.geometry.", shape, _KNOWN["geometry"])
+        self._shape(surface, shape)
+        self._medium(surface, entry["material_post"])
+        stops = entry.get("aperture")
+        if stops is not None:
+            if stops["type"] != "RadialAperture" or self._number(stops, "r_min"):
+                raise ValueError("only round apertures without a dark middle are supported")
+            largest = self._number(stops, "r_max", infinite=True)
+            surface.aperture = largest if math.isfinite(largest) and largest > 0.0 else None
+        # Versions before 0.4 have what light does there on the surface itself.
+        self._interaction(surface, entry.get("interaction_model") or entry, where)
+
+    def _shape(self, surface: FileSurface, shape: Mapping[str, Any]) -> None:
+        kind, frame = shape["type"], shape["cs"]
+        if kind not in _FIRST_POWER:
+            raise ValueError(f"surfaces of type {kind} are not read; {', '.join(_FIRST_POWER)} are")
+        moved = [key for key in ("x", "y", "rx", "ry", "rz") if self._number(frame, key)]
+        if moved or frame.get("reference_cs") is not None:
+            raise ValueError(f"a surface off the axis ({', '.join(moved) or 'in a frame of its own'}) is not read")
+        radius = self._number(shape, "radius", infinite=True)
+        surface.curvature = 1.0 / radius if radius else 0.0
+        surface.conic = self._number(shape, "conic") if "conic" in shape else 0.0
+        step = 2 if kind == "EvenAsphere" else 1
+        for k, value in enumerate(shape.get("coefficients") or ()):
+            power = _FIRST_POWER[kind] + step * k
+            coefficient = self._number({f"the coefficient of r^{power}": value}, f"the coefficient of r^{power}")
+            if coefficient:
+                self._term(surface, power, coefficient)
+
+    @staticmethod
+    def _term(surface: FileSurface, power: int, coefficient: float) -> None:
+        if power == 1:
+            raise ValueError("a term in r makes a cone, which is not supported: it has no normal at its vertex")
+        if power > 2 * MOST_ASPHERE_TERMS + 2:
+            raise ValueError(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
+        if power == 2:
+            surface.square = coefficient
+            return
+        terms, place = (surface.odd if power % 2 else surface.asphere), (power - 3) // 2
+        terms += [0.0] * (place + 1 - len(terms))
+        terms[place] = coefficient
+
+    def _medium(self, surface: FileSurface, medium: Mapping[str, Any]) -> None:
+        kind = medium["type"]
+        if kind == "IdealMaterial":
+            index = self._number(medium, "index")
+            surface.model = None if index == 1.0 else (index, 0.0)
+            if self._number(medium, "absorp") if "absorp" in medium else 0.0:
+                raise ValueError("a medium that absorbs is not read")
+        elif kind.startswith("AbbeMaterial"):
+            surface.model = self._number(medium, "index"), self._number(medium, "abbe")
+        elif kind == "Material":
+            # The folder of its data tells the maker: .../glass/schott/N-BK7.yml.
+            folder = PureWindowsPath(medium.get("filename") or "").parent.name.upper()
+            surface.glass = f"{folder}/{medium['name']}" if folder in MAKERS else medium["name"]
+        elif kind == "Mirror":
+            raise ValueError("mirrors are not supported: the lens refracts")
+        else:
+            raise ValueError(f"a medium of type {kind} is not read")
+
+    def _interaction(self, surface: FileSurface, model: Mapping[str, Any], where: str) -> None:
+        if model.get("is_reflective"):
+            raise ValueError("mirrors are not supported: the lens refracts")
+        if model.get("bsdf") is not None:
+            raise ValueError("a surface that scatters is not read; give it a finish in the scene")
+        if model.get("coating") is not None:
+            self.report.add(0, f"{where}.coating", Verdict.APPROXIMATED, "not read; the surface is traced bare")
+        kind = model.get("type", "")
+        if "focal_length" in model:
+            surface.focal_length = self._number(model, "focal_length")
+        elif kind == "ParaxialSurface":
+            surface.focal_length = self._number(model, "f")
+        elif kind not in ("RefractiveReflectiveModel", "Surface", "ObjectSurface", "ImageSurface", ""):
+            raise ValueError(f"surfaces with a {kind} are not read")
+
+    def _aperture(self, made: Prescription, entry: Mapping[str, Any]) -> None:
+        kind = entry["type"]
+        value = self._number(entry, "value")
+        if kind not in (*_APERTURES, "float_by_stop_size"):
+            raise ValueError(f"an aperture of type {kind} is not read; {', '.join(_APERTURES)} are")
+        if not value > 0.0:
+            raise ValueError(f"value = {value:g}: it must be above 0")
+        if kind in _APERTURES:
+            made.pupil = _APERTURES[kind], value
+            return
+        stop = next((surface for surface in made.surfaces if surface.stop), None)
+        if stop is None:
+            raise ValueError("it sizes the stop, and no surface is the stop")
+        made.pupil, stop.aperture = ("stop", 0.0), 0.5 * value
+
+    def _fields(self, made: Prescription, entry: Mapping[str, Any]) -> None:
+        kind = entry.get("field_type") or (entry.get("field_definition") or {}).get("field_type")
+        if kind not in _FIELDS:
+            raise ValueError(f"fields of type {kind} are not read; {', '.join(_FIELDS)} are")
+        made.field_kind = _FIELDS[kind]
+        for each in entry["fields"]:
+            left = 1.0 - (self._number(each, "vy") if "vy" in each else 0.0)
+            made.fields.append(FieldPoint(self._number(each, "x"), self._number(each, "y"), left, left))
+
+    def _wavelengths(self, made: Prescription, entry: Mapping[str, Any]) -> None:
+        for k, each in enumerate(entry["wavelengths"]):
+            # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
+            wavelength = float(f"{self._number(each, 'value') * _UNITS_NM[each.get('unit', 'um')]:.10g}")
+            if not wavelength > 0.0:
+                raise ValueError(f"wavelength {wavelength:g}: it must be above 0")
+            made.wavelengths_nm.append(wavelength)
+            if each.get("is_primary"):
+                made.primary = k

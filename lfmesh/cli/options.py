@@ -85,9 +85,7 @@ class Overrides:
     ] = None
     seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
     threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None
-    wavelengths_nm: Annotated[
-        list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True, negative=())
-    ] = None
+    wavelengths_nm: Annotated[list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True)] = None
 
     def given(self) -> dict[str, Any]:
         """Return what the user set."""

@@ -59,7 +59,9 @@ class Overrides:
     ] = None
     engine: Annotated[
         Literal["auto", "mesh", "sequential"] | None,
-        Parameter(help="mesh: Embree, everything; sequential: the image path only; auto: the least that will do."),
+        Parameter(
+            help="mesh: Embree, everything; sequential: the image path only; auto: the fastest that supports the scene."
+        ),
     ] = None
     surface: Annotated[
         Literal["exact", "flat", "smooth", "patch"] | None,

@@ -28,7 +28,8 @@ class Launches:
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
     weight_cutoff: Annotated[
-        float | None, Parameter(help="Lighter children play roulette; 1e-4 follows ghosts of two reflections.")
+        float | None,
+        Parameter(help="Weaker rays are ended at random, without bias; 1e-4 follows two-reflection ghosts."),
     ] = None
 
 

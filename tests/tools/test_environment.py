@@ -145,6 +145,13 @@ def test_the_site_is_built_with_its_own_extra_beside_the_development_tools(machi
     assert machine.done == ["venv", "pip .[dev]", "pip .[dev,docs]"]
 
 
+def test_a_release_without_dry_run_is_refused_before_anything_is_installed(machine: Machine) -> None:
+    result = machine.run("release")
+    assert result.returncode == 2
+    assert "publishes nothing" in result.stderr
+    assert machine.done == []
+
+
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:
     result = machine.run("test", "--long", "-k", "a or b")
     assert result.stdout == f"pytest in {machine.root}:\n<--numprocesses=2><--dist=loadfile><--long><-k><a or b>"

@@ -5,9 +5,11 @@ import json
 import shutil
 import time
 import warnings
+from itertools import takewhile
 from pathlib import Path
 
 import PIL.Image
+from docs_reference import plain
 
 import lfmesh as lf
 from lfmesh.errors import PictureWarning
@@ -102,9 +104,10 @@ def shown(source: Path, target: Path) -> None:
 def entry(path: Path, folder: Path, place: Path) -> list[str]:
     """Return the lines of a scene on the page."""
     text = path.read_text(encoding="utf-8")
-    comment = [line.removeprefix("#").strip() for line in text.splitlines() if line.startswith("#")]
+    comment = takewhile(lambda line: line.rstrip("# \n"), text.splitlines())
+    about = plain(" ".join(line.removeprefix("#") for line in comment if line.startswith("#")))
     lines = [f"## {path.stem}", "", f"[{path.name}](../../scenes/{path.name})", ""]
-    lines += ["```text", *comment, "```", ""] if comment else []
+    lines += [about, ""] if about else []
     if not (folder / "facts.json").is_file():
         return [*lines, "Not rendered in this build.", ""]
     facts = json.loads((folder / "facts.json").read_text())

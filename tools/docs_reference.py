@@ -51,7 +51,7 @@ def _section(name: str, table: Schema) -> Iterator[str]:
     yield f"(table-{name.lower()})="
     yield f"## {name}"
     yield ""
-    yield _plain(table.get("description", ""))
+    yield plain(table.get("description", ""))
     yield ""
     required = table.get("required", ())
     for key, field in table.get("properties", {}).items():
@@ -59,7 +59,7 @@ def _section(name: str, table: Schema) -> Iterator[str]:
         type_ = fixed or type_in_words(field)
         default = "" if field.get("default") in (None, [], {}) or fixed else f", default `{_toml(field['default'])}`"
         yield f"`{key}`: {type_}{', required' if key in required else default}"
-        yield f": {_plain(field.get('description', '')) or '(no description)'}"
+        yield f": {plain(field.get('description', '')) or '(no description)'}"
         yield ""
 
 
@@ -110,7 +110,7 @@ def _toml(value: Any) -> str:
     return "inf" if value == float("inf") else json.dumps(value, ensure_ascii=False)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Return a description on one line, with nothing that Markdown would take for markup."""
     parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
     return "".join(part if part.startswith("`") else re.sub(r"([*_<>\[\]{}$])", r"\\\1", part) for part in parts)

@@ -13,12 +13,13 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 project = "lfmesh"
-author = "lfmesh contributors"
+author = project_copyright = "lfmesh contributors"
 version = release = version_of("lfmesh")
 
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc"]
 root_doc = "assets/docs/index"
 highlight_language = "none"
+default_role = "code"
 
 html_theme = "furo"
 html_title = "lfmesh"
@@ -26,6 +27,7 @@ html_math_renderer = "mathml"
 html_copy_source = False
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["attrs_inline", "deflist"]
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_ipywidgets_js: dict[str, Any] = {}

@@ -23,8 +23,8 @@ SAMPLES = 16
 MOST_PIXELS = 640
 """Along each side; of a larger sensor the middle is rendered."""
 
-WIDTH = 480
-"""Pixels of a picture on the page."""
+WIDTH = 350
+"""Pixels of a picture on the page: two stand side by side."""
 
 
 def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> str:
@@ -85,7 +85,7 @@ def rendered(scene: lf.Scene, folder: Path) -> None:
     lf.save(image, run)
     for name in ("preview.png", "preview_view.png"):
         if (run / name).is_file():
-            shown(run / name, folder / name)
+            shutil.copyfile(run / name, folder / name)
     shutil.rmtree(run)
     kinds = sorted({type(each).__name__ for each in image.warnings})
     (folder / "facts.json").write_text(json.dumps({"seconds": seconds, "warnings": kinds}))
@@ -115,7 +115,7 @@ def entry(path: Path, folder: Path, place: Path) -> list[str]:
     for name in ("preview.png", "preview_view.png"):
         if (folder / name).is_file():
             own = f"{path.stem}-{name}"
-            shutil.copyfile(folder / name, place / own)
-            pictures.append(f"![{path.stem}]({own}){{width=48%}}")
+            shown(folder / name, place / own)
+            pictures.append(f"![{path.stem}]({own})")
     said = "".join(f" [{kind}](../warnings.md#{kind.lower()})" for kind in facts["warnings"])
     return [*lines, " ".join(pictures), "", f"{facts['seconds']:.0f} s." + (f" Warns:{said}" if said else ""), ""]

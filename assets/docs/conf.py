@@ -27,7 +27,7 @@ html_math_renderer = "mathml"
 html_copy_source = False
 
 myst_heading_anchors = 3
-myst_enable_extensions = ["attrs_inline", "deflist"]
+myst_enable_extensions = ["deflist"]
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_ipywidgets_js: dict[str, Any] = {}

@@ -136,7 +136,7 @@ def commands(program: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, .
 
 def _help(words: tuple[str, ...]) -> str:
     out = StringIO()
-    app.help_print(list(words), console=Console(file=out, width=100, color_system=None))
+    app.help_print(list(words), console=Console(file=out, width=88, color_system=None))
     return "\n".join(line.rstrip() for line in out.getvalue().strip().splitlines())
 
 

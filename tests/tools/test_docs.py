@@ -2,6 +2,10 @@
 
 import importlib
 import json
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -90,3 +94,17 @@ def test_the_gallery_lists_every_scene_and_shows_what_was_rendered(pictures: Mod
     assert {line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")} == scenes
     assert (tmp_path / "pages" / "conventional-preview.png").is_file()
     assert page.count("Not rendered in this build.") == len(scenes) - 1
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(tmp_path: Path) -> None:
+    pytest.importorskip("furo")
+    built = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "docs.py"), str(tmp_path), "--quick"],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=1200,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    pages = {path: path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")}
+    assert {"start.html", "python.html", "ghost_hunt.html", "README.html"} <= {path.name for path in pages}
+    for path, text in pages.items():
+        assert not re.findall(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"https?://", text), path

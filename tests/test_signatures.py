@@ -1,11 +1,14 @@
 """Functions take few arguments: what belongs together is handed over as one value."""
 
 import ast
+import dataclasses
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, get_args
 
 import pytest
+from pydantic import BaseModel
 
 import lfmesh
 
@@ -37,6 +40,57 @@ def test_listed_options_are_those_that_are_taken() -> None:
         *["stokes", "seed", "threads"],
         *["surface", "engine", "max_events", "weight_cutoff", "reference"],
     }
+
+
+def tables(annotation: Any) -> set[type[BaseModel]]:
+    """Return the classes of the tables that a value of some type holds, to any depth."""
+    inner = set().union(*map(tables, get_args(annotation)))
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return inner.union({annotation}, *(tables(field.annotation) for field in annotation.model_fields.values()))
+    return inner
+
+
+def test_every_table_of_a_scene_has_a_public_class() -> None:
+    found = tables(lfmesh.Scene)
+    assert {"Medium", "Coating", "Layer", "Cover"} <= {each.__name__ for each in found}
+    assert [each.__name__ for each in found if getattr(lfmesh, each.__name__, None) is not each] == []
+
+
+SCREEN = 80 * 24
+
+
+def parts_of(model: BaseModel) -> Iterator[BaseModel]:
+    """Yield a model and all models inside."""
+    yield model
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else (value,)
+        for each in inner:
+            if isinstance(each, BaseModel):
+                yield from parts_of(each)
+
+
+@pytest.mark.parametrize("name", ["first_light", "color_checker", "coated", "particles"])
+def test_the_repr_of_every_part_of_a_scene_fits_on_a_screen(name: str) -> None:
+    scene = lfmesh.load(PACKAGE.parent / "assets" / "scenes" / f"{name}.toml")
+    parts = list(parts_of(scene))
+    assert len(parts) > 10
+    assert max(len(repr(part)) for part in parts) < SCREEN
+
+
+def test_the_repr_of_a_table_has_what_was_given_and_makes_it_again() -> None:
+    gloss = lfmesh.Gloss(index=1.5, roughness=0.2)
+    assert repr(lfmesh.Transport(samples=8, split="transmit")) == "Transport(split='transmit', samples=8)"
+    assert eval(repr(gloss), {"Gloss": lfmesh.Gloss}) == gloss
+
+
+def test_no_public_class_shows_whole_arrays() -> None:
+    for name in lfmesh.__all__:
+        public = getattr(lfmesh, name)
+        # The repr that dataclass makes has all fields.
+        if dataclasses.is_dataclass(public) and hasattr(public.__repr__, "__wrapped__"):
+            held = {field.name for field in dataclasses.fields(public) if field.repr and "ndarray" in str(field.type)}
+            assert held <= {"spacing_mm", "origin_mm", "position_mm", "rotation_deg"}, name
 
 
 def crowded(source: str) -> Iterator[tuple[str, int]]:

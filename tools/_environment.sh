@@ -3,6 +3,7 @@
 #
 #   prepare_environment run    what `lfmesh` needs
 #   prepare_environment dev    that and what the tests and checks need
+#   prepare_environment docs   that and what builds the documentation site
 #   prepare_environment long   that and the programs that long tests compare with
 #
 # Afterwards $root is the project's folder and $environment its .venv. Everything said here goes to stderr, so that
@@ -38,10 +39,11 @@ find_python() {
     return 1
 }
 
-# Prints 1, 2 or 3 for the purposes run, dev and long: each holds what the one before holds.
+# Prints 1, 2, 3 or 4 for the purposes run, dev, docs and long: each holds what the one before holds.
 rank() {
     case $1 in
-        long) echo 3 ;;
+        long) echo 4 ;;
+        docs) echo 3 ;;
         dev) echo 2 ;;
         *) echo 1 ;;
     esac
@@ -113,7 +115,8 @@ install_project() {
     say "installing lfmesh and what it needs into .venv; this takes a minute or two"
     local extras
     case $purpose in
-        long) extras='[dev,long]' ;;
+        long) extras='[dev,docs,long]' ;;
+        docs) extras='[dev,docs]' ;;
         dev) extras='[dev]' ;;
         *) extras='[browser]' ;;
     esac

@@ -5,8 +5,8 @@ To add a command, write a function in the file of its group (or in a new file, i
 options, and what it returns is the exit code. A mistake of the user is raised as an `LfmeshError`. Parameters that
 other commands have too come from `lfmesh.cli.options`; what is printed goes through `lfmesh.cli.printing`, progress
 through `lfmesh.cli.progress`. Import nothing heavy at the top of the file: what the command calls is imported in its
-body, under `lfmesh.cli.interrupts.defer_interrupt` if that brings numba, Embree or VTK. Then name the command in the
-examples of `application.py` and in the README.
+body, under `lfmesh.cli.interrupts.defer_interrupt` if that brings numba, Embree or VTK. Then name the command,
+with an example, in `lfmesh.cli.tasks` and in the README.
 """
 
 from lfmesh.cli.interrupts import defer_interrupt
@@ -34,6 +34,9 @@ try:
             view,
         )
         from lfmesh.cli.application import app, main
+        from lfmesh.cli.tasks import arrange
+
+        arrange(app)
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 

@@ -15,9 +15,8 @@ from lfmesh.wrapping import COLUMNS
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh accuracy scene.toml -o report/
     lfmesh accuracy --quick              the lenses that come with lfmesh
     lfmesh accuracy --hard               cases made to break the tracer
 """
@@ -31,8 +30,8 @@ def accuracy(
     output: Annotated[
         Path | None, Parameter(name=["--out", "--output", "-o"], help="Folder for the HTML page and the tables as CSV.")
     ] = None,
-    quick: Annotated[bool, Parameter(negative=(), help="Fewer meshes, rays and samples.")] = False,
-    hard: Annotated[bool, Parameter(negative=(), help="Run the hard cases instead, one line each.")] = False,
+    quick: Annotated[bool, Parameter(help="Fewer meshes, rays and samples.")] = False,
+    hard: Annotated[bool, Parameter(help="Run the hard cases instead, one line each.")] = False,
 ) -> int:
     """Measure speed against error: every level of `surface` on ever finer meshes, every way to estimate an image.
 

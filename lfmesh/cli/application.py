@@ -7,11 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import cyclopts
-from cyclopts import App
+from cyclopts import App, Group, Parameter
 
 import lfmesh
 from lfmesh.cli.interrupts import code_of_last, terminate_as_interrupt
 from lfmesh.cli.printing import warnings_in_words
+from lfmesh.cli.tasks import TASKS
 from lfmesh.errors import LfmeshError
 from lfmesh.wrapping import wrapped
 
@@ -23,35 +24,9 @@ BROKEN_PIPE = 141
 app = App(
     name="lfmesh",
     help="Simulate light-field cameras physically: glass as triangle meshes, raw images with error bars.",
-    help_epilogue="""\
-Examples:
-
-    lfmesh demo                          render the scene that comes with lfmesh
-    lfmesh check scene.toml              first-order optics and warnings
-    lfmesh draw scene.toml -o layout.svg   lens, array and rays as a drawing
-    lfmesh render scene.toml -o run/     raw image, previews and report in run/
-    lfmesh white run/                    white image, true micro-image centres
-    lfmesh decode run/                   the light field: all views of the run
-    lfmesh refocus run/ --stack 300:800:20   photographs of other planes
-    lfmesh depth run/                    true depth, and from the light field
-    lfmesh expose run/ --bayer RGGB      what a detector with noise counts
-    lfmesh export run/ --format hci -o hci/   files of other people's tools
-    lfmesh frames scene.toml -o pair/    image pairs of moving particles
-    lfmesh compare scene.toml -o cmp/    beside two other kinds of camera
-    lfmesh study study.toml -o out/      many cameras: errors and tolerances
-    lfmesh psf scene.toml --point-mm 0 0 -480 -o psf/   a point, by waves
-    lfmesh optimise design.toml -o best/   numbers of a camera at their best
-    lfmesh fit white.png scene.toml -o fitted/   errors of a real camera
-    lfmesh dataset template.toml -o data/   many scenes drawn from one
-    lfmesh lens list                     lenses that come with lfmesh
-    lfmesh lens convert in.zmx out.toml  other programs' lens files, and back
-    lfmesh view scene.toml               lens, array, sensor and rays in 3D
-    lfmesh matrix scene.toml --counts 64 64 64 ...   what pixels see of voxels
-    lfmesh camera-model scene.toml -o camera.exr   ray of every pixel, views
-    lfmesh accuracy -o report/           speed against error, in tables, figures
-    lfmesh schema > scene.schema.json    for completion in an editor
-""",
     help_format="plaintext",
+    group_commands=Group("Options", sort_key=len(TASKS)),  # --help and --version alone: commands have headings
+    default_parameter=Parameter(negative=()),  # no --empty-counts beside --counts
     version=lambda: lfmesh.__version__,
     result_action="return_value",
     suppress_keyboard_interrupt=False,

@@ -15,9 +15,8 @@ from lfmesh.wrapping import wrapped
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh camera-model scene.toml -o camera.exr
     lfmesh camera-model scene.toml -o camera.h5 --distances-mm 300 500 900
 """
 )
@@ -29,7 +28,7 @@ def camera_model(
     views: Annotated[Whole | None, Parameter(help="Along each axis; as many as a micro-image has pixels.")] = None,
     distances_mm: Annotated[
         list[float] | None,
-        Parameter(help="Distances at which the views are pinholes.", consume_multiple=True, negative=()),
+        Parameter(help="Distances at which the views are pinholes.", consume_multiple=True),
     ] = None,
 ) -> int:
     """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""

@@ -15,9 +15,8 @@ from lfmesh.cli.progress import status
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh compare scene.toml -o comparison/
     lfmesh compare scene.toml -o comparison/ --reduction 4 --steps 5
 """
 )

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh dataset template.toml --count 100 --dry-run
     lfmesh dataset template.toml -o data/ --count 100 --seed 1
     lfmesh dataset template.toml -o data/ --count 200 --seed 1   100 more
     lfmesh dataset template.toml -o data/ --count 100 --shard 1/3
@@ -35,7 +34,7 @@ def dataset(
     out: Annotated[Path | None, Parameter(name=["--out", "-o"], help="Folder of the dataset.")] = None,
     count: Annotated[Whole | None, Parameter(help="Number of items, in place of the file's.")] = None,
     seed: Annotated[Whole | None, Parameter(help="Of the draws, in place of the file's.")] = None,
-    dry_run: Annotated[bool, Parameter(negative=(), help="List what is drawn, and render nothing.")] = False,
+    dry_run: Annotated[bool, Parameter(help="List what is drawn, and render nothing.")] = False,
     workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
     shard: Shard = None,
 ) -> int:

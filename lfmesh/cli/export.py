@@ -14,9 +14,8 @@ from lfmesh.errors import LfmeshError
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh export run/ --format hci -o hci/ --depth depth.exr
     lfmesh export run/ --format plenopticam -o decoder/
 """
 )

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh fit white.png scene.toml -o fitted/
     lfmesh fit run/ scene.toml -o fitted/             the white image of a run
     lfmesh fit white.tif scene.toml -o fitted/ --orientation sensor
     lfmesh fit white.png scene.toml -o fitted/ --also camera.sensor.distance_mm=0.05
@@ -42,20 +41,20 @@ def fit(
     ] = "upright",
     also: Annotated[
         list[str] | None,
-        Parameter(help="PATH=CHANGE: fit this field too; its largest plausible change.", negative=()),
+        Parameter(help="PATH=CHANGE: fit this field too; its largest plausible change."),
     ] = None,
     samples: Annotated[Whole, Parameter(help="Per pixel, of the simulated white images.")] = 128,
     board: Annotated[
         list[Path] | None,
-        Parameter(help="Picture of a checkerboard, or a run: fits focus and pose too; may be repeated.", negative=()),
+        Parameter(help="Picture of a checkerboard, or a run: fits focus and pose too; may be repeated."),
     ] = None,
     square_mm: Annotated[float | None, Parameter(help="Side of the boards' squares.")] = None,
     grid: Annotated[
         tuple[Whole, Whole] | None,
-        Parameter(help="Corners between four squares, along x and y; the outer ones must be seen.", negative=()),
+        Parameter(help="Corners between four squares, along x and y; the outer ones must be seen."),
     ] = None,
     corners: Annotated[
-        list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.", negative=())
+        list[Path] | None, Parameter(help="List of a board's corners (CSV), in place of a picture.")
     ] = None,
 ) -> int:
     """Estimate the assembly errors of a real camera from its white image: fitted.toml, fit.json, residuals.png.

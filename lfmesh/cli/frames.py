@@ -14,9 +14,8 @@ from lfmesh.view.progress import progress
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh frames particles.toml -o pair            an image pair and its true vectors
     lfmesh frames particles.toml -o film --frames 10
 """
 )

@@ -28,9 +28,8 @@ def list_lenses() -> int:
 
 @lens_app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh lens convert singlet.zmx singlet.toml
     lfmesh lens convert old.seq new.toml --glass BK7=SCHOTT/N-BK7
     lfmesh lens convert zoom.zmx tele.toml --configuration 2
     lfmesh lens convert coated.zmx coated.toml --coatings COATING.DAT
@@ -50,7 +49,7 @@ def convert(
     ] = None,
     configuration: Annotated[int | None, Parameter(help="Which configuration of a .zmx or .seq file, from 1.")] = None,
     coatings: Annotated[Path | None, Parameter(help="Coating file of a .zmx file, where none is beside it.")] = None,
-    every_line: Annotated[bool, Parameter(name="--lines", negative=(), help="Say what became of every line.")] = False,
+    every_line: Annotated[bool, Parameter(name="--lines", help="Say what became of every line.")] = False,
 ) -> int:
     """Read a lens file of another program, say what became of its lines, and write it in another format."""
     from lfmesh.imports import read_lens_file, write_lens_file

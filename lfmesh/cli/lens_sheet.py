@@ -11,9 +11,8 @@ from lfmesh.cli.options import SceneFile
 
 @lens_app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh lens sheet scene.toml -o sheet.pdf
     lfmesh lens sheet scene.toml -o far.png --object-mm inf --wavelengths-nm 450 550 650
 """
 )

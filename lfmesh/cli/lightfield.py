@@ -25,9 +25,8 @@ Photographs = tuple["list[Photograph]", "FocalStack | None", "AllInFocus | None"
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh decode run/
     lfmesh decode run/ --centres white-image     as the owner of a real camera has to
 """
 )
@@ -59,9 +58,8 @@ def decode(
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh refocus run/ --distance-mm 480
     lfmesh refocus run/ --distance-mm 480 --f-number 8
     lfmesh refocus run/ --stack 300:800:20 --all-in-focus
     lfmesh refocus run/ --distance-mm 500 --method patches   of a focused plenoptic camera
@@ -73,14 +71,12 @@ def refocus(
     *,
     distance_mm: Annotated[
         list[float] | None,
-        Parameter(help="Object distances before the first vertex, mm.", consume_multiple=True, negative=()),
+        Parameter(help="Object distances before the first vertex, mm.", consume_multiple=True),
     ] = None,
     stack: Annotated[
         str | None, Parameter(help="Focal stack FIRST:LAST:STEP, mm; an EXR with all planes and an animated PNG.")
     ] = None,
-    all_in_focus: Annotated[
-        bool, Parameter(negative=(), help="With --stack: every place from its sharpest plane.")
-    ] = False,
+    all_in_focus: Annotated[bool, Parameter(help="With --stack: every place from its sharpest plane.")] = False,
     f_number: Annotated[
         float | None, Parameter(help="Aperture on the image side, no wider than the lens had; all views if omitted.")
     ] = None,
@@ -115,9 +111,8 @@ def refocus(
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh depth run/
     lfmesh depth run/ --near-mm 300 --far-mm 900
 """
 )
@@ -148,9 +143,8 @@ def depth(
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh expose run/
     lfmesh expose run/ --exposure-s 0.01 --bayer RGGB --bits 10 --full-well-e 6000
 """
 )

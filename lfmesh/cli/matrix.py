@@ -41,9 +41,8 @@ class Voxels:
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh matrix scene.toml --counts 64 64 64 --size-mm 20 20 20 --position-mm 0 0 -500 -o m.npz
     lfmesh matrix scene.toml --grid flame.npz --position-mm 0 0 -500 -o m.h5 --split transmit
 """
 )
@@ -58,7 +57,7 @@ def matrix(
         float, Parameter(help="Entries below this share of the largest one of their pixel are dropped.")
     ] = 1e-6,
     absorption: Annotated[
-        bool, Parameter(negative=(), help="Take from the entries what the scene's media absorb and scatter.")
+        bool, Parameter(help="Take from the entries what the scene's media absorb and scatter.")
     ] = False,
     inside: Annotated[
         str | None, Parameter(help='Body of glass or liquid that the grid is in, such as "tanks[0] liquid".')

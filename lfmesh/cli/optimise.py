@@ -13,9 +13,8 @@ from lfmesh.cli.progress import status
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh optimise design.toml -o best/
     lfmesh lens sheet best/optimised.toml -o sheet.pdf
 """
 )

@@ -59,7 +59,9 @@ class Overrides:
     ] = None
     engine: Annotated[
         Literal["auto", "mesh", "sequential"] | None,
-        Parameter(help="mesh: Embree, everything; sequential: the image path only; auto: the least that will do."),
+        Parameter(
+            help="mesh: Embree, everything; sequential: the image path only; auto: the fastest that supports the scene."
+        ),
     ] = None
     surface: Annotated[
         Literal["exact", "flat", "smooth", "patch"] | None,
@@ -85,9 +87,7 @@ class Overrides:
     ] = None
     seed: Annotated[Whole | None, Parameter(help="Of the random numbers.")] = None
     threads: Annotated[Whole | None, Parameter(help="0: all cores; the result is the same for any number.")] = None
-    wavelengths_nm: Annotated[
-        list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True, negative=())
-    ] = None
+    wavelengths_nm: Annotated[list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True)] = None
 
     def given(self) -> dict[str, Any]:
         """Return what the user set."""

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def warnings_in_words() -> Iterator[None]:
-    """Print warnings on standard error as they come, each once: of pictures as warnings, others as notes."""
+    """Print warnings on standard error as they come, each once: of pictures as warnings, others as notes.
+
+    The name in brackets is that of the class, under which the guide explains it (assets/docs/warnings.md).
+    """
     told: set[str] = set()
     usual = warnings.showwarning
 
@@ -26,7 +29,8 @@ def warnings_in_words() -> Iterator[None]:
         elif str(message) not in told:
             told.add(str(message))
             kind = "Warning" if issubclass(category, PictureWarning) else "Note"
-            print(wrapped(f"{kind}: {message}"), file=sys.stderr, flush=True)
+            name = f" [{category.__name__}]" if category.__module__ == PictureWarning.__module__ else ""
+            print(wrapped(f"{kind}: {message}{name}"), file=sys.stderr, flush=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)

@@ -16,9 +16,8 @@ from lfmesh.wrapping import wrapped
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh psf scene.toml --point-mm 0 0 -480 --window 64 -o spread/
     lfmesh psf scene.toml --point-mm 5 0 -500 --wavelengths-nm 500 550 600 --oversample 4 --window 32 -o white/
 """
 )
@@ -31,7 +30,7 @@ def psf(
         tuple[float, float, float], Parameter(help="x, y and z of the point in the camera frame; z below 0.")
     ],
     wavelengths_nm: Annotated[
-        list[float] | None, Parameter(help="One or more, summed evenly.", consume_multiple=True, negative=())
+        list[float] | None, Parameter(help="One or more, summed evenly.", consume_multiple=True)
     ] = None,
     band: Annotated[str | None, Parameter(help="A band of the sensor by its name, in place of wavelengths.")] = None,
     window: Annotated[Whole | None, Parameter(help="Pixels on a side about the light; else the whole sensor.")] = None,

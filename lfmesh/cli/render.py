@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.render.image import Image
 
 
-@app.command(help_epilogue="")
+@app.command
 def demo(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write.")] = Path("lfmesh-demo"),
@@ -33,7 +33,7 @@ def demo(
     return _render(asset_path("scenes/first_light.toml"), out, overrides)
 
 
-@app.command(help_epilogue="")
+@app.command
 def check(scene: SceneFile, /) -> int:
     """Check a scene file and print its first-order optics and where its targets stand, with warnings in plain words.
 
@@ -76,9 +76,8 @@ def check(scene: SceneFile, /) -> int:
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh render scene.toml -o run/
     lfmesh render scene.toml -o run/ --samples 256 --threads 4
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
     lfmesh render --resume run/          go on with a render that was cut short
@@ -99,16 +98,16 @@ def render(
         Path | None, Parameter(help="Run folder of a render that was cut short or killed: go on with it.")
     ] = None,
     restart: Annotated[
-        bool, Parameter(negative=(), help="Begin anew where a render into --out was cut short: what it kept is lost.")
+        bool, Parameter(help="Begin anew where a render into --out was cut short: what it kept is lost.")
     ] = False,
     with_white: Annotated[
-        bool, Parameter(name="--white", negative=(), help="Also do what lfmesh white does, for decoding.")
+        bool, Parameter(name="--white", help="Also do what lfmesh white does, for decoding.")
     ] = False,
     dask: Dask = None,
     shard: Shard = None,
     merge: Annotated[
         list[Path] | None,
-        Parameter(help="Folders of the shares of a render: put them together.", consume_multiple=True, negative=()),
+        Parameter(help="Folders of the shares of a render: put them together.", consume_multiple=True),
     ] = None,
     overrides: Overrides | None = None,
 ) -> int:
@@ -142,7 +141,7 @@ def render(
     return _white(out, None) if with_white and code == 0 else code
 
 
-@app.command(help_epilogue="")
+@app.command
 def white(run: RunFolder, /, *, overrides: Overrides | None = None) -> int:
     """Render what the camera of a run records of a uniform plane, and trace where its micro-images lie.
 

@@ -5,7 +5,7 @@ import json
 from lfmesh.cli.application import app
 
 
-@app.command(help_epilogue="")
+@app.command
 def schema() -> int:
     """Print the JSON Schema of scene files."""
     from lfmesh.scene import Scene

@@ -20,9 +20,8 @@ study_app = App(
     name="study",
     help="Many cameras: errors and parameters against metrics, with error bars.",
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh study --template assembly scene.toml -o study.toml
     lfmesh study study.toml --dry-run
     lfmesh study study.toml -o out/
     lfmesh study study.toml -o out/          again: go on where it stopped
@@ -44,14 +43,14 @@ def study(
     out: Annotated[
         Path | None, Parameter(name=["--out", "-o"], help="Folder of the study; with --template the file to write.")
     ] = None,
-    dry_run: Annotated[bool, Parameter(negative=(), help="List points, memory and time, and compute nothing.")] = False,
+    dry_run: Annotated[bool, Parameter(help="List points, memory and time, and compute nothing.")] = False,
     template: Annotated[
         str | None, Parameter(help="Write a study: assembly, manufacturing, packets-and-splits or sensor.")
     ] = None,
     workers: Annotated[Whole | None, Parameter(help="Processes; 0: this one alone.")] = None,
     dask: Dask = None,
     shard: Shard = None,
-    parquet: Annotated[bool, Parameter(negative=(), help="Also write the table as Parquet.")] = False,
+    parquet: Annotated[bool, Parameter(help="Also write the table as Parquet.")] = False,
 ) -> int:
     """Compare many cameras with a reference: table.csv, report.html and a log in a folder.
 
@@ -88,7 +87,7 @@ def merge(
     /,
     *folders: Annotated[Path, Parameter(help="Folders of the shares.")],
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder for all of it.")],
-    parquet: Annotated[bool, Parameter(negative=(), help="Also write the table as Parquet.")] = False,
+    parquet: Annotated[bool, Parameter(help="Also write the table as Parquet.")] = False,
 ) -> int:
     """Put the shares of a study together; the table is bitwise that of a study that was not divided."""
     with defer_interrupt():

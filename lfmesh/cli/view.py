@@ -19,9 +19,8 @@ LEAST_PIXELS, MOST_PIXELS = 64, 8192
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh view scene.toml
     lfmesh view run/ --screenshot out.png --preset lens --cut
     lfmesh view scene.toml --rays "pixel 320,310" --preset array --html out.html
     lfmesh view scene.toml --rays "field 0,20,-500" --split both --table
@@ -59,9 +58,8 @@ def view(
 
 @app.command(
     help_epilogue="""\
-Examples:
+More examples:
 
-    lfmesh draw scene.toml
     lfmesh draw scene.toml -o layout.pdf
 """
 )

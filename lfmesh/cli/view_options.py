@@ -19,7 +19,6 @@ class Launches:
         Parameter(
             help='"field x,y,z", "pixel row,column", "pixels r:r,c:c", "light number", "run" or "none"; may be '
             "repeated. Omitted: points of the plane in focus, refracted rays alone.",
-            negative=(),
         ),
     ] = None
     count: Annotated[Whole | None, Parameter(help="Rays of each launch.")] = None
@@ -29,7 +28,8 @@ class Launches:
         Parameter(help="At an interface: follow both children, one by chance, or the refracted one."),
     ] = None
     weight_cutoff: Annotated[
-        float | None, Parameter(help="Lighter children play roulette; 1e-4 follows ghosts of two reflections.")
+        float | None,
+        Parameter(help="Weaker rays are ended at random, without bias; 1e-4 follows two-reflection ghosts."),
     ] = None
 
 
@@ -61,11 +61,11 @@ class Looks:
         Literal["wavelength", "power", "events", "status", "path", "field"] | None,
         Parameter(help="What the rays' colours mean: wavelengths, or where there is one, field points."),
     ] = None
-    fade: Annotated[bool, Parameter(negative=(), help="Draw rays with less power fainter.")] = False
+    fade: Annotated[bool, Parameter(help="Draw rays with less power fainter.")] = False
     preset: Annotated[
         Literal["whole", "side", "object", "lens", "array", "sensor"], Parameter(help="Where to look from.")
     ] = "whole"
-    cut: Annotated[bool, Parameter(negative=(), help="Cut lens and array along the axis; rays stay whole.")] = False
+    cut: Annotated[bool, Parameter(help="Cut lens and array along the axis; rays stay whole.")] = False
     size: Annotated[str, Parameter(help="Of window and picture, in pixels.")] = "1600x1000"
     segments: Annotated[
         Whole, Parameter(help="Of rays, drawn at most; beyond that whole paths are left out, evenly.")
@@ -77,7 +77,7 @@ class Looks:
 class Reports:
     """Options for reports on rays without a drawing: a table of paths, printed or as CSV; a figure of ghosts."""
 
-    table: Annotated[bool, Parameter(negative=(), help="Print the path table.")] = False
+    table: Annotated[bool, Parameter(help="Print the path table.")] = False
     paths: Annotated[Path | None, Parameter(help="CSV to write the path table to.")] = None
     ghosts: Annotated[
         Path | None,
@@ -105,7 +105,7 @@ class Files:
 class Serving:
     """Options for serving the browser's page."""
 
-    browser: Annotated[bool, Parameter(negative=(), help="Show it on a page in the browser, with much more.")] = False
+    browser: Annotated[bool, Parameter(help="Show it on a page in the browser, with much more.")] = False
     host: Annotated[str, Parameter(help="With --browser: the address that the page is served on.")] = "127.0.0.1"
     port: Annotated[Whole, Parameter(help="With --browser; 0: a free one.")] = 0
     open_browser: Annotated[

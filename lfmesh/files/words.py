@@ -81,19 +81,13 @@ def summary(image: Image) -> list[str]:
 
 
 def account(image: Image) -> list[str]:
-    """Say what a run gave without its warnings, which are printed as they come."""
+    """Say what a run gave without its warnings, which are printed as they come: first how good the picture is."""
     measured = noise(image)
-    lines = [
-        _work(image),
-        *_noise_lines(image, measured),
-        *_diffraction(image.scene),
-        *_aim(image),
-        *_order(image),
-        *_coatings(image),
-    ]
+    lines = _noise_lines(image, measured)
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
-    return lines
+    checks = " ".join([*_aim(image), *_order(image), *_coatings(image)])
+    return [*lines, *_diffraction(image.scene), *([f"Checks: {checks}"] if checks else []), _work(image)]
 
 
 def diffraction(scene: Scene) -> dict[str, float | None]:
@@ -123,33 +117,28 @@ def _diffraction(scene: Scene) -> list[str]:
 
 
 def _aim(image: Image) -> list[str]:
-    """Return a sentence on what the aim may have missed, by rays from the stop and by samples that are not aimed."""
+    """Return sentences on what the aim may have missed, by rays from the stop and by unaimed samples."""
     proof, blind = image.aim, image.blind
     if blind is None or not blind.agrees:
         return []
     if image.scene.rough_in_camera():
-        said = "as surfaces of the camera scatter light, rays go anywhere on the lens"
+        said = "rays go anywhere on the lens, as surfaces of the camera scatter light"
     elif proof is None and image.scene.camera.lens.has_meshes:
-        said = "it is not proven"
+        said = "the aim is not proven"
     elif proof is None:
-        said = "no ray from the stop could be traced to the sensor"
+        said = "the aim is not proven, as no ray from the stop could be traced to the sensor"
     else:
-        said = f"of the light through the stop it misses {percent(proof.missed)}"
-        said += f" ± {percent(max(proof.sensor.error, proof.objects.error))}"
+        said = f"the aim misses {percent(proof.missed)} ± {percent(max(proof.sensor.error, proof.objects.error))}"
+        said += " of the light through the stop"
         if proof.diffracted is not None:
             said += f", and after diffraction {percent(proof.diffracted.share)} ± {percent(proof.diffracted.error)}"
-    blind_ones = "samples that are not aimed"
-    if image.scene.transport.method == "forward":
-        blind_ones = "paths traced back from some pixels"
+    paths = "unaimed samples" if image.scene.transport.method == "adjoint" else "paths traced back from some pixels"
     told = (
         "are too few to tell"
         if blind.smallest_deficit is None
-        else (
-            f"agree in all {blind.blocks[0]} × {blind.blocks[1]} blocks of pixels, and would have told a lack of"
-            f" {percent(blind.smallest_deficit)}"
-        )
+        else f"found no missing light (only losses above {percent(blind.smallest_deficit)} would show)"
     )
-    return [f"Aim: {said}; {blind_ones} {told}."]
+    return [f"{said}; {paths} {told}."]
 
 
 def _order(image: Image) -> list[str]:
@@ -157,7 +146,7 @@ def _order(image: Image) -> list[str]:
     order = image.order
     if order is None or not order.holds:
         return []
-    return [f"Surfaces of lens and array were found by their order: {order.words}."]
+    return [f"Surfaces by order and by meshes agree: {order.words}."]
 
 
 def _coatings(image: Image) -> list[str]:
@@ -252,9 +241,9 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
 def _without_hits(image: Image, pixels: int) -> str:
     share = percent(pixels / (image.mean.shape[0] * image.mean.shape[1]))
     return (
-        f"No path found light for {pixels:,} pixels, {share}: they read 0 ± 0, and image.upper says what they may hold."
+        f"No path found light for {pixels:,} pixels, {share}. Their value is 0; upper bounds are in image.upper."
         if pixels > 1
-        else f"No path found light for 1 pixel, {share}: it reads 0 ± 0, and image.upper says what it may hold."
+        else f"No path found light for 1 pixel, {share}. Its value is 0; its upper bound is in image.upper."
     )
 
 

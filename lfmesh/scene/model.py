@@ -6,6 +6,7 @@ upwards as one list, so that the outermost caller can name the whole path of eac
 """
 
 import difflib
+import reprlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -38,6 +39,19 @@ NOT_TRIED = "default_factory_not_called"
 Location = tuple[str | int, ...]
 
 
+_CUT = reprlib.Repr()
+_CUT.maxlevel, _CUT.maxtuple, _CUT.maxdict, _CUT.maxstring, _CUT.maxother = 20, 16, 16, 100, 10_000
+
+
+class _Verbatim(str):
+    """Text that is its own repr."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
 class Fault(NamedTuple):
     """One thing wrong with a model: where in the model, the value found, and what would be valid."""
 
@@ -66,6 +80,13 @@ class Model(BaseModel, metaclass=_ModelClass):
         use_attribute_docstrings=True,
         ser_json_inf_nan="constants",
     )
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Yield the fields that differ from their defaults, as a scene file would hold them; long lists are cut."""
+        for name, value in super().__repr_args__():
+            field = type(self).model_fields.get(str(name))
+            if field is None or value != field.get_default(call_default_factory=True, validated_data=self.__dict__):
+                yield name, _Verbatim(_CUT.repr(value))
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between fields that are right by themselves."""

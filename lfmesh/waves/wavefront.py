@@ -87,7 +87,7 @@ class Wavefront(Shown):
 
     @cached_property
     def strehl(self) -> float:
-        """Intensity at the centre of the sphere over that without aberrations, |Σ √w exp(2πi W)|² / (Σ √w)²."""
+        """Intensity at the sphere's centre over that without aberrations, ``|Σ √w exp(2πi W)|² / (Σ √w)²``."""
         amplitude = np.sqrt(self.weight)
         return float(np.abs(amplitude @ np.exp(2j * np.pi * self.opd_waves)) ** 2 / amplitude.sum() ** 2)
 

@@ -60,7 +60,7 @@ def test_a_command_notes_what_is_doubtful_in_the_scenes_lens_file(tmp_path: Path
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     err = " ".join(capsys.readouterr().err.split())
     assert err.startswith("Note: ")
-    assert err.endswith("line 40: SQAP 3 4 0: approximated: a rectangular aperture: the circle round it")
+    assert err.endswith(": approximated: a rectangular aperture: the circle round it [LensFileWarning]")
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from lfmesh.scene import Lens, Scene, first_order
 from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.found import found
+from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.image import Image
 
@@ -68,7 +69,7 @@ def test_a_run_says_how_many_pixels_found_no_light_and_when_samples_are_too_few(
     image = image_of(hits=hits)
     image.mean[:6] = image.stderr[:6] = 0.0
     assert words.noise(image).without_hits == 480
-    assert "No path found light for 480 pixels, 10 %: they read 0 ± 0" in text(image)
+    assert "No path found light for 480 pixels, 10 %. Their value is 0; upper bounds are in image.upper." in text(image)
     hits[6:26] = 9
     assert words.noise(image).few_hits_share == pytest.approx(20 / 54)
     assert "in 37 % of the lit pixels less than 10 found light" in text(image)
@@ -201,10 +202,20 @@ def test_durations(seconds: float, shown: str) -> None:
 
 @pytest.mark.parametrize(
     ("has_meshes", "said"),
-    [(True, "Aim: it is not proven; "), (False, "no ray from the stop could be traced")],
+    [(True, "Checks: the aim is not proven; "), (False, "no ray from the stop could be traced")],
 )
 def test_an_aim_without_a_proof_says_why(
     image_of: Build, monkeypatch: pytest.MonkeyPatch, has_meshes: bool, said: str
 ) -> None:
     monkeypatch.setattr(Lens, "has_meshes", property(lambda _: has_meshes))
     assert said in text(image_of(blind=BlindCheck((4, 4), 100, 1.0, 4.0, 0.1)))
+
+
+def test_a_run_says_first_how_good_the_picture_is_and_its_checks_in_one_line(image_of: Build) -> None:
+    order = OrderCheck(compared=2948, reflected=100, undecided=0, differing=0, deviation_mm=1.4e-11, deviation=1e-14)
+    lines = words.account(image_of(blind=BlindCheck((4, 4), 100, 1.0, 4.0, 0.536), order=order))
+    assert lines[0].startswith("Noise: ")
+    assert lines[-1].startswith("Traced ")
+    (checks,) = [line for line in lines if line.startswith("Checks: ")]
+    assert "unaimed samples found no missing light (only losses above 53.6 % would show)." in checks
+    assert "agree: none of 2,948 test paths met another surface (largest difference 1.4e-11 mm, " in checks

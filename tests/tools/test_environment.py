@@ -134,7 +134,22 @@ def test_long_tests_add_the_programs_that_they_compare_with_and_these_stay(machi
     machine.run("run")
     (machine.root / "pyproject.toml").write_text('[project]\nname = "other"\n')
     machine.run("test")
-    assert machine.done == ["venv", "pip .[dev]", "pip .[dev,long]", "pip .[dev,long]"]
+    assert machine.done == ["venv", "pip .[dev]", "pip .[dev,docs,long]", "pip .[dev,docs,long]"]
+
+
+def test_the_site_is_built_with_its_own_extra_beside_the_development_tools(machine: Machine) -> None:
+    machine.run("test")
+    machine.run("docs")
+    machine.run("test")
+    machine.run("docs")
+    assert machine.done == ["venv", "pip .[dev]", "pip .[dev,docs]"]
+
+
+def test_a_release_without_dry_run_is_refused_before_anything_is_installed(machine: Machine) -> None:
+    result = machine.run("release")
+    assert result.returncode == 2
+    assert "publishes nothing" in result.stderr
+    assert machine.done == []
 
 
 def test_tests_run_in_the_project_folder(machine: Machine) -> None:

@@ -131,6 +131,11 @@ class ProjectionMatrix:
     warnings: tuple[PictureWarning, ...] = ()
     sensor_pixels: tuple[int, int] | None = None
 
+    def __repr__(self) -> str:
+        voxels = " × ".join(map(str, self.grid.shape))
+        entries = f"{self.matrix.nnz:,} entries, {self.wavelength_nm:g} nm"
+        return f"<ProjectionMatrix: {len(self.pixels):,} pixels by {voxels} voxels, {entries}>"
+
     @property
     def image_shape(self) -> tuple[int, int] | None:
         """Rows and columns of the rectangle that the pixels fill, row by row; None if they fill none, or unknown."""

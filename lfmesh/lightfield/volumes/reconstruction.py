@@ -90,6 +90,12 @@ class Reconstruction:
     error: Array | None = None
     total_error: float = np.nan
 
+    def __repr__(self) -> str:
+        shape = " × ".join(map(str, self.volume.shape))
+        misfit = "" if np.isnan(self.misfit) else f", misfit {self.misfit:.3g}"
+        error = "" if np.isnan(self.total_error) else f", total error {self.total_error:.3g}"
+        return f"<Reconstruction: {shape} voxels, {self.method}, residual {self.residual[-1]:.3g}{misfit}{error}>"
+
     def quality(self, true: ArrayLike) -> float:
         """Return the quality Q against the true volume, see `volume_quality`."""
         return volume_quality(self.volume, true)

@@ -48,7 +48,7 @@ class Transport(Model):
     """"adjoint" follows importance from the sensor to the lights, "forward" light from the lights to the
     sensor."""
     engine: Literal["auto", "mesh", "sequential"] = "auto"
-    """"mesh": Embree, everything; "sequential": the image path only; "auto": the least that models the
+    """"mesh": Embree, everything; "sequential": the image path only; "auto": the fastest that supports the
     scene, or the image path with the one and the reflections with the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
     """What a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic

@@ -1,7 +1,7 @@
 """Boards before a camera: pictures of checkerboards, decoded into views, or lists of corners."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ class Board:
         In place of a picture.
     """
 
-    picture: Image | Exposed | NDArray[Any] | None = None
+    picture: Image | Exposed | NDArray[Any] | None = field(default=None, repr=False)
     square_mm: float | None = None
     columns: int | None = None
     rows: int | None = None

@@ -162,7 +162,7 @@ def _blind(scene: Scene, blind: BlindCheck | None) -> Iterator[PictureWarning]:
     if blind is None or blind.agrees:
         return
     rows, columns = blind.blocks
-    others, other = "samples that are not aimed", 'method = "forward"'
+    others, other = "unaimed samples", 'method = "forward"'
     if scene.transport.method == "forward":
         others, other = "paths traced back from some pixels", 'the default, method = "adjoint"'
     yield BlindCheckWarning(

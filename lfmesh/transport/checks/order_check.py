@@ -98,9 +98,8 @@ class OrderCheck:
     @property
     def words(self) -> str:
         """The comparison and its result, in words."""
-        said = f"of {self.compared} packets compared with the meshes, {self.reflected} of them after reflections, "
-        said += f"{self.differing or 'none'} met another surface; the largest deviation is {self.deviation_mm:.1e} mm"
-        return f"{said}, and {self.deviation:.1e} of a weight"
+        said = f"{self.differing or 'none'} of {self.compared:,} test paths met another surface"
+        return f"{said} (largest difference {self.deviation_mm:.1e} mm, {self.deviation:.1e} of a weight)"
 
 
 def compare(world: World, options: Options, tables: Tables, packets: NDArray[np.void]) -> OrderCheck:

@@ -88,7 +88,7 @@ def from_field_point(
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
         reflections are followed one by one; there are hundreds of them a ray.
     seed : int
         Shifts the points of the pupil, and plays the roulette.
@@ -149,7 +149,7 @@ def from_pixel(
         Else the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
         reflections are followed one by one; there are hundreds of them a ray.
     seed : int
 
@@ -232,7 +232,7 @@ def from_light(
         One of the scene's; else those share the packets.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which children play roulette, in place of the scene's. With 1e-4 ghosts of two
+        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
         reflections are followed one by one; there are hundreds of them a ray.
     seed : int
 

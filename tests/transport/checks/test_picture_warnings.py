@@ -226,7 +226,7 @@ def test_python_the_command_line_and_the_report_say_the_same(
         report = json.loads((home / name / "report.json").read_text(encoding="utf-8"))
         assert report["warnings"] == [each.as_dict() for each in image.warnings]
         assert report["summary"][: len(image.warnings)] == [f"Warning: {each}" for each in image.warnings]
-    assert all(err.count(f"Warning: {each}") == 1 for each in image.warnings)
+    assert all(err.count(f"Warning: {each} [{type(each).__name__}]") == 1 for each in image.warnings)
 
 
 @pytest.mark.parametrize("kind", [lf.HiddenSceneWarning, lf.ClosedGapWarning, lf.DiffractionWarning])

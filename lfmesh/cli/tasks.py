@@ -1,0 +1,62 @@
+"""Commands by task: their headings and order in `lfmesh --help`, and the example that begins the help of each."""
+
+from cyclopts import App, Group
+
+TASKS = {
+    "Everyday": {
+        "demo": "lfmesh demo",
+        "check": "lfmesh check scene.toml",
+        "view": "lfmesh view scene.toml",
+        "render": "lfmesh render scene.toml -o run/",
+        "white": "lfmesh white run/",
+        "decode": "lfmesh decode run/",
+        "refocus": "lfmesh refocus run/ --distance-mm 480",
+        "depth": "lfmesh depth run/",
+        "expose": "lfmesh expose run/ --bayer RGGB",
+        "export": "lfmesh export run/ --format hci -o hci/",
+    },
+    "Lenses and scene files": {
+        "draw": "lfmesh draw scene.toml -o layout.svg",
+        "lens": "lfmesh lens list",
+        "lens list": "lfmesh lens list",
+        "lens convert": "lfmesh lens convert singlet.zmx singlet.toml",
+        "lens sheet": "lfmesh lens sheet scene.toml -o sheet.pdf",
+        "schema": "lfmesh schema > scene.schema.json",
+    },
+    "Other images and models": {
+        "frames": "lfmesh frames particles.toml -o pair/",
+        "psf": "lfmesh psf scene.toml --point-mm 0 0 -480 --window 64 -o spread/",
+        "matrix": "lfmesh matrix scene.toml --counts 64 64 64 --size-mm 20 20 20 --position-mm 0 0 -500 -o m.npz",
+        "camera-model": "lfmesh camera-model scene.toml -o camera.exr",
+    },
+    "Many cameras": {
+        "compare": "lfmesh compare scene.toml -o comparison/",
+        "study": "lfmesh study study.toml -o out/",
+        "study merge": "lfmesh study merge study.toml a/ b/ c/ -o out/",
+        "optimise": "lfmesh optimise design.toml -o best/",
+        "fit": "lfmesh fit white.png scene.toml -o fitted/",
+        "dataset": "lfmesh dataset template.toml -o data/ --count 100",
+        "accuracy": "lfmesh accuracy scene.toml -o report/",
+    },
+}
+"""Commands by heading, each with an example; words of a command inside another are separated by a space."""
+
+
+def arrange(app: App) -> None:
+    """Put every command under its heading, and its example before its help.
+
+    Parameters
+    ----------
+    app : App
+        With all commands.
+    """
+    for number, (heading, examples) in enumerate(TASKS.items()):
+        group = Group(heading, sort_key=number)
+        for place, (words, example) in enumerate(examples.items()):
+            command = app
+            for word in words.split():
+                command = command[word]
+            command.help_prologue = f"Example: {example}"
+            if " " not in words:
+                command.group = group
+                command.sort_key = place

@@ -1,0 +1,44 @@
+"""Commands by task: each has one heading and an example that it takes, and help shows no more than that."""
+
+import shlex
+
+import pytest
+
+from lfmesh.cli import app, main
+from lfmesh.cli.tasks import TASKS
+
+EXAMPLES = {words: example for examples in TASKS.values() for words, example in examples.items()}
+
+
+def test_every_command_has_one_task_and_the_everyday_ones_are_ten() -> None:
+    listed = [words for examples in TASKS.values() for words in examples]
+    assert len(listed) == len(set(listed))
+    assert {words for words in listed if " " not in words} == {name for name in app if not name.startswith("-")}
+    inner = {f"{name} {each}" for name in ("lens", "study") for each in app[name] if not each.startswith("-")}
+    assert {words for words in listed if " " in words} == inner
+    assert len(next(iter(TASKS.values()))) == 10
+
+
+@pytest.mark.parametrize("words", EXAMPLES)
+def test_help_begins_with_an_example_that_the_command_takes(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, *arguments = shlex.split(EXAMPLES[words].split(">")[0])
+    assert program == "lfmesh"
+    assert " ".join(arguments).startswith(words)
+    app.parse_args(arguments, exit_on_error=False, print_error=False)
+    assert main([*words.split(), "--help"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.startswith(f"Example: {EXAMPLES[words]} Usage: lfmesh {words}")
+    assert "--empty-" not in out
+    assert "lfmesh demo" not in out.split("Usage: ")[1].removeprefix("lfmesh demo"), "examples of other commands"
+
+
+def test_the_list_of_commands_goes_by_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    headings = [*TASKS, "Options"]
+    places = [out.index(f"─ {heading} ─") for heading in headings]
+    assert places == sorted(places)
+    everyday = out[places[0] : places[1]]
+    assert [line.split()[1] for line in everyday.splitlines() if line[:1] == "│" and line[2] != " "] == list(
+        TASKS["Everyday"]
+    )

@@ -1,0 +1,79 @@
+"""The pages of the documentation site do what they say: commands and snippets run, every warning is explained."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lfmesh as lf
+from lfmesh import errors
+from lfmesh.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "assets" / "docs").glob("*.md")}
+
+
+def blocks(language: str, page: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGES[page], flags=re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the scene of the first page and fewer lenslets, as other pages go on from."""
+    place = tmp_path_factory.mktemp("site")
+    (scene,) = blocks("toml", "start")
+    small = scene.replace("count = [24, 24]", "count = [8, 8]").replace("pixels = [240, 240]", "pixels = [80, 80]")
+    assert small.count("[8, 8]") == small.count("[80, 80]") == 1
+    (place / "scene.toml").write_text(small)
+    return place
+
+
+def test_the_first_scene_is_that_of_the_readme_but_for_the_place_of_its_lens() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (first,) = re.findall(r"^```toml\n(.*?)^```$", readme, flags=re.MULTILINE | re.DOTALL)
+    (ours,) = blocks("toml", "start")
+    assert first.replace("assets/lenses/double_gauss_50mm.toml", "lib:double_gauss_50mm") == ours
+
+
+@pytest.mark.parametrize("page", ["start", "howto"])
+def test_commands_and_snippets_run_in_their_order(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    ran = 0
+    for language, block in re.findall(r"^```(sh|python)\n(.*?)^```$", PAGES[page], flags=re.MULTILINE | re.DOTALL):
+        if language == "python":
+            text = block.replace("120, 120", "40, 40")
+            done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+            assert (done.returncode, done.stderr) == (0, ""), block
+            ran += 1
+            continue
+        for line in block.splitlines():
+            program, *words = shlex.split(line)
+            assert program == "lfmesh"
+            if "--resume" in words:  # nothing was killed here: it says so
+                assert main(words) in (0, 2)
+                continue
+            assert main(words) == 0, line
+            ran += 1
+    assert ran >= 4
+
+
+def test_every_warning_is_explained_in_the_order_of_importance() -> None:
+    explained = re.findall(r"^## (\w+)$", PAGES["warnings"], flags=re.MULTILINE)
+    others = [name for name, each in vars(errors).items() if isinstance(each, type) and each.__base__ is UserWarning]
+    pictures = [each.__name__ for each in lf.PictureWarning.__subclasses__()]
+    assert explained == [*pictures, *(name for name in others if name != "PictureWarning")]
+
+
+def test_the_settings_of_the_guide_to_decoders_are_those_that_decode(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    import interop
+
+    from lfmesh.files.exports.plenopticam import _SETTINGS
+
+    installs = [shlex.split(line) for line in PAGES["interop"].splitlines() if " -m pip install " in line]
+    wanted = [packages for steps in interop.INSTALLATIONS.values() for packages in steps]
+    assert [words[words.index("install") + 1 :] for words in installs] == wanted
+    assert f'cal_meth = "{_SETTINGS["cal_meth"]}"' in PAGES["interop"]

@@ -1,0 +1,110 @@
+"""What tools/docs writes of the program itself: every table, command, name and scene is there."""
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import lfmesh
+from lfmesh.cli import app
+from lfmesh.scene import Scene
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def reference(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return importlib.import_module("docs_reference")
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    return importlib.import_module("docs_gallery")
+
+
+def test_the_reference_has_every_table_and_key_of_the_schema(reference: ModuleType) -> None:
+    page, schema = reference.scene_page(), Scene.model_json_schema()
+    for name, table in {"Scene": schema, **schema["$defs"]}.items():
+        section = page.split(f"\n(table-{name.lower()})=\n")[1].split("\n(table-")[0]
+        for key in table["properties"]:
+            assert f"\n`{key}`: " in section, f"{name}.{key}"
+    assert "(no description)" not in page
+    assert "any value" not in page
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        ({"type": "number", "exclusiveMinimum": 0, "maximum": 1e15}, "number (> 0)"),
+        ({"anyOf": [{"$ref": "#/$defs/Cover"}, {"type": "null"}]}, "[Cover](#table-cover)"),
+        ({"enum": ["rgb", "xyz"]}, '`"rgb"` or `"xyz"`'),
+        ({"type": "array", "prefixItems": [{"type": "integer", "minimum": 1}] * 2}, "list of 2: whole number (≥ 1)"),
+        (
+            {"type": "object", "additionalProperties": {"$ref": "#/$defs/Coating"}},
+            "table of [Coating](#table-coating) by name",
+        ),
+    ],
+)
+def test_a_type_is_said_in_words(reference: ModuleType, field: dict[str, Any], words: str) -> None:
+    assert reference.type_in_words(field) == words
+
+
+def test_the_reference_has_every_command_with_its_help(reference: ModuleType) -> None:
+    page = reference.commands_page()
+    named = {heading.removeprefix("## lfmesh ") for heading in page.splitlines() if heading.startswith("## ")}
+    top = {name for name in app if not name.startswith("-")}
+    assert {name.split()[0] for name in named} == top
+    assert {"lens list", "lens convert", "lens sheet", "render"} <= named
+    assert page.count("Usage: lfmesh") == len(named)
+
+
+def test_the_reference_has_every_public_name_once(reference: ModuleType) -> None:
+    page = reference.python_page()
+    for name in set(lfmesh.__all__) - {"__version__"}:
+        assert sum(line.endswith(f":: {name}") for line in page.splitlines()) == 1, name
+
+
+def test_a_render_is_kept_until_scene_or_program_change(pictures: ModuleType) -> None:
+    scene = pictures.reduced(lfmesh.load(ROOT / "assets/scenes/lytro_class.toml"))
+    assert max(scene.camera.sensor.pixels) == pictures.MOST_PIXELS
+    first = pictures.digest(scene, "one")
+    assert pictures.digest(scene, "one") == first
+    assert pictures.digest(scene, "two") != first
+    assert pictures.digest(scene.changed({"transport.seed": 12345}), "one") != first
+
+
+def test_the_gallery_lists_every_scene_and_shows_what_was_rendered(pictures: ModuleType, tmp_path: Path) -> None:
+    path = ROOT / "assets/scenes/conventional.toml"
+    kept = tmp_path / "renders" / f"{path.stem}-{pictures.digest(pictures.reduced(lfmesh.load(path)), 'one')}"
+    small = lfmesh.load(path).changed({"camera.sensor.pixels": [16, 16], "transport.samples": 8})
+    kept.mkdir(parents=True)
+    pictures.rendered(small, kept)
+    assert json.loads((kept / "facts.json").read_text())["seconds"] > 0.0
+    page = pictures.gallery(tmp_path / "renders", tmp_path / "pages", "one", quick=True)
+    scenes = {scene.stem for scene in (ROOT / "assets/scenes").glob("*.toml")}
+    assert {line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")} == scenes
+    assert (tmp_path / "pages" / "conventional-preview.png").is_file()
+    assert page.count("Not rendered in this build.") == len(scenes) - 1
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(tmp_path: Path) -> None:
+    pytest.importorskip("furo")
+    built = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "docs.py"), str(tmp_path), "--quick"],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=1200,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    pages = {path: path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")}
+    assert {"start.html", "python.html", "ghost_hunt.html", "README.html"} <= {path.name for path in pages}
+    for path, text in pages.items():
+        assert not re.findall(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"https?://", text), path

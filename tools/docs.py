@@ -1,0 +1,91 @@
+"""Build the documentation site from assets/docs, the guides beside the code, the notebooks and the program itself.
+
+    tools/docs [FOLDER] [--quick]
+
+The pages and what they link to are copied into FOLDER/source as they lie in the project, so that links hold in both;
+what the program says of itself (scene file, commands, Python names, gallery) is written beside them. Sphinx makes
+FOLDER/html of it, and any warning fails. Renders and notebooks are kept in FOLDER by the digest of their input and of
+the program.
+"""
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from pathlib import Path
+
+from docs_gallery import gallery
+from docs_reference import commands_page, python_page, scene_page
+from sphinx.cmd.build import main as sphinx
+
+from lfmesh.provenance import program
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = Path("assets/docs")
+"""Of the site, in the project and in the copy."""
+
+GUIDES = ["*.md", "lfmesh/**/*.md", "tests/**/README.md", "tools/README.md", "LICENSE", "CITATION.cff"]
+ASSETS = ["docs", "notebooks", "pictures", "scenes", "designs", "lenses"]
+REDIRECT = '<!doctype html><meta http-equiv="refresh" content="0; url=assets/docs/index.html"><title>lfmesh</title>\n'
+
+
+def main(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="tools/docs", description="Build the documentation site.")
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs")
+    parser.add_argument("--quick", action="store_true", help="neither render the gallery nor run the notebooks")
+    wanted = parser.parse_args(arguments)
+    folder = wanted.folder.resolve()
+    begun = time.perf_counter()
+    copy_sources(folder / "source")
+    write_generated(folder, quick=wanted.quick)
+    said = time.perf_counter() - begun
+    code = sphinx(
+        [
+            *["-b", "html", "-W", "--keep-going", "-q", "-c", str(ROOT / PAGES)],
+            *["-D", f"nb_execution_mode={'off' if wanted.quick else 'cache'}"],
+            *["-D", f"nb_execution_cache_path={folder / 'notebooks' / program_digest()}"],
+            *[str(folder / "source"), str(folder / "html")],
+        ]
+    )
+    (folder / "html" / "index.html").write_text(REDIRECT, encoding="utf-8")
+    print(f"gallery and reference {said:.0f} s, all {time.perf_counter() - begun:.0f} s: {folder}/html/index.html")
+    return code
+
+
+def copy_sources(place: Path) -> None:
+    """Copy the pages, the guides and what they link to; a file that has not changed stays."""
+    sources = {path for pattern in GUIDES for path in ROOT.glob(pattern)}
+    sources |= {path for name in ASSETS for path in (ROOT / "assets" / name).rglob("*") if path.is_file()}
+    wanted = {path.relative_to(ROOT) for path in sources if path.suffix not in (".py", ".pyc")}
+    for path in [path for path in place.rglob("*") if path.is_file()]:
+        if path.relative_to(place) not in wanted and "generated" not in path.parts:
+            path.unlink()
+    for path in wanted:
+        keep(place / path, (ROOT / path).read_bytes())
+
+
+def write_generated(folder: Path, *, quick: bool) -> None:
+    """Write the pages that the program makes of itself."""
+    place = folder / "source" / PAGES / "generated"
+    pages = {"scene": scene_page(), "commands": commands_page(), "python": python_page()}
+    pages["gallery"] = gallery(folder / "renders", place, program_digest(), quick=quick)
+    for name, text in pages.items():
+        keep(place / f"{name}.md", text.encode())
+
+
+def keep(path: Path, content: bytes) -> None:
+    """Write a file, unless it holds that already: Sphinx reads again what is newer."""
+    if path.is_file() and path.read_bytes() == content:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
+def program_digest() -> str:
+    """Return a short name for the program whose renders are kept."""
+    return hashlib.sha256(json.dumps(program(), sort_keys=True).encode()).hexdigest()[:12]
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,167 @@
+"""Reference pages that the program writes of itself: the scene file, the commands, the Python names."""
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from io import StringIO
+from typing import Any
+
+from rich.console import Console
+
+import lfmesh
+from lfmesh.cli import app
+from lfmesh.scene import Scene
+
+Schema = dict[str, Any]
+
+SUBJECTS = {
+    "Scenes": ("scene",),
+    "Rendering and rays": ("transport",),
+    "Light fields and volumes": ("lightfield",),
+    "Lenses and waves": ("geometry", "analysis", "waves"),
+    "Files": ("files",),
+    "Many cameras": ("study",),
+    "Drawing": ("view",),
+    "Errors and warnings": ("errors",),
+}
+"""Parts of the package whose public names a section of the Python reference holds."""
+
+HIDDEN_MEMBERS = "model_config, faults"
+
+
+def scene_page() -> str:
+    """Return the reference of scene files, one section a table, from their JSON Schema."""
+    schema = Scene.model_json_schema()
+    tables = schema.pop("$defs")
+    lines = [
+        "# Scene file",
+        "",
+        "A scene file is TOML. Every number carries its unit in its name. `lfmesh schema` prints this page as JSON",
+        "Schema, by which editors complete; [The scene file](../../../lfmesh/scene/README.md) explains by example.",
+        "",
+        *_section("Scene", schema),
+    ]
+    for name in sorted(tables):
+        lines += _section(name, tables[name])
+    return "\n".join(lines) + "\n"
+
+
+def _section(name: str, table: Schema) -> Iterator[str]:
+    yield f"(table-{name.lower()})="
+    yield f"## {name}"
+    yield ""
+    yield plain(table.get("description", ""))
+    yield ""
+    required = table.get("required", ())
+    for key, field in table.get("properties", {}).items():
+        fixed = f"`{json.dumps(field['const'])}`" if "const" in field else ""
+        type_ = fixed or type_in_words(field)
+        default = "" if field.get("default") in (None, [], {}) or fixed else f", default `{_toml(field['default'])}`"
+        yield f"`{key}`: {type_}{', required' if key in required else default}"
+        yield f": {plain(field.get('description', '')) or '(no description)'}"
+        yield ""
+
+
+def type_in_words(field: Schema) -> str:
+    """Return what a value of the schema may be, with links to tables.
+
+    Parameters
+    ----------
+    field : dict
+        JSON Schema of the value.
+    """
+    if "$ref" in field:
+        name = field["$ref"].rsplit("/", 1)[1]
+        return f"[{name}](#table-{name.lower()})"
+    if "const" in field:
+        return f"`{json.dumps(field['const'])}`"
+    if "enum" in field:
+        return " or ".join(f"`{json.dumps(value)}`" for value in field["enum"])
+    for key in ("anyOf", "oneOf"):
+        if key in field:
+            kinds = [type_in_words(each) for each in field[key] if each.get("type") != "null"]
+            return " or ".join(dict.fromkeys(kinds))
+    kind = field.get("type")
+    if kind == "array":
+        return _list_in_words(field)
+    if kind == "object":
+        values = field.get("additionalProperties")
+        return f"table of {type_in_words(values)} by name" if isinstance(values, dict) else "table"
+    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true` or `false`"}
+    return words.get(str(kind), "any value") + _limits(field)
+
+
+def _list_in_words(field: Schema) -> str:
+    items = field.get("prefixItems")
+    if items is not None:
+        kinds = list(dict.fromkeys(map(type_in_words, items)))
+        return f"list of {len(items)}: {kinds[0] if len(kinds) == 1 else ', '.join(kinds)}"
+    return f"list of {type_in_words(field['items'])}" if "items" in field else "list"
+
+
+def _limits(field: Schema) -> str:
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    said = [f"{sign} {field[key]:g}" for key, sign in signs.items() if key in field and abs(field[key]) < 1e9]
+    return f" ({', '.join(said)})" if said else ""
+
+
+def _toml(value: Any) -> str:
+    return "inf" if value == float("inf") else json.dumps(value, ensure_ascii=False)
+
+
+def plain(text: str) -> str:
+    """Return a description on one line, with nothing that Markdown would take for markup."""
+    parts = re.split(r"(`[^`]*`)", " ".join(text.split()))
+    return "".join(part if part.startswith("`") else re.sub(r"([*_<>\[\]{}$])", r"\\\1", part) for part in parts)
+
+
+def commands_page() -> str:
+    """Return the reference of the command line, from the help of each command."""
+    lines = ["# Commands", "", "Each command prints this with `--help`. The list of them by task: `lfmesh --help`.", ""]
+    for words in commands(app):
+        lines += [f"## lfmesh {' '.join(words)}", "", "```text", _help(words), "```", ""]
+    return "\n".join(lines)
+
+
+def commands(program: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the words that call each command, in alphabetical order."""
+    for name in sorted(name for name in program if not name.startswith("-")):
+        command = program[name]
+        if any(not inner.startswith("-") for inner in command):
+            yield from commands(command, (*words, name))
+        else:
+            yield (*words, name)
+
+
+def _help(words: tuple[str, ...]) -> str:
+    out = StringIO()
+    app.help_print(list(words), console=Console(file=out, width=88, color_system=None))
+    return "\n".join(line.rstrip() for line in out.getvalue().strip().splitlines())
+
+
+def python_page() -> str:
+    """Return the reference of the public names, by subject, for numpydoc to fill from the docstrings."""
+    part_of: dict[str, list[str]] = defaultdict(list)
+    for name in lfmesh.__all__:
+        if not name.startswith("_"):
+            part_of[getattr(lfmesh, name).__module__.split(".")[1]].append(name)
+    lines = ["# Python", "", "Every public name, after `import lfmesh as lf`.", ""]
+    for subject, parts in SUBJECTS.items():
+        names = [name for part in parts for name in part_of.pop(part, [])]
+        lines += [f"## {subject}", "", "```{eval-rst}", ".. currentmodule:: lfmesh", ""]
+        for name in sorted(names, key=str.lower):
+            lines += _directive(name)
+        lines += ["```", ""]
+    if part_of:
+        raise ValueError(f"public names without a subject in the reference: {dict(part_of)}")
+    return "\n".join(lines)
+
+
+def _directive(name: str) -> list[str]:
+    thing = getattr(lfmesh, name)
+    if not isinstance(thing, type):
+        return [f".. autofunction:: {name}", ""]
+    if issubclass(thing, Exception):
+        return [f".. autoexception:: {name}", ""]
+    return [f".. autoclass:: {name}", "   :members:", f"   :exclude-members: {HIDDEN_MEMBERS}", ""]

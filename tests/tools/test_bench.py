@@ -33,9 +33,9 @@ CASES = {
     "paired": ["--quick", "--shift-um", "20"],
     "startup": ["--quick"],
 }
-LONG = ("startup", "against", "scaling", "media", "paired")
+LONG = ("startup", "against", "scaling", "media", "paired", "render")
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size. Of
-commands that render scenes and print tables of them, image, render and errors are in the suite.
+commands that render scenes and print tables of them, image and errors are in the suite.
 """
 TABLES = {
     "lens": {"lens": "COLUMNS"},

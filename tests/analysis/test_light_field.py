@@ -17,6 +17,7 @@ from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.study.metrics.crosstalk import lenslet_light
 from lfmesh.study.metrics.pictures import Camera, edge_scene
 from lfmesh.study.metrics.resolution import edge_mtf50
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def test_the_mtf_is_that_of_an_edge_that_is_rendered_and_refocused() -> None:
         assert half_contrast(frequencies, found) == pytest.approx(measured, rel=0.05)
 
 
-@pytest.mark.parametrize("layout", ["square", "hexagonal"])
+@pytest.mark.parametrize("layout", instances(["square", "hexagonal"], long=["square"]))
 def test_cross_talk_is_that_of_random_rays_through_the_mesh(layout: str) -> None:
     """A lens too fast for its lenslets, all inner ones alike: z-test at 4 sigma, and 3 % for the quadrature."""
     scene = ideal_camera(layout=layout, count=[9, 9]).changed(

@@ -65,8 +65,16 @@ def stop_after(parts: int, number: signal.Signals, place: str, patch: pytest.Mon
 
 
 @pytest.mark.usefixtures("_files")
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("words", COMMANDS)
+# Each command with a signal of its own, and the quickest with all of them.
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [
+        pytest.param(words, number, marks=[pytest.mark.long] if longer else [])
+        for i, words in enumerate(COMMANDS)
+        for j, number in enumerate(SIGNALS)
+        for longer in [i != j and "study" not in words]
+    ],
+)
 def test_what_is_finished_is_said_and_gone_on_from(
     words: str, number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

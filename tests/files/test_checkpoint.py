@@ -75,9 +75,12 @@ def bits(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("options", "at"),
-    [((), 1), ((), 3), (("--target-error", "0.01", "--max-samples", "256"), 2),
-     (("--target-error", "0.01", "--max-samples", "256"), 4), (("--target-error", "0.01", "--max-samples", "256"), 6),
-     (("--method", "forward"), 2)],
+    [
+        ((), 3), (("--target-error", "0.01", "--max-samples", "256"), 4), (("--method", "forward"), 2),
+        pytest.param((), 1, marks=pytest.mark.long),
+        pytest.param(("--target-error", "0.01", "--max-samples", "256"), 2, marks=pytest.mark.long),
+        pytest.param(("--target-error", "0.01", "--max-samples", "256"), 6, marks=pytest.mark.long),
+    ],
 )  # fmt: skip
 def test_a_run_ended_by_ctrl_c_goes_on_to_the_same_bits(
     folder: Path, interrupt: Interrupt, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], at: int

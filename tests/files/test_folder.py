@@ -33,27 +33,32 @@ TOUCHES = {"open", "os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.chmod",
 KILLED = 9
 
 
-def killed_at(step: int, folder: Path, act: Callable[[], object]) -> bool:
-    """Do something in a child that ends at a step, before it touches the folder; return whether it came that far."""
+def in_child(folder: Path, act: Callable[[], object], step: Callable[[int], object]) -> int:
+    """Do something in a child, which calls `step` with a count before it touches the folder; return its exit code."""
     child = os.fork()
     if child == 0:
         try:
-            steps = 0
+            steps, looking = 0, True
 
             def look(event: str, arguments: tuple[object, ...]) -> None:
-                nonlocal steps
+                nonlocal steps, looking
                 # A name may be relative to an open folder; but modules are opened for imports too.
-                if event in TOUCHES and (event != "open" or str(folder) in str(arguments[0])):
-                    steps += 1
-                    if steps > step:
-                        os._exit(KILLED)
+                if looking and event in TOUCHES and (event != "open" or str(folder) in str(arguments[0])):
+                    looking = False
+                    step(steps)
+                    steps, looking = steps + 1, True
 
             sys.addaudithook(look)
             act()
             os._exit(0)
         finally:
             os._exit(1)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def killed_at(step: int, folder: Path, act: Callable[[], object]) -> bool:
+    """Do something in a child that ends at a step; return whether it came that far."""
+    code = in_child(folder, act, lambda steps: os._exit(KILLED) if steps == step else None)
     assert code in (0, KILLED)
     return code == KILLED
 
@@ -72,19 +77,28 @@ def assert_nothing_but_a_whole_run(folder: Path) -> None:
 
 
 def kill_at_every_step(folder: Path, act: Callable[[], object], least: int = 20) -> Iterator[int]:
-    """Yield after each kill, from the first step to the last; the folder begins anew each time."""
-    before = folder.with_name("before")
-    if folder.exists():
-        shutil.copytree(folder, before)
-    for step in range(1000):
-        shutil.rmtree(folder, ignore_errors=True)
-        if before.exists():
-            shutil.copytree(before, folder)
-        if not killed_at(step, folder, act):
-            assert step > least
-            return
+    """Yield with the folder as each kill would leave it, from the first step to the last; at the end it is changed.
+
+    A kill leaves what the system knows of the files, and no lock: that is what a copy of the folder holds which the
+    process itself makes at that step.
+    """
+    kept = folder.with_name("at each step")
+
+    def keep(step: int) -> None:
+        (kept / f"{step}").mkdir(parents=True)
+        if folder.exists():
+            shutil.copytree(folder, kept / f"{step}" / "folder")
+
+    assert in_child(folder, act, keep) == 0
+    changed = folder.rename(kept / "changed")
+    steps = len(list(kept.iterdir())) - 1
+    assert steps > least
+    for step in range(steps):
+        if (kept / f"{step}" / "folder").exists():
+            (kept / f"{step}" / "folder").rename(folder)
         yield step
-    pytest.fail("it never ends")
+        shutil.rmtree(folder, ignore_errors=True)
+    changed.rename(folder)
 
 
 @pytest.fixture

@@ -1,29 +1,29 @@
 """Numbers of random cameras and scenes, by the option --random-scenes, and the count of outcomes."""
 
 from collections import Counter
-from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
-from tests.random_scenes.examine import CAMERAS, IN_SUITE, SCENES
+from tests.instances import instances
+from tests.random_scenes.examine import CAMERAS, IN_SUITE, REPEATED, SCENES
+from tests.random_scenes.generator import Kind
 
-KINDS = {"camera_number": CAMERAS, "scene_number": SCENES}
+KINDS: dict[str, tuple[Kind, int]] = {"camera_number": ("camera", CAMERAS), "scene_number": ("scene", SCENES)}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Give tests their numbers: those of the option, or the suite's, then the rest as long tests."""
+    """Give tests their numbers: those of the option, or the suite's with the rest as long tests."""
     chosen = metafunc.config.getoption("--random-scenes")
     for name in KINDS.keys() & set(metafunc.fixturenames):
-        metafunc.parametrize(name, list(numbers(chosen, KINDS[name])))
+        metafunc.parametrize(name, numbers(chosen, *KINDS[name]))
 
 
-def numbers(chosen: str | None, count: int) -> Iterator[object]:
+def numbers(chosen: str | None, kind: Kind, count: int) -> list[Any]:
     if chosen is not None:
         first, last = (int(part) for part in chosen.split(":"))
-        yield from range(first, min(last, count))
-        return
-    yield from range(IN_SUITE)
-    yield from (pytest.param(number, marks=pytest.mark.long) for number in range(IN_SUITE, count))
+        return list(range(first, min(last, count)))
+    return instances(range(count), long=[*REPEATED[kind], *range(IN_SUITE, count)])
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.accuracy.reported_error import CROPS, crop
 from lfmesh.assets import asset_path
+from tests.instances import instances
 from tests.renders import by_seed
 
 Array = NDArray[np.float64]
@@ -63,8 +64,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 SHARED = ("particles",)
 """Cases in which pixels share the packets of a source."""
 
-QUICK = ("lit_chart",)
-"""Cases that the suite runs."""
+LONG = [case for case in CASES if case != "lit_chart"]
 
 
 def images(case: str) -> list[lf.Image]:
@@ -128,9 +128,7 @@ def off(found: dict[str, tuple[float, float]], lowest: float = WITHIN[0]) -> lis
     ]
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=() if case in QUICK else pytest.mark.long) for case in CASES]
-)
+@pytest.mark.parametrize("case", instances(CASES, long=LONG))
 def test_stated_errors_are_the_scatter_over_seeds(case: str) -> None:
     assert off(ratios(images(case)), 0.0 if case in SHARED else WITHIN[0]) == []
 

@@ -8,7 +8,8 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from tests.random_scenes.draft import FEATURES
-from tests.random_scenes.generator import Drawn, Kind, draw, smaller
+from tests.random_scenes.examine import IN_SUITE, REPEATED
+from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw, smaller
 
 FIRST = 25
 """Draws of each kind that are looked at."""
@@ -39,6 +40,12 @@ def test_every_common_feature_is_among_the_first_draws() -> None:
     has = {name for kind in ("camera", "scene") for number in range(FIRST) for name in drawn(kind, number).features}
     common = {f.name for f in FEATURES.values() if max(f.in_cameras, f.in_scenes) >= 0.15}
     assert common <= has, common - has
+
+
+def test_every_feature_of_the_suites_draws_is_in_those_that_are_no_long_tests() -> None:
+    for kind, long in REPEATED.items():
+        has = [set(draw(kind, number, OWN_KERNELS).features) for number in range(IN_SUITE)]
+        assert set().union(*has) == set().union(*(has[n] for n in range(IN_SUITE) if n not in long))
 
 
 def test_few_draws_are_refused() -> None:

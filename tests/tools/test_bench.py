@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.instances import instances
+
 ROOT = Path(__file__).resolve().parents[2]
 TOOLS = ROOT / "tools"
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -31,9 +33,10 @@ CASES = {
     "paired": ["--quick", "--shift-um", "20"],
     "startup": ["--quick"],
 }
-# Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size.
-LONG = ("startup", "against", "scaling")
-COMMANDS = [pytest.param(command, marks=pytest.mark.long) if command in LONG else command for command in CASES]
+LONG = ("startup", "against", "scaling", "media", "paired", "render")
+"""Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size. Of
+commands that render scenes and print tables of them, image and errors are in the suite.
+"""
 TABLES = {
     "lens": {"lens": "COLUMNS"},
     "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
@@ -82,7 +85,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", instances(CASES, long=LONG))
 def test_json_holds_what_the_tables_show(command: str, ran: Any, tool: Any) -> None:
     printed, figures, drawing = ran(command)
     lines = [line.split() for line in printed.splitlines()]

@@ -12,6 +12,7 @@ from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, T
 from lfmesh.transport.aims.support import beyond_sensor_aim
 from lfmesh.transport.checks.aim_proof import ALLOWED_DIFFRACTED
 from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop
+from tests.instances import instances
 
 LEVEL = 1e-5
 """Of each test, at which it fails by chance."""
@@ -191,6 +192,9 @@ SMALL = {
     },
 }  # fmt: skip
 
+PLAIN = ["square", "hexagonal", "towards the sensor", "round"]
+"""Each of these is a part of one of the others."""
+
 
 def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
     """Seven lenslets of 14 µm across before 30 pixels of 2.8 µm, with a disk that lights half of them."""
@@ -200,7 +204,7 @@ def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", SMALL)
+@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, "two faces"]))
 def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
     adjoint = lf.render(real_size(SMALL[kind], samples=512))
     forward = lf.render(real_size(SMALL[kind], samples=3000, method="forward"))
@@ -210,7 +214,7 @@ def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
         assert abs(image.ledger.imbalance) < 1e-12
 
 
-@pytest.mark.parametrize("kind", SMALL)
+@pytest.mark.parametrize("kind", instances(SMALL, long=PLAIN))
 def test_the_mesh_engine_equals_the_sequential_one(kind: str) -> None:
     """Both draw the same changes from a packet's key."""
     images = [lf.render(real_size(SMALL[kind], samples=64, engine=engine)) for engine in ("mesh", "sequential")]

@@ -15,6 +15,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.optics.cie import named_spectrum, planck_radiance
 from tests.cameras import close_up_camera
+from tests.instances import instances
 from tests.renders import by_seed
 
 LEVEL = 1e-3
@@ -204,8 +205,8 @@ def test_the_reported_error_holds_the_noise_of_the_wavelengths() -> None:
 RED = {"wavelengths_nm": [300.0, 560.0, 620.0, 900.0], "values": [0.05, 0.06, 0.7, 0.75]}
 
 
-@pytest.mark.parametrize("bands", ["xyz", "rgb"])
-@pytest.mark.parametrize("replicates", [8, *(pytest.param(n, marks=pytest.mark.long) for n in (16, 64))])
+@pytest.mark.parametrize("bands", instances(["xyz", "rgb"], long=["xyz"]))
+@pytest.mark.parametrize("replicates", instances([8, 16, 64], long=[16, 64]))
 def test_errors_of_pixels_add_up_to_that_of_their_sum(bands: str, replicates: int) -> None:
     """A red matt plane under D65: sums over 144 pixels scatter over 100 seeds as the pixels' errors say.
 

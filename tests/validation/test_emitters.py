@@ -19,6 +19,7 @@ from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.scene.objects.targets import Sphere
 from lfmesh.transport.tables.emitting_facets import no_emitters
 from lfmesh.transport.world import World, build
+from tests.instances import instances
 from tests.renders import of_world
 from tests.validation.test_every_path_once import GLOW, MIRROR, SCREEN, WHITE, accepted, folder, scene, sheet
 from tests.validation.test_radiometry import (
@@ -164,7 +165,7 @@ def assert_chance_agrees(given: lf.Scene, closer: float = 1.0) -> None:
     assert stats.sem(found) < closer * stats.sem(lone)
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", instances(range(5), long=[1, 2, 4]))
 def test_scenes_drawn_by_chance_are_lit_as_scattered_packets_find(number: int, folder: Path) -> None:
     """Panels, some of them glowing, glass round the screen, and a lamp."""
     targets, lights = accepted(number, folder)

@@ -22,6 +22,7 @@ from scipy import stats
 
 import lfmesh as lf
 from tests.cameras import SQUARE_ARRAY, biconvex, close_up_camera
+from tests.instances import instances
 from tests.renders import by_seed
 
 Array = NDArray[np.float64]
@@ -295,7 +296,16 @@ def assert_same_watts(scene: lf.Scene, samples: tuple[int, int], visible: float)
     assert compared[worst] > LEVEL / len(compared), f"{worst}: sums {sums[0].mean():.5g}, {sums[1].mean():.5g} W"
 
 
-@pytest.mark.parametrize("name", SCENES)
+LONG = [
+    "glow", "point lamp", "directional lamp", "cylindrical lenslets", "lenslets on both faces",
+    "targets that light each other", "tilted and decentred lens and stop",
+]  # fmt: skip
+"""Others have the same and more: ghosts, a spot, a lamp in the camera's shadow, crossed cylinders on both faces, gloss,
+everything tilted.
+"""
+
+
+@pytest.mark.parametrize("name", instances(SCENES, long=LONG))
 def test_forward_equals_adjoint(name: str, folder: Path) -> None:
     assert_same_watts(SCENES[name].in_folder(folder), NOISY.get(name, SAMPLES), 0.035)
 

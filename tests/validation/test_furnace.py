@@ -81,10 +81,10 @@ def light(image: lf.Image) -> tuple[float, float]:
 
 # Children of fine facets that are aimed weigh far more than others: packets that are not aimed estimate those better.
 CASES = [
-    pytest.param(plate(POLISHED), True, QUICK, 2**16, id="polished, quick"),
+    pytest.param(plate(POLISHED), True, QUICK, 2**16, id="polished, quick", marks=pytest.mark.long),
     pytest.param(plate(POLISHED) | {"rotation_deg": (15.0, -12.0, 17.0)}, True, QUICK, 2**16, id="tilted, quick"),
     pytest.param(plate(DIFFUSE), True, QUICK, 2**16, id="diffuse, quick"),
-    pytest.param(plate(ground(1.0)), True, QUICK, 2**17, id="ground 1, quick"),
+    pytest.param(plate(ground(1.0)), True, QUICK, 2**17, id="ground 1, quick", marks=pytest.mark.long),
     pytest.param(sheet(0.5), True, QUICK, 2**16, id="gloss 0.5, quick"),
     *(
         pytest.param(body, aimed, SIGMA, samples, id=name, marks=pytest.mark.long)

@@ -15,6 +15,7 @@ from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
 from lfmesh.transport.tables import objects
 from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from tests.cameras import camera_without_array
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -183,6 +184,19 @@ BOTH_WAYS: dict[str, dict[str, Any]] = {
 }
 
 
+LONG = [
+    "a point lamp in isotropic fog before a wall",
+    "a point lamp in a ball of fog",
+    "a lamp beside a ball of fog",
+    "a disk in fog",
+    "a spot in fog",
+    "a spot of more than half a turn",
+    "a target beside the lamp",
+]
+"""Every lamp, place of it and bounds of fog above is among the many; the suite has them, and the sharpest fog of both
+senses, where a wrong share of packets past lamps counts most, and glass, which hides the lamp.
+"""
+
 FORWARD = {"a target beside the lamp": 8192, "a point lamp in fog that scatters forwards": 8192,
            "a spot of more than half a turn": 4096, "many lamps and media": 4096,
            "glass beside the lamp": 1024}  # fmt: skip
@@ -203,7 +217,7 @@ def adjoint(case: str) -> tuple[float, float]:
     return image_of(case, 512)
 
 
-@pytest.mark.parametrize("case", BOTH_WAYS)
+@pytest.mark.parametrize("case", instances(BOTH_WAYS, long=LONG))
 def test_packets_past_lamps_add_no_light_and_leave_none_out(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole light with them and by scattered packets alone: z-tests at 3.5 sigma, for eleven scenes 0.5 %."""
     (one, error), often = adjoint(case), single_scatter_tables
@@ -220,7 +234,7 @@ def test_packets_past_lamps_add_no_light_and_leave_none_out(case: str, monkeypat
     assert abs(one - other) < 3.5 * np.hypot(error, its_error), (one, error, other, its_error)
 
 
-@pytest.mark.parametrize("case", BOTH_WAYS)
+@pytest.mark.parametrize("case", instances(BOTH_WAYS, long=LONG))
 def test_forward_equals_adjoint_with_lamps_in_fog(case: str) -> None:
     """A z-test of the whole light at 3.5 sigma, for eleven scenes a level of 0.5 %."""
     (a, error), (f, its_error) = adjoint(case), image_of(case, FORWARD.get(case, 2048), method="forward", seed=11)

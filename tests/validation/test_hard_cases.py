@@ -6,12 +6,25 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.accuracy.hard import truth
+from lfmesh.accuracy.hard import aim, bright_sensors, covers, media, meshes, pictures, tanks, truth
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.accuracy.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
+from tests.instances import instances
+
+LONG = [
+    aim.skinny_fan,  # vertices_and_edges, needles
+    meshes.million_triangles,  # vertices_and_edges
+    covers.tilted_behind_a_cover,  # cover_of_index_4; tilted covers in test_sensor_and_cover_ghosts
+    bright_sensors.sensor_that_detects_a_thousandth,  # array_before_a_bright_sensor
+    tanks.glass_from_clear_to_black,  # total_reflection_in_absorbing_glass
+    media.depths_of_absorption,  # depths_of_scattering
+    pictures.wall_behind_a_block,  # blocks before walls in transport/render/test_glass_aim
+    pictures.sums_of_a_red_band,  # test_bands
+]
+"""Cases of several seconds, each with the quicker ones that show a fault of its kind."""
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.__name__ for case in CASES])
+@pytest.mark.parametrize("case", instances(CASES, long=LONG), ids=[case.__name__ for case in CASES])
 def test_right_answer_or_counted_loss(case):
     """What no case loses, the whole suite does not lose: the suite's share is asked of each of them."""
     outcome = case()

@@ -18,6 +18,7 @@ import lfmesh as lf
 from lfmesh.geometry.frame import rotation
 from lfmesh.optics.cie import planck_radiance
 from tests.cameras import camera_without_array
+from tests.instances import instances
 from tests.validation.test_particles_in_water import bent
 
 Array = NDArray[np.float64]
@@ -121,7 +122,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", instances(CASES, long=["glow"]))
 def test_forward_equals_adjoint_in_a_tank(case: str) -> None:
     """In a tilted tank whose water absorbs, by z-tests of four quarters and the whole."""
     media, lights = CASES[case]

@@ -14,6 +14,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from tests.cameras import SQUARE_ARRAY, biconvex
+from tests.instances import instances
 
 LEVEL = 1e-3
 """Chance that a scene fails though both methods are right; shared by its comparisons (Bonferroni)."""
@@ -37,6 +38,8 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "transport.surface": "flat",
     },
 }
+LONG_CAMERAS = ["back of the lens, diffuse", "curved face of the array, ground", "flat facets"]
+"""Before a lamp the suite has a ground lens, a diffuse array, and ground faces of both one behind the other."""
 
 
 def scene(changes: dict[str, Any], width_mm: float = 6.0, **transport: Any) -> lf.Scene:
@@ -112,7 +115,7 @@ def glowing_disk() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", instances(CAMERAS, long=LONG_CAMERAS))
 def test_a_disk_lamp_before_a_rough_camera_shines_as_a_glowing_disk(name: str, method: str) -> None:
     """All light meets the rough surface, so the lamp, traced forward, is the disk that rays from the sensor find."""
     more = 4 if "diffuse" in name else 1
@@ -121,7 +124,7 @@ def test_a_disk_lamp_before_a_rough_camera_shines_as_a_glowing_disk(name: str, m
     agree(bare.changed({"targets": [glowing_disk()]}), lamp.changed({"transport.method": method}))
 
 
-@pytest.mark.parametrize("method", ["adjoint", "forward"])
+@pytest.mark.parametrize("method", instances(["adjoint", "forward"], long=["forward"]))
 def test_a_lamp_shines_through_smooth_glass_on_a_rough_camera(method: str, tmp_path: Path) -> None:
     """As above, with a plate between: light that it bends or reflects into the lens is there, and only once."""
     bare = scene(CAMERAS["front of the lens, ground"], samples=4096, replicates=32)
@@ -132,7 +135,7 @@ def test_a_lamp_shines_through_smooth_glass_on_a_rough_camera(method: str, tmp_p
     agree(bare.changed({"targets": [glowing_disk(), plate]}), lamp.changed({"transport.method": method}))
 
 
-@pytest.mark.parametrize("method", ["adjoint", "forward"])
+@pytest.mark.parametrize("method", instances(["adjoint", "forward"], long=["forward"]))
 def test_a_point_lamp_lights_a_diffuse_front_and_a_sheet_as_a_glowing_ball_does(method: str) -> None:
     """The irradiance by a ball of one radiance is that of its centre, π L R²/d² cos θ, wherever all of it is seen."""
     bare = scene({"camera.lens.surfaces[0].finish": "diffuse"}, samples=8192, replicates=32)
@@ -166,7 +169,7 @@ def test_far_lamps_are_as_bright_as_directional_light_and_small_disks_as_points(
     agree(dark.changed({"lights": [small]}), dark.changed({"lights": [point], "transport.seed": 7}))
 
 
-@pytest.mark.parametrize("distance_mm", [1e7, 1e9, 1e11])
+@pytest.mark.parametrize("distance_mm", instances([1e7, 1e9, 1e11], long=[1e9]))
 def test_lamps_however_far_light_a_rough_front_as_directional_light_does(distance_mm: float) -> None:
     """Of one irradiance; seen from there, the angle of the lens is far below the rounding of a cosine."""
     dark = scene(CAMERAS["curved face of the array, ground"], samples=512, replicates=32)

@@ -17,8 +17,10 @@ from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.rays.pixel_bundles import cell_points
 from lfmesh.scene import Scene
 from tests.frames import motion
+from tests.instances import instances
 
 COVER = {"thickness_mm": 0.04, "gap_mm": 0.02, "glass": "SCHOTT/N-SF5", "coating": "none"}
+BEHIND_A_COVER = {"camera.sensor.cover": COVER, "camera.sensor.reflectance": 0.2}
 SMALL = {"camera.mla.count": (8, 6), "camera.sensor.pixels": (84, 64)}
 POSED = {
     "camera.mla.pose": {"shift_mm": [0.03, -0.02, 0.01], "tilt_deg": [0.6, -0.4, 1.0]},
@@ -53,7 +55,9 @@ def test_light_along_the_ray_of_a_pixel_lands_on_it(
     assert np.isfinite(model.direction[mean]).all()
 
 
-@pytest.mark.parametrize(("layout", "curved_side"), [("square", "lens"), ("hexagonal", "sensor")])
+@pytest.mark.parametrize(
+    ("layout", "curved_side"), [("hexagonal", "sensor"), pytest.param("square", "lens", marks=pytest.mark.long)]
+)
 def test_light_along_the_ray_of_a_pixel_lands_on_it_behind_a_cover(
     camera: Callable[..., Scene], layout: str, curved_side: str
 ) -> None:
@@ -116,8 +120,15 @@ def test_points_of_a_cell_integrate_polynomials(hexagonal: bool) -> None:
     np.testing.assert_allclose(moments, expected * np.eye(2), rtol=0, atol=1e-16)
 
 
-@pytest.mark.parametrize("change", [{}, {"camera.sensor.cover": COVER, "camera.sensor.reflectance": 0.2}])
-@pytest.mark.parametrize(("layout", "curved_side"), [("square", "lens"), ("hexagonal", "sensor")])
+@pytest.mark.parametrize(
+    ("layout", "curved_side", "change"),
+    [
+        ("square", "lens", {}),
+        ("hexagonal", "sensor", BEHIND_A_COVER),
+        pytest.param("square", "lens", BEHIND_A_COVER, marks=pytest.mark.long),
+        pytest.param("hexagonal", "sensor", {}, marks=pytest.mark.long),
+    ],
+)
 def test_weights_are_the_white_image(
     camera: Callable[..., Scene], layout: str, curved_side: str, change: dict[str, Any]
 ) -> None:
@@ -140,7 +151,7 @@ def test_weights_are_the_white_image(
     assert abs(difference) < norm.isf(0.5e-3) * np.sqrt((error**2).sum()) + 1e-3 * power.sum()
 
 
-@pytest.mark.parametrize("distance_mm", [330.0, 900.0])
+@pytest.mark.parametrize("distance_mm", instances([330.0, 900.0], long=[900.0]))
 def test_a_disk_lies_in_each_view_where_its_pinhole_projects_it(
     camera: Callable[..., Scene], distance_mm: float
 ) -> None:

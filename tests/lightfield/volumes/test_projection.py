@@ -127,7 +127,13 @@ WINDOW = {"refractor": {"box_mm": [60.0, 60.0, 3.0], "index": 1.5}, "position_mm
 
 
 @pytest.mark.parametrize(
-    ("targets", "split"), [([], "transmit"), ([plate(-61.0, 0.0)], "both"), ([WINDOW], "transmit"), ([WINDOW], "both")]
+    ("targets", "split"),
+    [
+        ([], "transmit"),
+        ([plate(-61.0, 0.0)], "both"),
+        ([WINDOW], "both"),
+        pytest.param([WINDOW], "transmit", marks=pytest.mark.long),
+    ],
 )
 def test_matrix_times_emission_is_the_rendered_image_of_the_emission(targets, split, tmp_path):
     """To rounding by the same paths; by others a z-test of the sum and of each sixteenth, 17 of a level of 0.001.

@@ -12,6 +12,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.aims.lenslet_aim import LISTED, ArraySeen, list_cells, most_listed, pixel_extent
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
+from tests.instances import instances
 from tests.random_scenes.generator import draw
 from tests.renders import by_seed
 from tests.transport.conftest import LEFT_OUT, TARGET
@@ -76,7 +77,7 @@ def check_by_forward(number: int) -> None:
     check(adjoint, forward)
 
 
-@pytest.mark.parametrize("number", [2, 13, 21, 44])
+@pytest.mark.parametrize("number", instances([2, 13, 21, 44], long=[44]))
 def test_few_pixels_have_the_light_of_the_forward_method(number: int) -> None:
     check_by_forward(number)
 

@@ -101,7 +101,15 @@ def lit_pixels(world: World, count: int) -> list[int]:
     return [pixel for pixel, _ in zip(lit, range(count), strict=False)]
 
 
-@pytest.mark.parametrize(("name", "samples"), [*((name, 16) for name in ARRAYS), (next(iter(ARRAYS)), 2)])
+PLAIN = [
+    "square", "square, to the sensor", "hexagonal, three types", "hexagonal, form errors, tilted", "concave",
+    "near hemispheres", "steep aspheres",
+]  # fmt: skip
+"""Steeper lenslets, or more of these at once, are among the others."""
+DRAWN = [("square", 2), *(pytest.param(n, 16, marks=[pytest.mark.long] if n in PLAIN else []) for n in ARRAYS)]
+
+
+@pytest.mark.parametrize(("name", "samples"), DRAWN)
 def test_directions_have_the_density_that_their_weights_say(name: str, samples: int) -> None:
     """Weights cos θ / density in bins of (dx, dy) bring the bins' areas, whatever the aim: t-tests of all bins.
 

@@ -13,6 +13,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.transport.regions.objects import shade_objects
 from lfmesh.transport.render import compile_ahead
 from lfmesh.transport.render.compile_ahead import Ahead
+from tests.instances import instances
 
 SIGNATURES = """
 import json
@@ -41,7 +42,9 @@ print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launch
 """
 
 
-@pytest.mark.parametrize("scene", ["first_light", "lit_chart", "aquarium", "tank"])
+@pytest.mark.parametrize(
+    "scene", instances(["first_light", "lit_chart", "aquarium", "tank"], long=["lit_chart", "tank"])
+)
 def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
     code = SIGNATURES.format(scene=scene, split="both")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

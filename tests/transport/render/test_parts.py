@@ -61,7 +61,7 @@ def replicates(given: lf.Scene) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
+        pytest.param({}, marks=pytest.mark.long),
         {"camera.mla.layout": "hexagonal", "camera.mla.curved_side": "sensor"},
         {"camera.mla": None},
         {"targets": GLASS_BALL},

@@ -23,6 +23,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Layout, Piece, RenderState, arrays_of
 from lfmesh.transport.render.tracer import Tracer
 from tests.cameras import close_up_camera
+from tests.instances import instances
 
 CHUNK = 512
 """Packets, so that a small picture has many chunks."""
@@ -90,7 +91,7 @@ def posted(do: Callable[[Job], Piece], jobs: Iterable[Job]) -> Iterator[Piece]:
     yield from (pickle.loads(piece) for piece in reversed(done))
 
 
-@pytest.mark.parametrize("blocks", [1, 3, 7])
+@pytest.mark.parametrize("blocks", instances([1, 3, 7], long=[3]))
 @pytest.mark.parametrize("way", WAYS)
 def test_any_cut_has_the_bits_of_the_whole(
     way: str, blocks: int, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image],
@@ -155,7 +156,7 @@ def is_within(file: bytes) -> bool:
     return any(name.startswith("partial.") for name in read(file))
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", instances(WAYS, long=["two wavelengths, adaptive", "bands, twelve samples"]))
 def test_a_render_goes_on_from_any_replicate_and_any_chunk_with_the_same_bits(
     way: str, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]
 ) -> None:

@@ -23,6 +23,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Film
 from lfmesh.transport.sequences.ghosts import kind_of_ray
 from lfmesh.transport.sources.pixels import PixelSource
+from tests.instances import instances
 
 LEVEL = 1e-3
 COMPARISONS = 37
@@ -88,6 +89,13 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "paths that end early": {"lens": lens(12), "reflectance": 0.2, "max_events": 12},
 }  # fmt: skip
 
+LONG = [
+    "one", "three", "a plane face", "a coated surface", "a cover alone", "a sensor that reflects, behind an array",
+    "a coated array that absorbs, with crossed cylinders on its faces, tilted",
+]  # fmt: skip
+"""Their parts are in the others together, the last one's kernels compile for half a minute; its ghosts, too, are
+compared ray by ray with those of the meshes.
+"""
 
 SUN = [{"index": 1.46, "thickness_nm": 60.0}, {"index": 1.8, "extinction": 0.4, "thickness_nm": 45.0}]
 
@@ -138,7 +146,7 @@ def p_value(one: lf.Image, other: lf.Image) -> float:
     return float(2.0 * stats.t.sf(abs(difference) / np.sqrt(variances.sum()), freedom))
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", instances(CAMERAS, long=LONG))
 def test_ghosts_and_other_strays_are_what_the_mesh_engine_finds_off_the_image_path(name: str) -> None:
     """The ghosts by sequence alone too, against the mesh engine's share of them."""
     world = lf.build(scene(CAMERAS[name]))
@@ -171,9 +179,12 @@ def test_ghosts_counted_twice_would_be_seen() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "one", "two", "a posed element", "a sensor that reflects, behind a cover",
-        "array, cover, and a sensor that reflects", "coatings that absorb, on lens, array and cover",
+        "a posed element", "array, cover, and a sensor that reflects", "coatings that absorb, on lens, array and cover",
         "paths that end early",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("one", "two", "a sensor that reflects, behind a cover")
+        ),
     ],
 )  # fmt: skip
 def test_the_image_is_that_of_the_mesh_engine(name: str) -> None:

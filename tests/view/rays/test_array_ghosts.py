@@ -11,6 +11,7 @@ import lfmesh as lf
 from lfmesh.transport.world import World
 from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_ghosts
 from lfmesh.view.rays.launch import from_field_point
+from tests.instances import instances
 
 SEEDS, LAUNCHED = 8, 1000
 LEVEL = 1e-3
@@ -55,7 +56,7 @@ def powers_by_rays(world: World, exact: ExactGhosts) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("name", instances(ARRAYS, long=["square", "concave", "cylinders"]))
 def test_ghosts_of_the_array_have_the_power_that_rays_find(name: str) -> None:
     world = lf.build(lf.Scene(camera=camera(**ARRAYS[name])))
     exact = exact_ghosts(world, POINT)

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--long", action="store_true", help="also run the tests that take minutes")
+    parser.addoption("--long", action="store_true", help="also run long tests: slow ones, and further instances")
     parser.addoption("--random-scenes", metavar="FIRST:LAST", help="numbers of random cameras and scenes to examine")
 
 

@@ -99,12 +99,12 @@ def _maps_are_traced_once() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def taken(tmp_path_factory: pytest.TempPathFactory) -> Taken:
-    return taken_at(3, tmp_path_factory.mktemp("board"), 128)
+    return taken_at(3, tmp_path_factory.mktemp("board"), 32)
 
 
 @pytest.fixture(scope="module")
 def by_white(taken: Taken) -> tuple[lf.Fit, NDArray[np.float64]]:
-    return white_fit(taken, 1, 32)
+    return white_fit(taken, 1, 16)
 
 
 @pytest.fixture(scope="module")

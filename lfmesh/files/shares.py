@@ -178,7 +178,7 @@ def merged(folders: Sequence[Path]) -> Image:
             seconds += own
             yield piece
 
-    image = reduced(scene, read, cut.blocks)
+    image = reduced(tracer, read, cut.blocks)
     return replace(image, seconds=seconds, timings=image.timings | {SECONDS: seconds})
 
 

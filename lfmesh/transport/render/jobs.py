@@ -121,24 +121,23 @@ def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUN
     chunk : int
         Number of packets that start a chunk; the bits of the image depend on it.
     """
-    return reduced(scene, lambda jobs: mapped(traced, jobs), blocks, chunk)
+    return reduced(Tracer(build(scene), chunk), lambda jobs: mapped(traced, jobs), blocks)
 
 
 def reduced(
-    scene: Scene, reduce: Reduce, blocks: int = 1, chunk: int = CHUNK, keep: Keeper | None = None,
+    tracer: Tracer, reduce: Reduce, blocks: int = 1, *, keep: Keeper | None = None,
     saved: Mapping[str, NDArray[Any]] | None = None, progress: Report | None = None, untraced: Untraced | None = None,
 ) -> Image:  # fmt: skip
     """Render a scene in jobs whose pieces may come back joined; the image is bitwise that of `lf.render`.
 
     Parameters
     ----------
-    scene : Scene
+    tracer : Tracer
+        Of the scene; the bits of the image depend on its chunk.
     reduce : callable
         See `Reduce`.
     blocks : int
         Approximate number of jobs for each replicate.
-    chunk : int
-        Number of packets that start a chunk; the bits of the image depend on it.
     keep : Keeper, optional
         Called with the state after every replicate.
     saved : dict of arrays, optional
@@ -148,8 +147,8 @@ def reduced(
     untraced : callable, optional
         As for `lfmesh.transport.render.render.render`.
     """
-    tracer = Tracer(build(scene), chunk)
     film = untraced_light(tracer.world, untraced)
+    scene = tracer.world.scene
     replicates = scene.transport.replicates
     state = tracer.layout.state(saved)
     clock = Clock(state)
@@ -158,7 +157,7 @@ def reduced(
         cut = tracer.plan.blocks(blocks, second=levels is not None)
         numbers = [number_of(number, replicates, levels) for number in range(first, replicates)]
         tally = tracer.layout.tally(second=levels is not None)
-        pieces = reduce(jobs_of(scene, numbers, cut, chunk, levels))
+        pieces = reduce(jobs_of(scene, numbers, cut, tracer.chunk, levels))
         for number, of_replicate in groupby(pieces, lambda piece: piece.replicate):
             tally.restart(number)
             tally.merge(of_replicate)

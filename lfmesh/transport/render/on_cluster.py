@@ -23,6 +23,8 @@ from lfmesh.transport.render.jobs import Job, reduced, traced
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Keeper, Untraced
 from lfmesh.transport.render.tally import Piece, joined
+from lfmesh.transport.render.tracer import Tracer
+from lfmesh.transport.world import build
 
 JOBS = 2
 """Jobs of a replicate for each thread of the workers, about: the slowest keeps the others waiting for less."""
@@ -62,8 +64,9 @@ def render_on_cluster(
     with connected(address, workers or os.cpu_count() or 1) as client:
         threads = threads_of(client)
         blocks = max(1, -(-JOBS * threads // scene.transport.replicates))
+        pieces = partial(_pieces, client)
         return reduced(
-            scene, partial(_pieces, client), blocks, keep=keep, saved=saved, progress=progress, untraced=untraced
+            Tracer(build(scene)), pieces, blocks, keep=keep, saved=saved, progress=progress, untraced=untraced
         )
 
 

@@ -74,9 +74,9 @@ class Renderer:
 @pytest.fixture
 def renderer(monkeypatch: pytest.MonkeyPatch) -> Renderer:
     fake = Renderer()
-    module = types.ModuleType("lfmesh.transport.render.render")
+    module = types.ModuleType("lfmesh.waves.render")
     module.render = fake  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "lfmesh.transport.render.render", module)
+    monkeypatch.setitem(sys.modules, "lfmesh.waves.render", module)
     return fake
 
 

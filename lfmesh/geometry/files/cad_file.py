@@ -6,6 +6,7 @@ each is opened by `cad_child` in a process of its own, within limits; what it ma
 
 import io
 import json
+import math
 import os
 import subprocess
 import sys
@@ -42,8 +43,8 @@ SECONDS = "LFMESH_CAD_SECONDS"
 WAITING = 60
 """Time on the clock over the processor time, beyond which the process counts as stuck."""
 
-COARSER = (1.0, 10.0, 100.0)
-"""Factors of the tolerance by which the facets of a STEP file are tried, until its time is enough."""
+COARSER = ((1.0, 0.6), (10.0, 0.2), (100.0, 0.2))
+"""Factors of the tolerance by which the facets of a STEP file are tried, and shares of the time for each."""
 
 MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
 """Memory of the process that opens a file, and the size of what it makes of it."""
@@ -103,7 +104,7 @@ def step_as_glb(path: Path, tolerance_mm: float | None) -> Iterator[Path]:
 def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, seconds: int) -> tuple[bytes, str]:
     """Return what `cad_child` makes of a file that is the one with this stamp, and what is not as it should be.
 
-    A STEP file whose facets take more than some processor time, s, gets coarser ones.
+    A STEP file whose facets take more than their share of the processor time, s, gets coarser ones.
     """
     is_step = path.suffix.lower() in STEP_ENDINGS
     if is_step and find_spec("cascadio") is None:
@@ -113,8 +114,9 @@ def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, s
         raise MeshError(f"{path}: has {size / 2**20:.0f} MiB; {MOST_BYTES // 2**20} MiB are the most")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
-        for factor in COARSER if is_step else COARSER[:1]:
-            done = _child(cad_child.__file__, path, out, seconds, repr(tolerance_mm or 0.0), repr(factor))
+        for factor, share in COARSER if is_step else ((1.0, 1.0),):
+            own = math.ceil(share * seconds)
+            done = _child(cad_child.__file__, path, out, own, repr(tolerance_mm or 0.0), repr(factor))
             if done.returncode == 0 and out.is_file():
                 return out.read_bytes(), _coarser_in_words(factor, tolerance_mm, seconds)
             if done.returncode not in OUT_OF_TIME:
@@ -128,9 +130,9 @@ def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -
         return ""
     asked = f"tolerance_mm = {tolerance_mm:g}" if tolerance_mm else "usual"
     return (
-        f"making its facets took more than {seconds} s of processor time, the most; they are coarser and lie up to "
-        f"{factor:g} times as far off its surfaces as {asked}; set the environment variable {SECONDS} to more, or give "
-        "a larger tolerance_mm"
+        f"making its facets took more than {math.ceil(COARSER[0][1] * seconds)} s of processor time; they are coarser "
+        f"and lie up to {factor:g} times as far off its surfaces as {asked}; set the environment variable {SECONDS} to more "
+        f"than {seconds}, or give a larger tolerance_mm"
     )
 
 

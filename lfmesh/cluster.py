@@ -20,6 +20,9 @@ RETRIES = 1
 SAID_SECONDS, ENDS_SECONDS = 10.0, 300.0
 """So long nothing is said of a cluster without a worker or a scheduler that answers; so long it is waited for."""
 
+GONE = "the scheduler is gone"
+"""What is said of a scheduler that answers no more."""
+
 _ANSWER_SECONDS = 5.0
 """Within which a scheduler that lives tells its workers."""
 
@@ -42,10 +45,13 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, there is no scheduler at the address, or a worker runs another program.
+        dask.distributed is not installed, there is no scheduler at the address, a worker runs another program, or the
+        scheduler goes away in the midst of a message.
     """
     try:
         from distributed import Client, LocalCluster
+        from distributed.client import ClosedClientError
+        from distributed.comm import CommClosedError
     except ImportError:
         raise LfmeshError('--dask needs dask.distributed: pip install "lfmesh[cluster]"') from None
     if address == LOCAL:
@@ -61,8 +67,11 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     except (OSError, TimeoutError, ValueError) as error:
         raise LfmeshError(f"--dask {address}: no scheduler answers there: {error}") from None
     with client:
-        _refuse_other_programs(client)
-        yield client
+        try:
+            _refuse_other_programs(client)
+            yield client
+        except (CommClosedError, ClosedClientError) as error:
+            raise _ended(GONE) from error
 
 
 def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
@@ -99,16 +108,21 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
         if not lack:
             since, said = now, False
         elif client.status == "closed" or now - since > ENDS_SECONDS:
-            raise LfmeshError(f"--dask: {lack}; what is finished is kept, and the same command goes on with it")
+            raise _ended(lack)
         elif now - since > SAID_SECONDS and not said:
             said = True
             warnings.warn(f"--dask: {lack}: waiting for up to {ENDS_SECONDS:.0f} s", ClusterWarning, stacklevel=2)
 
 
+def _ended(lack: str) -> LfmeshError:
+    """Return the error that a run ends with for what a cluster lacks."""
+    return LfmeshError(f"--dask: {lack}; what is finished is kept, and the same command goes on with it")
+
+
 def _lack_of(client: Any) -> str:
     """Return in words what keeps a cluster from computing; "" if nothing does."""
     if client.status != "running":
-        return "the scheduler is gone"
+        return GONE
     found: SimpleQueue[dict[str, int]] = SimpleQueue()
     threading.Thread(target=lambda: found.put(client.nthreads()), daemon=True).start()
     try:

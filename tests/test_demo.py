@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 import lfmesh
-import lfmesh.transport.render.render
+import lfmesh.waves.render
 from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.files.run import RAW, SCENE
@@ -128,7 +128,7 @@ class CatchesEverything:
         self.asked = self.caught = False
 
     def find_spec(self, name: str, *_: object) -> None:
-        if name == "lfmesh.transport.render.render":
+        if name == "lfmesh.waves.render":
             self.asked = True
             try:
                 # To this thread: one that the process is sent may wait in another until the import is over.
@@ -144,8 +144,8 @@ def test_ctrl_c_while_libraries_are_imported_stops_the_run(
     library = CatchesEverything()
     monkeypatch.setattr(sys, "meta_path", [library, *sys.meta_path])
     # The package's attribute too: both are put back, and the module that is imported here is forgotten.
-    monkeypatch.setattr(lfmesh.transport.render, "render", lfmesh.transport.render.render)
-    monkeypatch.delitem(sys.modules, "lfmesh.transport.render.render")
+    monkeypatch.setattr(lfmesh.waves, "render", lfmesh.waves.render)
+    monkeypatch.delitem(sys.modules, "lfmesh.waves.render")
     # As in a process of its own: event loops of other tests leave handlers behind.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

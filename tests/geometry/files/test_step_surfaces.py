@@ -182,7 +182,7 @@ def test_a_hostile_file_is_read_or_refused_in_one_line_within_half_a_minute_of_p
         out = tmp_path / "out.json"
         # It ends by its own limits.
         child = subprocess.run(
-            [sys.executable, "-P", "-c", program, step_surfaces.__file__, str(path), str(out), "1536", "25"],
+            [sys.executable, "-P", "-c", program, step_surfaces.__file__, str(path), str(out), "1536", "128", "25"],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert child.returncode == 0, (path.name, child.stderr)

@@ -19,13 +19,13 @@ SIGNATURES = """
 import json
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.regions import lens, mla, objects, sensor
+from lfmesh.transport.regions import lens, mla, mla_plate, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
 from lfmesh.transport.sequences import ghosts, image_path
 from lfmesh.transport.world import build
 
-regions = [mla.admit_to_cells, mla.shade_cells, mla.through_plate, lens.admit_to_lens, lens.shade_lens,
+regions = [mla.admit_to_cells, mla.shade_cells, mla_plate.through_plate, lens.admit_to_lens, lens.shade_lens,
     objects.admit_to_objects, objects.shade_objects, sensor.onto_sensor]
 launches = [pixels.launch_adjoint, ghosts._leave_pixels, ghosts._draw_sequences, ghosts._hand_on,
     ghosts.follow_rays, pixels.launch_along_image_path, image_path.follow_image_path]

@@ -70,7 +70,7 @@ WRONG = {
     ),
     "unknown glass": ("index = 1.38,", 'glass = "SCHOTT/N-BK77",', "coatings.ar.layers[0].glass"),
     "empty stack": (AR, "layers = []", "coatings.ar.layers: a stack has 1 to 1000 layers, and this one has 0"),
-    "nothing": (AR, "", "coatings.ar: a coating needs one of reflectance, table, measured and layers"),
+    "nothing": (AR, "", "coatings.ar: a coating needs one of reflectance, table, measured"),
     "layers and reflectance": (AR, f"{AR}\nreflectance = 0.1", "coatings.ar.layers: reflectance is given too"),
     "reflectance and table": ("reflectance = 0.5", 'reflectance = 0.5\ntable = "x.csv"', "coatings.half.table"),
     "reflectance above 1": ("reflectance = 0.5", "reflectance = 1.5", "half.reflectance = 1.5: must be 1 or less"),

@@ -1,6 +1,7 @@
 """Properties of a lens that lens files of other programs can hold, for the writers of both formats."""
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.zemax_tables import SECTIONS
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.first_order.paraxial import Paraxial
@@ -21,8 +22,10 @@ def check_writable(lens: Lens, program: str) -> list[str]:
     for i, surface in enumerate(lens.surfaces):
         if surface.paraxial and program != ZEMAX:
             raise SceneError(f"surfaces[{i}].paraxial: a {program} file holds no thin lens; write .zmx")
-        if surface.section_key is not None and program != ZEMAX:
-            raise SceneError(f"surfaces[{i}].{surface.section_key}: not written to {program} files; write .zmx")
+        form = surface.section_key
+        if form is not None and (program != ZEMAX or form not in SECTIONS.values()):
+            other = "; write .zmx" if form in SECTIONS.values() else ""
+            raise SceneError(f"surfaces[{i}].{form}: not written to {program} files{other}")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating != UNCOATED]

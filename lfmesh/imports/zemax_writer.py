@@ -167,8 +167,6 @@ def _shape(number: int, surface: Surface) -> list[str]:
             raise SceneError(f"surfaces[{number}].asphere_mm: Zemax's toroid has {_MOST_OF_TOROID} terms from y⁴")
         terms = (_of_flat(surface.toroid.radius_x_mm), 0.0, *surface.terms_mm)
         return ["  TYPE TOROIDAL", *(f"  PARM {place} {value!r}" for place, value in enumerate(terms, 1))]
-    if surface.section_key is not None:
-        raise SceneError(f"surfaces[{number}].{surface.section_key}: not written to Zemax files")
     return _odd_terms(number, surface) if any(surface.odd_asphere_mm) else _terms(surface.terms_mm)
 
 

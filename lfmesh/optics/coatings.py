@@ -139,10 +139,12 @@ def polarised(
         first, second = cosine * first - 1.0j * over * second, cosine * second - 1.0j * times * first
         growth += phase.imag
     reflected, sum_ = in_front * first - second, in_front * first + second
-    size2 = np.abs(sum_) ** 2
+    # Along an interface without a step of the index both fields vanish; light near it passes undivided.
+    nothing = sum_ == 0.0
+    size2 = np.where(nothing, 1.0, np.abs(sum_) ** 2)
     R = np.abs(reflected) ** 2 / size2
     T = 4.0 * in_front.real * behind.real * np.exp(-2.0 * growth) / size2
-    return R, T
+    return R, np.where(nothing, 1.0, T)
 
 
 def _scaled(phase: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:

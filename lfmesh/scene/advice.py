@@ -33,6 +33,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *(str(each) for each in doubtful(scene, facts)),
         *_focus(scene, facts),
         *_covering(facts),
+        *_between_sections(scene),
         *_sections(facts),
         *_apertures(scene, facts),
         *_beyond_norm(scene),
@@ -148,6 +149,17 @@ def _covering(facts: "FirstOrder") -> Iterator[str]:
             yield (
                 f"{which} leave gaps between what each sees of the plane they are focused on: its virtual depth is "
                 f"{abs(at.virtual_depth):.3g}, and all of it is covered from {at.covering_depth:.3g} on"
+            )
+
+
+def _between_sections(scene: Scene) -> Iterator[str]:
+    """Name surfaces that the sections along x and y do not tell all of."""
+    for i, surface in enumerate(scene.camera.lens.surfaces):
+        if surface.form is not None and not surface.form.symmetric:
+            yield (
+                f"surface {i} is a {surface.section_key}, not symmetric about x and y: first-order figures, and clear "
+                "apertures that are left out, are those of the sections along x and y; light between them may have its "
+                "image elsewhere, or be cut off"
             )
 
 

@@ -476,12 +476,11 @@ class Scene(Model, Shown):
         for where, name in self.coating_uses():
             coating = self.all_coatings.get(name)
             if coating is not None and coating.layers is None:
-                given = "reflectance" if coating.reflectance is not None else "table"
                 yield Fault(
                     where,
                     name,
-                    f"transport.polarisation needs the phases of this coating, which its {given} does not tell; give "
-                    "it layers",
+                    f"transport.polarisation needs the phases of this coating, which its {coating.kind} does not tell; "
+                    "give it layers",
                 )
         for where, finish in self.finishes():
             if finish.is_rough:

@@ -90,6 +90,12 @@ def test_no_layers_are_bare_glass(n_i, n_t):
     np.testing.assert_allclose(np.stack([R, T], axis=1), bare, rtol=0.0, atol=1e-14)
 
 
+@pytest.mark.parametrize("stack", [NOTHING, Stack((1.5 + 0.0j,), (100.0,)), Stack((1.5 + 0.0j,) * 2, (1.0, 1e4))])
+def test_without_a_step_of_the_index_all_light_passes_along_the_interface_too(stack):
+    R, T = coated(1.5, 1.5, stack, 550.0, np.array([0.0, 1e-9, 0.5, 1.0]))
+    np.testing.assert_allclose(np.stack([R, T]), [[0.0] * 4, [1.0] * 4], rtol=0.0, atol=1e-12)
+
+
 def test_without_absorption_all_light_is_reflected_or_passes():
     draw = np.random.default_rng(3)
     seen = 0

@@ -12,6 +12,7 @@ LAMP = {"kind": "point", "position_mm": [0.0, 0.0, -10.0], "power_w": 1.0}
 COATINGS = {
     "share": {"reflectance": 0.5},
     "table": {"table": "r.csv"},
+    "measured": {"measured": {"wavelengths_nm": [550.0], "angles_deg": [0.0, 90.0], "reflectance": [[0.1, 1.0]]}},
     "film": {"layers": [{"index": 1.38, "thickness_nm": 100.0}]},
 }
 
@@ -71,6 +72,11 @@ def test_a_scene_with_polarised_light_survives_its_file():
             {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "table"}}},
             'camera.mla.flat_coating = "table": transport.polarisation needs the phases of this coating, which its '
             "table does not tell; give it layers",
+        ),
+        (
+            {"camera": close_up_camera() | {"mla": close_up_camera()["mla"] | {"flat_coating": "measured"}}},
+            'camera.mla.flat_coating = "measured": transport.polarisation needs the phases of this coating, which its '
+            "measured does not tell; give it layers",
         ),
         (
             {"camera": camera_without_array() | {

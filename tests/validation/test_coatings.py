@@ -14,7 +14,7 @@ from lfmesh.scene import load_lens
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.launch import from_field_point
 from lfmesh.view.rays.names import lens_names
-from tests.cameras import close_up_camera
+from tests.cameras import camera_without_array, close_up_camera
 
 tmm = pytest.importorskip("tmm")
 
@@ -243,3 +243,22 @@ def test_both_engines_pass_the_same_light_through_coated_surfaces():
         lf.build(scene.changed({"coatings.film": {"reflectance": 0.0}})), origins, d, WAVELENGTH, split="transmit"
     )
     assert bare.weight[bare.status == lf.Status.SENSOR].min() == 1.0
+
+
+@pytest.mark.parametrize("engine", ["mesh", "sequential"])
+def test_a_layer_of_the_index_of_both_glasses_is_no_layer(engine):
+    camera = camera_without_array()
+    front, back = camera["lens"]["surfaces"]
+    inside = front | {"stop": False, "coating": "matched"}
+    layers = [{"index": front["index"], "thickness_nm": 200.0}]
+    scene = lf.Scene(
+        camera=camera | {"lens": {"surfaces": [front, inside, back]}},
+        coatings={"matched": {"layers": layers}}, transport={"wavelengths_nm": [WAVELENGTH]},
+    )  # fmt: skip
+    bare = scene.changed({"camera.lens.surfaces.1.coating": "none"})
+    weights = [
+        lf.trace(lf.build(it), [[0.1, 0.2, -5.0]], [[0.0, 0.01, 1.0]], WAVELENGTH, split="transmit", engine=engine)
+        for it in (scene, bare)
+    ]
+    assert [paths.status.tolist() for paths in weights] == [[lf.Status.SENSOR]] * 2
+    assert weights[0].weight == pytest.approx(weights[1].weight, rel=1e-12)

@@ -52,6 +52,11 @@ FACES = {
 }
 
 
+def test_the_truth_takes_no_surface_for_another():
+    with pytest.raises(NotImplementedError, match="ripple"):
+        replace(FACES["sphere"], across=("ripple", 0.1, 0.0)).height(np.zeros(1), np.zeros(1))
+
+
 @pytest.mark.parametrize("name", FACES)
 def test_truth_refracts_as_30_digits_do(name):
     face = FACES[name]

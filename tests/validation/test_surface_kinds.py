@@ -227,14 +227,14 @@ def test_without_odd_powers_an_odd_asphere_is_the_even_one() -> None:
 def test_zemax_files_have_biconics_and_toroids(tmp_path: Any) -> None:
     """Written and read they are the same lens, flat sections too; terms beyond y¹⁴ are refused."""
     back = {**TORIC, "toroid": {"radius_x_mm": np.inf}}
-    lens = lf.Scene(camera=camera({**SADDLE, "conic": -0.5}, back, 1.5)).camera.lens
+    lens = lf.Scene(camera=camera({**OPPOSED, "conic": -0.5}, back, 1.5)).camera.lens
     write_lens_file(lens, tmp_path / "lens.zmx")
     read, _ = read_lens_file(tmp_path / "lens.zmx")
     keys = ("radius_mm", "conic", "asphere_mm", "biconic", "toroid", "semi_diameter_mm", "thickness_mm")
     for one, other in zip(lens.surfaces, read.surfaces, strict=True):
         assert [getattr(one, key) for key in keys] == [getattr(other, key) for key in keys]
     many = {**TORIC, "asphere_mm": (0.0,) * 6 + (1e-20,)}
-    lens = lf.Scene(camera=camera(many, SADDLE, 1.5)).camera.lens
+    lens = lf.Scene(camera=camera(many, OPPOSED, 1.5)).camera.lens
     with pytest.raises(SceneError, match="asphere_mm: Zemax's toroid has 6 terms from y⁴"):
         write_lens_file(lens, tmp_path / "lens.zmx")
 
@@ -359,14 +359,14 @@ def test_a_rod_has_the_focal_length_of_the_textbook() -> None:
 
 
 TORIC = {"radius_mm": 26.0, "asphere_mm": (1e-5,), "toroid": {"radius_x_mm": 15.0}}
-SADDLE = {"radius_mm": 40.0, "biconic": {"radius_x_mm": -33.0, "conic_x": 0.5}}
+OPPOSED = {"radius_mm": 40.0, "biconic": {"radius_x_mm": -33.0, "conic_x": 0.5}}
 
 
 @pytest.mark.parametrize(("level", "order"), [("flat", 0.9), ("smooth", 1.8), ("patch", 1.9)])
 def test_meshes_converge_at_their_order(level: str, order: float) -> None:
     """Landing against that on the exact surfaces: flat 1, smooth 2, patch 2 as on every surface but spheres."""
     p, d = rays(np.random.default_rng(8), 1500, 1.0, backwards=False)
-    scene = lf.Scene(camera=camera({**TORIC, "odd_asphere_mm": ()}, SADDLE, 1.6))
+    scene = lf.Scene(camera=camera({**TORIC, "odd_asphere_mm": ()}, OPPOSED, 1.6))
     truth = lf.trace(lf.build(scene), p, d, split="transmit")
     errors = []
     for rings in (8, 16):
@@ -387,7 +387,7 @@ def test_meshes_converge_at_their_order(level: str, order: float) -> None:
 
 def test_reflections_lose_no_light() -> None:
     """Of all paths through a toric element behind a saddle, both ways: nothing is lost, and the books close."""
-    front = {"thickness_mm": 4.0, "index": 1.6, "semi_diameter_mm": SEMI, "stop": True, **SADDLE}
+    front = {"thickness_mm": 4.0, "index": 1.6, "semi_diameter_mm": SEMI, "stop": True, **OPPOSED}
     surfaces = [
         front,
         {"thickness_mm": 0.02, "semi_diameter_mm": SEMI, **TORIC},
@@ -408,7 +408,7 @@ def test_reflections_lose_no_light() -> None:
 def test_layouts_show_the_section_y_z_and_the_edge_of_the_mesh() -> None:
     """Front of a toroid, 26 mm and 1e-5 y⁴; the edge is a cylinder at the wider rim, to the depth of its chords."""
     narrow = {**TORIC, "semi_diameter_mm": 3.0}
-    world = lf.build(lf.Scene(camera=camera(narrow, SADDLE, 1.6)))
+    world = lf.build(lf.Scene(camera=camera(narrow, OPPOSED, 1.6)))
     (glass,) = lens_glass(world.lens_shape, np.array([1.0, 1.6, 1.0]))
     z, y = glass.front.T
     np.testing.assert_allclose(z, conic(1.0 / 26.0, 0.0, y * y) + 1e-5 * y**4, atol=1e-9)
@@ -437,7 +437,7 @@ def test_what_no_section_can_have_is_refused() -> None:
 
 
 def test_what_knows_surfaces_of_revolution_alone_says_so(tmp_path: Any) -> None:
-    scene = lf.Scene(camera=camera(TORIC, SADDLE, 1.6))
+    scene = lf.Scene(camera=camera(TORIC, OPPOSED, 1.6))
     with pytest.raises(lf.LfmeshError, match=r"camera.lens.surfaces\[0\].toroid: the lens sheet"):
         lf.analyse(scene)
     with pytest.raises(SceneError, match=r"surfaces\[0\].toroid: not written to CODE V files"):

@@ -129,7 +129,11 @@ def _across(surface: Surface) -> tuple[str, float, float] | None:
     """Return the section x–z of a surface as the truth takes it."""
     if surface.biconic is not None:
         return "biconic", surface.biconic.radius_x_mm, surface.biconic.conic_x
-    return None if surface.toroid is None else ("toroid", surface.toroid.radius_x_mm, 0.0)
+    if surface.toroid is not None:
+        return "toroid", surface.toroid.radius_x_mm, 0.0
+    if surface.form is not None:
+        raise NotImplementedError(f"{surface.section_key}: `hard.truth` has no such surface")
+    return None
 
 
 def disk(radius: float, count: int, seed: int = 0) -> Array:

@@ -65,6 +65,8 @@ class Interface:
         if self.across is None:
             return self.sag(x * x + y * y)
         kind, radius, conic = self.across
+        if kind not in ("biconic", "toroid"):
+            raise NotImplementedError(f"{kind}: no height of such a surface")
         c_x, c_y = (0.0 if np.isinf(r) else 1.0 / r for r in (radius, self.radius))
         with np.errstate(invalid="ignore"):
             if kind == "toroid":

@@ -312,12 +312,10 @@ class Surface(Model):
         """Yield what a shape that is none of revolution does not go with."""
         if key != self.section_key:
             yield Fault((key,), None, f"{self.section_key} is given too; give one of them")
-        for name in form.without:
-            value = getattr(self, name)
-            if isinstance(value, tuple) and value:
-                yield Fault((name,), value, f"omit it: a {key} has no such terms")
-            elif not isinstance(value, tuple) and value is not None:
-                yield Fault((name,), None, f"omit it: it does not go with a {key}")
+        for name, value in self._given_beside():
+            if name in form.without:
+                why = f"a {key} has no such terms" if isinstance(value, tuple) else f"it does not go with a {key}"
+                yield Fault((name,), value, f"omit it: {why}")
 
     def _given_beside(self, *allowed: str) -> Iterator[tuple[str, object]]:
         """Yield the keys that are given beside those allowed, with their values; None for tables."""

@@ -1,4 +1,4 @@
-"""Coatings of interfaces: a fixed reflectance, a measured table, or a stack of layers."""
+"""Coatings of interfaces, each by one of the fields of `Coating`."""
 
 import re
 from collections.abc import Iterator
@@ -127,7 +127,7 @@ class MeasuredReflectance(Model):
 
 
 class Coating(Model):
-    """Coating of an interface: one of `reflectance`, `table`, `measured` and `layers`."""
+    """Coating of an interface: one of its fields is given."""
 
     reflectance: FractionOfOne | None = None
     """Share of the light that is reflected, 0..1, at every angle and wavelength; the rest passes."""
@@ -140,12 +140,21 @@ class Coating(Model):
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 
+    @property
+    def kind(self) -> str:
+        """Name of the field that is given."""
+        return self._given[0]
+
+    @property
+    def _given(self) -> list[str]:
+        return [key for key in type(self).model_fields if getattr(self, key) is not None]
+
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        kinds = ("reflectance", "table", "measured", "layers")
-        given = [key for key in kinds if getattr(self, key) is not None]
+        given = self._given
         if not given:
-            yield Fault((), None, "a coating needs one of reflectance, table, measured and layers")
+            *others, last = type(self).model_fields
+            yield Fault((), None, f"a coating needs one of {', '.join(others)} and {last}")
         if self.layers is not None and not 0 < len(self.layers) <= MOST_LAYERS:
             yield Fault(
                 ("layers",), None, f"a stack has 1 to {MOST_LAYERS} layers, and this one has {len(self.layers)}"

@@ -109,22 +109,17 @@ def _tabulated(
     except TooManyPiecesError as error:
         if measured is not None:
             raise SceneError(
-                f"coatings.{name}.{_key(coating)}: its reflectance changes too fast from angle to angle to be followed "
+                f"coatings.{name}.{coating.kind}: its reflectance changes too fast from angle to angle to be followed "
                 f"(error {error.args[0]:.1g}, {ALLOWED_MEASURED:g} is allowed); smooth it, or give fewer angles"
             ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
-            f"{error.args[0]:.1g}): {_size(coating)}; give fewer or thinner layers, and none of a lower index than "
-            "both glasses that light resonates between"
+            f"{error.args[0]:.1g}): {_size(coating)}; give fewer or thinner layers, none of a lower index than both "
+            "glasses that light resonates between, and between equal glasses none of nearly their index"
         ) from None
     values = np.stack([table.coefficients.ravel() for table in tables], axis=1)
     values.setflags(write=False)
     return CoatingTable(values, tables[0].pieces, lossy, max(table.error for table in tables))
-
-
-def _key(coating: Coating) -> str:
-    """Return the key that gives the reflectance of a measured coating."""
-    return "table" if coating.table is not None else "measured"
 
 
 def _size(coating: Coating) -> str:
@@ -144,7 +139,7 @@ def _at_wavelength(
         shortest, longest = measured.wavelengths_nm[[0, -1]]
         if not shortest <= wavelength_nm <= longest:
             raise SceneError(
-                f"coatings.{name}.{_key(coating)}: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
+                f"coatings.{name}.{coating.kind}: it reaches from {shortest:g} to {longest:g} nm, and the scene has "
                 f"{wavelength_nm:g} nm"
             )
         return tabulated(lambda u, total: measured.at(wavelength_nm, u * u)[None], False, least, ALLOWED_MEASURED)

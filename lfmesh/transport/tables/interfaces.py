@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.glass import Medium, refractive_index
-from lfmesh.optics.share_table import looked_up
+from lfmesh.optics.share_table import FROM_THIN, PASSED, TERMS, looked_up
 from lfmesh.optics.walsh import diffuse_reflectance
 from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
@@ -240,9 +240,9 @@ def coating_errors(scene: Scene) -> dict[str, float]:
 
 
 def coating_lines(scene: Scene) -> list[str]:
-    """Describe the coatings of a solved scene, a line for each face: what it reflects, and how well that is tabulated.
+    """Describe the coatings of a solved scene, a line for each face: what it reflects, and passes if it absorbs.
 
-    Reflectances are those at the primary wavelength, from the thinner of the two media and by the angle there.
+    Shares are those at the primary wavelength, from the thinner of the two media and by the angle there.
     """
     wavelengths_nm, colour = _shown_nm(scene)
     mla = array_faces(scene) if scene.camera.mla is not None else []
@@ -252,13 +252,20 @@ def coating_lines(scene: Scene) -> list[str]:
             continue
         finish = _kind_and_parameters(scene, face, wavelengths_nm)
         used.add(face.coating)
-        values = np.asarray(finish.parameters)
-        shown = [looked_up(values, 0, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
-        shares = ", ".join(f"{100.0 * R:.3g} % at {a:g}" for R, a in zip(shown, _SHOWN_DEG, strict=True))
+        said = f"reflects {_by_angle(finish, FROM_THIN, colour)}"
+        if finish.kind == ABSORBING:
+            said += f", passes {_by_angle(finish, PASSED, colour)}"
         error = f"tabulated to {finish.error:.0e}" if finish.error > 0.0 else "the same at every angle"
-        lines.append(f"{face.body:<34}{face.coating}: reflects {shares} degrees; {error}")
+        lines.append(f"{face.body:<34}{face.coating}: {said}; {error}")
     unused = [name for name in scene.all_coatings if name not in used]
     return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
+
+
+def _by_angle(finish: InterfaceKind, quantity: int, colour: int) -> str:
+    """Describe a quantity of a coating's table, see `optics.share_table`, at some angles."""
+    values, first = np.asarray(finish.parameters), quantity * TERMS * finish.pieces
+    shown = [looked_up(values, first, finish.pieces, colour, np.sqrt(np.cos(np.radians(a)))) for a in _SHOWN_DEG]
+    return ", ".join(f"{100.0 * share:.3g} % at {a:g}" for share, a in zip(shown, _SHOWN_DEG, strict=True)) + " degrees"
 
 
 def _shown_nm(scene: Scene) -> tuple[tuple[float, ...], int]:

@@ -68,18 +68,14 @@ def _element(world: World, number: int) -> Rows:
 
 
 def _surface(surface: Surface, number: int) -> str:
-    words = [
-        f"surface {number}",
-        "flat" if math.isinf(surface.vertex_radius_mm) else f"R {surface.vertex_radius_mm:.6g} mm",
-    ]
+    curve = "flat" if math.isinf(surface.vertex_radius_mm) else f"R {surface.vertex_radius_mm:.6g} mm"
+    form = surface.form
+    shape = [curve] if form is None else [f"{surface.section_key} of {form.in_words()}", f"in y {curve}"]
+    words = [f"surface {number}", *shape]
     words += [f"conic {surface.vertex_conic:g}"] if surface.vertex_conic else []
     words += ["asphere " + ", ".join(f"{a:.4g}" for a in surface.terms_mm)] if any(surface.terms_mm) else []
     odd = surface.odd_asphere_mm
     words += ["odd asphere " + ", ".join(f"{a:.4g}" for a in odd)] if any(odd) else []
-    if surface.biconic is not None:
-        words += [f"biconic, in x R {surface.biconic.radius_x_mm:.6g} mm, conic {surface.biconic.conic_x:g}"]
-    if surface.toroid is not None:
-        words += [f"toroid, in x R {surface.toroid.radius_x_mm:.6g} mm"]
     words += [f"semi-diameter {surface.semi_diameter_mm:.6g} mm"] if surface.semi_diameter_mm else []
     words += [f"mesh {surface.mesh.file}"] if surface.mesh is not None else []
     return ", ".join(words)

@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError, SceneError
+from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.glass import complex_index
 from lfmesh.scene import Coating, Layer
 from lfmesh.scene.inputs import files_of
@@ -70,7 +72,7 @@ WRONG = {
     ),
     "unknown glass": ("index = 1.38,", 'glass = "SCHOTT/N-BK77",', "coatings.ar.layers[0].glass"),
     "empty stack": (AR, "layers = []", "coatings.ar.layers: a stack has 1 to 1000 layers, and this one has 0"),
-    "nothing": (AR, "", "coatings.ar: a coating needs one of reflectance, table, measured and layers"),
+    "nothing": (AR, "", "coatings.ar: a coating needs one of reflectance, table, measured"),
     "layers and reflectance": (AR, f"{AR}\nreflectance = 0.1", "coatings.ar.layers: reflectance is given too"),
     "reflectance and table": ("reflectance = 0.5", 'reflectance = 0.5\ntable = "x.csv"', "coatings.half.table"),
     "reflectance above 1": ("reflectance = 0.5", "reflectance = 1.5", "half.reflectance = 1.5: must be 1 or less"),
@@ -144,6 +146,21 @@ def test_check_says_what_coatings_reflect_and_which_are_not_used(tmp_path, capsy
     assert [line.split("  ")[0] for line in own] == ["coating of lens surface 0", "coating of the mla's curved face"]
     assert all("ar: reflects 1.41 % at 0, 1.53 % at 30, 5.51 % at 60 degrees; tabulated to " in line for line in own)
     assert "warning: coatings.half: no surface has this coating" in lines
+
+
+def test_check_says_what_passes_a_coating_that_absorbs(tmp_path, capsys):
+    (tmp_path / "scene.toml").write_text(SCENE.replace("index = 1.38,", "index = 1.38, extinction = 0.2,"))
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    lines = capsys.readouterr().out.replace("\n  ", " ").splitlines()
+    cosines = np.cos(np.deg2rad([0.0, 30.0, 60.0]))
+    reflected, passed = coated(1.0, 1.5, Stack((1.38 + 0.2j,), (106.5,)), 587.6, cosines)
+    assert all(reflected + passed < 0.9)
+    one, other = (
+        ", ".join(f"{100.0 * share:.3g} % at {angle}" for share, angle in zip(shares, (0, 30, 60), strict=True))
+        for shares in (reflected, passed)
+    )
+    said = f"ar: reflects {one} degrees, passes {other} degrees; tabulated to "
+    assert sum(said in line for line in lines) == 2
 
 
 def test_a_run_states_the_error_of_its_tables(tmp_path):

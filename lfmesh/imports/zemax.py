@@ -12,6 +12,7 @@ by the stop's own size (FLOA). DIAM is the semi-diameter that rays fill, and sto
 
 import math
 import ntpath
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -309,8 +310,8 @@ class _Reader:
         self.made.primary = int(number(words[0]))
         self.primary_line = self.at, self.text
 
-    def _on_cofn(self, words: list[str]) -> None:
-        names = [word.strip('"') for word in words]
+    def _on_cofn(self, _: list[str]) -> None:
+        names = [quoted or plain for quoted, plain in re.findall(r'"([^"]*)"|(\S+)', self.text)]
         self.made.coating_file = next((ntpath.basename(name) for name in names if name.upper().endswith(".DAT")), None)
         self._taken()
 

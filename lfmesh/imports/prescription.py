@@ -61,6 +61,8 @@ class FileSurface:
     """Of the frame, before the surface."""
     after: Move | None = None
     """Of the frame, at the surface's vertex, before its thickness."""
+    returns_to: int | None = None
+    """Number of an earlier surface in whose frame its thickness counts, in place of its own; 0 is the object."""
 
     @property
     def vertex_curvature(self) -> float:

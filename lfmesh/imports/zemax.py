@@ -530,6 +530,6 @@ class _Reader:
 
     def _on_scbd(self, words: list[str]) -> None:
         if any(numbers(words[2:])):
-            self._refuse("a decentred or tilted surface is not supported")
+            self._refuse("a decentred or tilted surface is not supported; put coordinate breaks round it")
         else:
             self._taken()

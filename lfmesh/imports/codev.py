@@ -20,12 +20,10 @@ from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium, formula_glass, private_glass
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
 from lfmesh.imports.numbers import is_number, may_matter, number, numbers
-from lfmesh.imports.prescription import FileSurface, Prescription
+from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
-
-MOST_SURFACES = 1000
 
 _UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 

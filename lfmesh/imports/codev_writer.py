@@ -19,6 +19,13 @@ from lfmesh.scene.pose import Pose
 def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, bytes], list[str]]:
     """Return a lens as the bytes of a `.seq` file, and what it does not hold.
 
+    Parameters
+    ----------
+    lens : Lens
+    conditions : Conditions
+    path : Path
+        Where the lens goes.
+
     Raises
     ------
     SceneError

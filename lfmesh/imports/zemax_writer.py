@@ -31,6 +31,13 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
 
     A lens with coatings of its own has a second file beside it, which defines them.
 
+    Parameters
+    ----------
+    lens : Lens
+    conditions : Conditions
+    path : Path
+        Where the lens goes.
+
     Raises
     ------
     SceneError

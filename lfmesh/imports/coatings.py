@@ -329,6 +329,8 @@ def _material(lines: list[list[str]]) -> MeasuredIndex:
     rows = sorted((nanometres(words[0]), *numbers([*words, "0"][1:3])) for words in lines)
     if not rows:
         raise ValueError("it has no rows")
+    if min(map(len, rows)) < 3:
+        raise ValueError("a row needs a wavelength and an index")
     if any(row[2] > 0.0 for row in rows):
         raise ValueError("an extinction above 0, which amplifies light")
     return MeasuredIndex(

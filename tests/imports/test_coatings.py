@@ -267,7 +267,7 @@ def test_coatings_survive_conversion_and_come_with_the_lens_of_a_scene(tmp_path:
     assert lf.load(tmp_path / "scene.toml").camera.lens.coatings == lens.coatings
 
 
-@pytest.mark.parametrize("rows", ["", "0.5 1.5 0.1\n", "0.5 a 0\n", "0.5 1.5\n0.5 1.6\n", "-1 1.5\n"])
+@pytest.mark.parametrize("rows", ["", "0.5 1.5 0.1\n", "0.5 a 0\n", "0.5 1.5\n0.5 1.6\n", "-1 1.5\n", "0.5\n"])
 def test_an_impossible_material_matters_only_to_coatings_that_have_it(tmp_path: Path, rows: str) -> None:
     file = f"MATE X\n{rows}MATE Y\n0.5 1.4 0\nCOAT BAD\nX 0.25\nCOAT GOOD\nY 0.25\n"
     lens, report = read(tmp_path, "GOOD", "BAD", file)

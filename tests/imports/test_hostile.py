@@ -9,11 +9,18 @@ from lfmesh.errors import SceneError
 from lfmesh.scene import load_lens
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 from tests.imports.test_coatings import FILE as COATINGS
+from tests.imports.test_lens_table import text as table
 from tests.imports.test_optiland_json import LENS as OPTILAND
 from tests.imports.test_oslo import LENS as LEN
 from tests.processor_time import processor_seconds
 
-FILES = [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ), (".len", LEN), (".json", json.dumps(OPTILAND, indent=1))]
+FILES = [
+    (".zmx", SINGLET_ZMX),
+    (".seq", SINGLET_SEQ),
+    (".len", LEN),
+    (".json", json.dumps(OPTILAND, indent=1)),
+    (".csv", "\n".join(table(" ; "))),
+]
 GARBAGE = {
     "empty": (b"", "it has no line S"),
     "zeros": (bytes(100_000), "no text"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from lfmesh.errors import SceneError
 from lfmesh.imports.glasses import Medium
-from lfmesh.imports.numbers import number, numbers
+from lfmesh.imports.numbers import nanometres, number, numbers
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.scene.materials.coatings import UNCOATED, Coating, Layer, MeasuredIndex, MeasuredReflectance
@@ -26,6 +26,9 @@ USUAL_FILE = "COATING.DAT"
 
 MGF2_INDEX = 1.38
 """Index of the quarter wave of magnesium fluoride that `AR` stands for."""
+
+BARE = ("NONE", "NULL")
+"""Names of coatings that there are not."""
 
 _IDEAL = re.compile(r"I(\.\d+|\d*\.\d+|1)")
 """Coating named by the share of the light that it transmits: `I.95`."""
@@ -77,7 +80,7 @@ class CoatingFile:
 
     @classmethod
     def beside(cls, lens_file: Path, name: str | Path | None) -> "CoatingFile | None":
-        """Read the coating file in the folder of a lens file, if there is one; capitals do not matter.
+        """Read the coating file in the folder of a lens file, if any; of two that differ by capitals the exact one.
 
         Parameters
         ----------
@@ -95,6 +98,7 @@ class CoatingFile:
         wanted = (name or USUAL_FILE).upper()
         try:
             found = [path for path in sorted(lens_file.parent.iterdir()) if path.name.upper() == wanted]
+            found.sort(key=lambda path: path.name != (name or USUAL_FILE))
         except OSError:
             found = []
         return cls.read(found[0]) if found else None
@@ -167,10 +171,10 @@ class CoatingFile:
                 raise ValueError(f"a layer of {words[0]} has no thickness")
             thickness = number(words[1])
             if len(words) > 2 and number(words[2]):
-                nm = 1000.0 * thickness
+                nm = nanometres(words[1])
             else:
                 nm = thickness * primary_nm / material.at(primary_nm).real
-            layers.append(Layer(measured=material, thickness_nm=nm))
+            layers.append(_layer(material, nm))
             groups.append(int(number(words[3])) if len(words) > 3 else 0)
             tapers += words[4:5]
         how = f"layers of taper {tapers[0]} have the thickness of the middle everywhere" if tapers else ""
@@ -260,7 +264,7 @@ def found_coating(
         It is neither in the file nor built in, or of a kind that a scene cannot have.
     """
     name = name.upper()
-    if name in ("NONE", "NULL"):
+    if name in BARE:
         return None
     if file is not None and name in file.entries:
         return file.coating(name, primary_nm)
@@ -270,7 +274,7 @@ def found_coating(
     if name == "MIRROR":
         return FoundCoating(Coating(reflectance=1.0), "a metal's coating; taken as one that reflects everything")
     if _IDEAL.fullmatch(name):
-        return _fixed(1.0 - float(name[1:]), float(name[1:]))
+        return _fixed(float(f"{1.0 - float(name[1:]):.12g}"), float(name[1:]))
     where = f"{file.path.name} has no such coating" if file is not None else f"no {wanted} beside the file"
     raise UnreadableCoatingError(where)
 
@@ -312,15 +316,25 @@ def _blocks(path: Path) -> Iterator[tuple[str, str, list[list[str]]]]:
         yield kind, name, lines
 
 
+def _layer(material: MeasuredIndex, thickness_nm: float) -> Layer:
+    """Return a layer; a material of one row is an index."""
+    if len(material.index) > 1:
+        return Layer(measured=material, thickness_nm=thickness_nm)
+    extinction = material.extinction[0] if material.extinction else 0.0
+    return Layer(index=material.index[0], extinction=extinction, thickness_nm=thickness_nm)
+
+
 def _material(lines: list[list[str]]) -> MeasuredIndex:
     """Return a material of rows of wavelength in µm, n and k; k is below zero where light is absorbed."""
-    rows = sorted(tuple(numbers([*words, "0"][:3])) for words in lines)
+    rows = sorted((nanometres(words[0]), *numbers([*words, "0"][1:3])) for words in lines)
     if not rows:
         raise ValueError("it has no rows")
+    if min(map(len, rows)) < 3:
+        raise ValueError("a row needs a wavelength and an index")
     if any(row[2] > 0.0 for row in rows):
         raise ValueError("an extinction above 0, which amplifies light")
     return MeasuredIndex(
-        wavelengths_nm=tuple(float(f"{row[0] * 1000.0:.10g}") for row in rows),
+        wavelengths_nm=tuple(row[0] for row in rows),
         index=tuple(row[1] for row in rows),
         extinction=tuple(0.0 - row[2] for row in rows) if any(row[2] for row in rows) else (),
     )
@@ -350,7 +364,7 @@ def _fixed(reflected: float, transmitted: float) -> FoundCoating:
     if lost < -_LOST:
         raise ValueError(f"it reflects {reflected:g} and transmits {transmitted:g}, more than there is")
     how = f"of the light it absorbs {lost:.3g}, which passes here" if lost > _LOST else ""
-    return FoundCoating(Coating(reflectance=min(1.0, max(0.0, float(f"{reflected:.12g}")))), how)
+    return FoundCoating(Coating(reflectance=min(1.0, max(0.0, reflected))), how)
 
 
 def _by_angle(lines: list[list[str]]) -> FoundCoating:
@@ -361,12 +375,12 @@ def _by_angle(lines: list[list[str]]) -> FoundCoating:
         if words[0].upper() == "ANGL":
             angle = number(words[1])
         elif words[0].upper() == "WAVE":
-            micrometres, *shares = numbers(words[1:6])
+            shares = numbers(words[2:6])
             if len(shares) < 4 or not 0.0 <= min(shares) <= max(shares) <= 1.0:
                 raise ValueError("a line WAVE needs a wavelength and four shares from 0 to 1")
             reflected, passed = 0.5 * (shares[0] + shares[1]), 0.5 * (shares[2] + shares[3])
             lost = max(lost, 1.0 - reflected - passed)
-            rows.setdefault(float(f"{micrometres * 1000.0:.10g}"), {})[angle] = reflected
+            rows.setdefault(nanometres(words[1]), {})[angle] = reflected
     angles = sorted({angle for row in rows.values() for angle in row})
     if not angles or any(sorted(row) != angles for row in rows.values()):
         raise ValueError("every angle must stand at every wavelength")

@@ -20,12 +20,10 @@ from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium, formula_glass, private_glass
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
 from lfmesh.imports.numbers import is_number, may_matter, number, numbers
-from lfmesh.imports.prescription import FileSurface, Prescription
+from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
-
-MOST_SURFACES = 1000
 
 _UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 
@@ -54,8 +52,9 @@ MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
 """Decentres of a surface: shifts along x, y and z, then turns about its own x and y axes, left-handed, and z axis,
 right-handed, as LightTools' manual gives CODE V's convention."""
 
-_RIGID = command_names("REV RET")
-"""Other orders of a decentre; nothing without one."""
+_RETURNS = ("DAR", "REV")
+"""Decentres by which the axis goes back: with DAR they move the surface alone; with REV the surface stays, and what
+follows is moved back by them, so that they undo an earlier decentre of the same values. ray-optics takes them so."""
 
 _SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
 
@@ -134,7 +133,7 @@ class _Reader:
                 self._surface_line(command, rest)
             elif command in MOVES:
                 self._moved(command, rest)
-            elif command == "DAR" or command in _RIGID:
+            elif command in _RETURNS:
                 surface, _ = self._named(rest)
                 self.returns.setdefault(id(surface), []).append((at, self.text))
             elif command[:1] in "XY" and command[1:] in _FIELDS and len(command) == 3:
@@ -260,18 +259,34 @@ class _Reader:
     def _move(self, surface: FileSurface) -> None:
         """Put the moves of a surface into it."""
         values, orders = self.moves.get(id(surface), {}), self.returns.get(id(surface), [])
-        moved = any(values.values())
-        if moved:
-            x, y, z, about_x, about_y, about_z = (values.get(name, 0.0) for name in MOVES)
-            surface.before = Move.shifted_then_tilted((x, y, z), (-about_x, -about_y, about_z))
-        for at, text in orders:
-            if not moved:
+        if not any(values.values()):
+            for at, text in orders:
                 self.report.add(at, text, Verdict.WITHOUT_EFFECT)
-            elif text.split()[0].upper() == "DAR":
-                surface.after = surface.before.inverse if surface.before else None
-                self.report.add(at, text, Verdict.TAKEN)
-            else:
-                self.report.refuse(at, text, "of decentred surfaces, plain ones and those with DAR are supported")
+            return
+        x, y, z, about_x, about_y, about_z = (values.get(name, 0.0) for name in MOVES)
+        move = Move.shifted_then_tilted((x, y, z), (-about_x, -about_y, about_z))
+        surface.before = move
+        if surface.returns_to is not None:
+            self.report.refuse(surface.line, surface.text, "RET with decentres of its own is not supported")
+        for at, text in orders:
+            surface.before = move if text.split()[0].upper() == "DAR" else None
+            surface.after = move.inverse
+            self.report.add(at, text, Verdict.TAKEN)
+        if len(orders) > 1:
+            self.report.refuse(*orders[-1], "a surface has one of DAR and REV, once")
+
+    def _on_ret(self, words: list[str]) -> None:
+        """Let what follows a surface stand in the frame of an earlier one: `RET S3`, or `RET S5 S3` of surface 5.
+
+        Zemax's macro that reads these files makes it a coordinate break that returns to place and orientation of S3.
+        """
+        target, _ = self._named([words[-1]])
+        surface, _ = self._named(words[:-1])
+        place = next(i for i, each in enumerate(self.made.surfaces) if each is target)
+        if not 0 < place < next(i for i, each in enumerate(self.made.surfaces) if each is surface):
+            raise ValueError("it must name a surface between the object and this one")
+        surface.returns_to = place
+        self._taken()
 
     def _coefficient(self, place: int, words: list[str]) -> None:
         surface, rest = self._named(words)
@@ -333,7 +348,7 @@ class _Reader:
     _on_gl1 = _on_gla
 
     def _on_mlt(self, _: list[str]) -> None:
-        how = "multilayer files are not read; the surface is traced bare"
+        how = "multilayer files (.mul) are not read, as their format is not public; the surface is traced bare"
         self.report.add(self.at, self.text, Verdict.APPROXIMATED, how)
 
     def _on_cir(self, words: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev import COEFFICIENTS, MOVES
@@ -15,8 +16,15 @@ from lfmesh.scene.materials.own_glass import OwnGlass
 from lfmesh.scene.pose import Pose
 
 
-def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
+def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, bytes], list[str]]:
     """Return a lens as the bytes of a `.seq` file, and what it does not hold.
+
+    Parameters
+    ----------
+    lens : Lens
+    conditions : Conditions
+    path : Path
+        Where the lens goes.
 
     Raises
     ------
@@ -59,7 +67,7 @@ def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
         lines.append(f"S {radius_mm!r} {distance!r}{glass}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
         lines += _moved(lens, i)
-    return "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode(), notes
+    return {path: "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode()}, notes
 
 
 def _conditions(conditions: Conditions) -> list[str]:

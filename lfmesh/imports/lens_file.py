@@ -61,7 +61,7 @@ def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tup
 
 
 def write_lens_file(lens: Lens, path: str | Path, conditions: Conditions | None = None) -> list[str]:
-    """Write a lens as TOML, Zemax or CODE V file, by the ending of its path.
+    """Write a lens as TOML, Zemax or CODE V file, by the ending of its path; a Zemax file has its coatings beside it.
 
     Parameters
     ----------
@@ -85,13 +85,14 @@ def write_lens_file(lens: Lens, path: str | Path, conditions: Conditions | None 
     ending = path.suffix.lower()
     notes: list[str] = []
     if ending == ".toml":
-        data = toml.dump(lens).encode()
+        files = {path: toml.dump(lens).encode()}
     elif ending in _WRITERS:
-        data, notes = _WRITERS[ending](lens, conditions or Conditions.usual(lens))
+        files, notes = _WRITERS[ending](lens, conditions or Conditions.usual(lens), path)
     else:
         raise SceneError(f"{path}: unknown ending; a lens is written to .toml, {' or '.join(_WRITERS)}")
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
+    for each, data in files.items():
+        try:
+            each.write_bytes(data)
+        except OSError as error:
+            raise SceneError(f"{each}: cannot be written: {error.strerror}") from None
     return notes

@@ -8,7 +8,6 @@ a size open.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -299,16 +298,17 @@ def _stop_of(kept: list[FileSurface]) -> int:
 
 def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: list[int], report: Report) -> None:
     """Lay the kept surfaces out along the axis, and put those that moves of the frame take off it into elements."""
-    moved = [surface for surface in prescription.surfaces if surface.before or surface.after]
+    surfaces = prescription.surfaces
+    moved = [each for each in surfaces if each.before or each.after or each.returns_to is not None]
     if not moved:
         return
-    place, places = START, list[Place]()
-    sums = [0.0, *accumulate(surface.thickness * prescription.unit_mm for surface in prescription.surfaces[1:])]
-    for surface in prescription.surfaces[1:]:
-        place = place.moved(surface.before) if surface.before else place
-        places.append(Place(place.vertex * prescription.unit_mm, place.turn))
-        place = place.moved(surface.after) if surface.after else place
-        place = place.along(surface.thickness)
+    for number in (*numbers, len(surfaces) - 1):
+        if surfaces[number].returns_to is not None:
+            why = (
+                "a surface that returns to another one's place must be empty: in air or in one glass, without aperture"
+            )
+            report.refuse(surfaces[number].line, surfaces[number].text, why)
+    places, sums = _frames(surfaces, prescription.unit_mm)
     image = places[-1]
     if not image.on_axis(float(np.linalg.norm(image.vertex))):
         aside, tilt = np.hypot(*image.vertex[:2]), math.degrees(image.turn.magnitude())
@@ -325,6 +325,21 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
     made.gaps_mm = gaps(vertices)
     made.object_mm = prescription.surfaces[0].thickness * prescription.unit_mm + vertices[0]
     made.image_mm = float(image.vertex[2]) - vertices[-1]
+
+
+def _frames(surfaces: list[FileSurface], unit: float) -> tuple[list[Place], list[float]]:
+    """Return the frames of the surfaces after the object, and the sums of thicknesses up to each, mm."""
+    frames, sums = list[Place](), list[float]()
+    place, total = START, 0.0
+    for surface in surfaces[1:]:
+        place = place.moved(surface.before) if surface.before else place
+        frames.append(place)
+        sums.append(total)
+        place = place.moved(surface.after) if surface.after else place
+        if surface.returns_to is not None:
+            place, total = frames[surface.returns_to - 1], sums[surface.returns_to - 1]
+        place, total = place.along(surface.thickness), total + surface.thickness * unit
+    return [Place(frame.vertex * unit, frame.turn) for frame in frames], sums
 
 
 def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> None:

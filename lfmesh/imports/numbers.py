@@ -1,6 +1,7 @@
 """Numbers in lens files: finite, and said to be wrong with their line where they are not."""
 
 import math
+from decimal import Decimal
 
 
 def number(word: str) -> float:
@@ -23,6 +24,17 @@ def number(word: str) -> float:
 def numbers(words: list[str]) -> list[float]:
     """Return some words as numbers; errors as in `number`."""
     return [number(word) for word in words]
+
+
+def nanometres(word: str) -> float:
+    """Return a length that a word gives in µm, in nm, rounded once; errors as in `number`."""
+    number(word)
+    return float(Decimal(word).scaleb(3))
+
+
+def micrometres(nm: float) -> str:
+    """Return a length in nm as a word in µm, from which `nanometres` makes the same number."""
+    return str(Decimal(repr(nm)).scaleb(-3))
 
 
 def is_number(word: str) -> bool:

@@ -15,12 +15,10 @@ from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.glasses import private_glass
 from lfmesh.imports.lens_making import lens_of, refuse_choices
 from lfmesh.imports.numbers import is_number, may_matter, number, numbers
-from lfmesh.imports.prescription import FAR_MM, FileSurface, Prescription
+from lfmesh.imports.prescription import FAR_MM, MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
-
-MOST_SURFACES = 1000
 
 COEFFICIENTS = ("AD", "AE", "AF", "AG")
 """Of r⁴, r⁶, r⁸, r¹⁰."""

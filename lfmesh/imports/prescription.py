@@ -14,6 +14,9 @@ from lfmesh.scene.camera.qbfs import Qbfs
 FAR_MM = 1e9
 """Distance of the object from which it counts as infinite; files write 1e10 to 1e14."""
 
+MOST_SURFACES = 1000
+"""More than any lens has; a file of more ends in an error before it takes the memory."""
+
 
 @dataclass
 class FileSurface:
@@ -61,6 +64,8 @@ class FileSurface:
     """Of the frame, before the surface."""
     after: Move | None = None
     """Of the frame, at the surface's vertex, before its thickness."""
+    returns_to: int | None = None
+    """Number of an earlier surface in whose frame its thickness counts, in place of its own; 0 is the object."""
 
     @property
     def vertex_curvature(self) -> float:

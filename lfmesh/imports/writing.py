@@ -28,7 +28,8 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"surfaces[{i}].{form}: not written to {program} files{other}")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
-    coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating != UNCOATED]
+    held = {UNCOATED, *(lens.coatings if program == ZEMAX else ())}
+    coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating not in held]
     return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
 
 

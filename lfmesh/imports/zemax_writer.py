@@ -3,8 +3,10 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.coating_writer import coating_file, coating_names
 from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import move_of
 from lfmesh.imports.glasses import named_glass
@@ -24,8 +26,17 @@ _LAST_ODD_POWER = 8
 """Odd aspheres have the powers from r to this."""
 
 
-def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
+def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, bytes], list[str]]:
     """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
+
+    A lens with coatings of its own has a second file beside it, which defines them.
+
+    Parameters
+    ----------
+    lens : Lens
+    conditions : Conditions
+    path : Path
+        Where the lens goes.
 
     Raises
     ------
@@ -33,6 +44,8 @@ def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
         The format cannot hold the lens.
     """
     notes = check_writable(lens, ZEMAX)
+    files: dict[Path, bytes] = {}
+    coatings = coating_names(lens)
     makers = _makers(lens)
     lines = ["VERS 140124 0 0", "MODE SEQ"]
     if lens.name:
@@ -48,15 +61,26 @@ def written(lens: Lens, conditions: Conditions) -> tuple[bytes, list[str]]:
     if makers:
         lines.append(f"GCAT {' '.join(makers)}")
     lines += ["ENVD 20 1 0", *_conditions(conditions)]
+    if coatings:
+        text, inexact = coating_file(lens, coatings)
+        beside = path.with_name(f"{path.stem}_coating.dat".replace('"', "_"))
+        files[beside] = text.encode()
+        # OpticStudio wants the names of its other three files, too.
+        lines.append(f'COFN QF "{beside.name}" "SCATTER_PROFILE.DAT" "ABG_DATA.DAT" "PROFILE.GRD"')
+        notes += [f"the coatings stand in {beside.name}; OpticStudio looks for it in its folder Coatings", *inexact]
     far = math.isinf(conditions.object_mm)
-    rows = [_Row(["  TYPE STANDARD", "  CURV 0.0"], math.inf if far else conditions.object_mm), *_rows(lens, radius)]
+    rows = [
+        _Row(["  TYPE STANDARD", "  CURV 0.0"], math.inf if far else conditions.object_mm),
+        *_rows(lens, radius, coatings),
+    ]
     # What follows a group that is turned back stands in the row of the way back.
     rows[-1].distance += conditions.image_mm
     rows.append(_Row(["  TYPE STANDARD", "  CURV 0.0"], 0.0))
     for number, row in enumerate(rows):
         distance = "INFINITY" if math.isinf(row.distance) else repr(row.distance)
         lines += [f"SURF {number}", *row.lines, f"  DISZ {distance}"]
-    return ("\ufeff" + "\r\n".join([*lines, "MNUM 1 1", ""])).encode("utf-16-le"), notes
+    files[path] = ("\ufeff" + "\r\n".join([*lines, "MNUM 1 1", ""])).encode("utf-16-le")
+    return files, notes
 
 
 @dataclass
@@ -90,7 +114,7 @@ def _conditions(conditions: Conditions) -> list[str]:
     ]
 
 
-def _rows(lens: Lens, stop_mm: float | None) -> list[_Row]:
+def _rows(lens: Lens, stop_mm: float | None, coatings: dict[str, str]) -> list[_Row]:
     """Return the surfaces, with coordinate breaks round the elements that stand off the axis."""
     rows: list[_Row] = []
     for i, surface in enumerate(lens.surfaces):
@@ -104,6 +128,8 @@ def _rows(lens: Lens, stop_mm: float | None) -> list[_Row]:
                 rows[-1].distance += shift[2]
             rows.append(_Row(_break((*shift[:2], *tilt, 0.0)), 0.0))
         row = _Row(_surface(i, surface, stop_mm if surface.stop else surface.semi_diameter_mm), 0.0)
+        if surface.coating in coatings:
+            row.lines.append(f"  COAT {coatings[surface.coating]}")
         rows.append(row)
         row.distance = surface.thickness_mm or 0.0
         if element is not None and element.surfaces[-1] == i:

@@ -94,8 +94,8 @@ def read(folder, front, back="NONE", file=FILE):
     return read_lens_file(folder / "plate.zmx")
 
 
-def kept(lens, degrees, wavelength_nm=PRIMARY_NM):
-    """Return the share of a ray's light that reaches the sensor, without reflections."""
+def arriving(lens, degrees, wavelength_nm, split):
+    """Return the packets in which a ray ends at the sensor."""
     scene = lf.Scene(
         camera={
             "lens": lens,
@@ -106,9 +106,15 @@ def kept(lens, degrees, wavelength_nm=PRIMARY_NM):
     )
     angle = np.radians(degrees)
     direction = np.array([0.0, np.sin(angle), np.cos(angle)])
-    paths = lf.trace(lf.build(scene), [-5.0 * direction], [direction], wavelength_nm, split="transmit")
-    assert paths.body == ["sensor"]
-    return float(paths.weight[0])
+    settings = {"split": split, "weight_cutoff": 1e-12, "threads": 1}
+    paths = lf.trace(lf.build(scene), [-5.0 * direction], [direction], wavelength_nm, **settings)
+    return paths.weight[paths.status == lf.Status.SENSOR]
+
+
+def kept(lens, degrees, wavelength_nm=PRIMARY_NM):
+    """Return the share of a ray's light that reaches the sensor, without reflections."""
+    (weight,) = arriving(lens, degrees, wavelength_nm, "transmit")
+    return float(weight)
 
 
 def by_tmm(front, back, degrees, wavelength_nm=PRIMARY_NM, index=1.78472):
@@ -143,6 +149,27 @@ def test_light_through_coated_faces_is_that_of_tmm(tmp_path: Path, name: str, de
     assert not report.of(Verdict.APPROXIMATED)
     stack = STACKS[name]
     assert kept(lens, degrees) == pytest.approx(by_tmm(stack, stack, degrees), abs=1e-6)
+
+
+GHOSTS = [("AR", "STACK"), ("STACK", "GROUPS"), ("NULL", "PLAIN")]
+
+
+@pytest.mark.parametrize(("front", "back"), GHOSTS)
+@pytest.mark.parametrize("degrees", [0.0, 20.0])
+def test_ghosts_between_coated_faces_are_those_of_tmm(tmp_path: Path, front: str, back: str, degrees: float) -> None:
+    tmm = pytest.importorskip("tmm")
+    lens, _ = read(tmp_path, front, back)
+    index = 1.78472
+    inside = np.arcsin(np.sin(np.radians(degrees)) / index)
+    pair = 1.0
+    for stack in (STACKS[front], STACKS[back]):
+        indices = [index, *(layer[0] for layer in stack[::-1]), 1.0]
+        nm = [np.inf, *(layer[1] for layer in stack[::-1]), np.inf]
+        pair *= tmm.unpolarized_RT(indices, nm, inside, PRIMARY_NM)["R"]
+    direct = by_tmm(STACKS[front], STACKS[back], degrees)
+    found = np.sort(arriving(lens, degrees, PRIMARY_NM, "both"))[::-1]
+    # Without a reflection, after two, and after four.
+    np.testing.assert_allclose(found[:3], direct * pair ** np.arange(3), rtol=1e-6)
 
 
 def test_layers_of_a_file_disperse(tmp_path: Path) -> None:
@@ -240,7 +267,7 @@ def test_coatings_survive_conversion_and_come_with_the_lens_of_a_scene(tmp_path:
     assert lf.load(tmp_path / "scene.toml").camera.lens.coatings == lens.coatings
 
 
-@pytest.mark.parametrize("rows", ["", "0.5 1.5 0.1\n", "0.5 a 0\n", "0.5 1.5\n0.5 1.6\n", "-1 1.5\n"])
+@pytest.mark.parametrize("rows", ["", "0.5 1.5 0.1\n", "0.5 a 0\n", "0.5 1.5\n0.5 1.6\n", "-1 1.5\n", "0.5\n"])
 def test_an_impossible_material_matters_only_to_coatings_that_have_it(tmp_path: Path, rows: str) -> None:
     file = f"MATE X\n{rows}MATE Y\n0.5 1.4 0\nCOAT BAD\nX 0.25\nCOAT GOOD\nY 0.25\n"
     lens, report = read(tmp_path, "GOOD", "BAD", file)

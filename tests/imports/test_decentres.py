@@ -156,12 +156,56 @@ def test_surfaces_that_return_stand_where_code_v_has_them():
         np.testing.assert_allclose(axes, turn, atol=1e-13)
 
 
+MOVED = "  XDE 0.1; YDE 0.2; ZDE 0.3\n  ADE 3; BDE -2; CDE 5\n"
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        # From the pivot, by the same decentres reversed; and from the second surface, 5 mm before the group.
+        f"S 100 -2\n  CIR 4\nS 0 12\n{MOVED}  REV\n",
+        "S 100 0\n  CIR 4\nS 0 17\n  RET S2\n",
+        "S 100 0\n  CIR 4\nS 0 17\n RET S5 S2\n",
+    ],
+    ids=["REV", "RET", "RET of a named surface"],
+)
+def test_an_axis_of_code_v_comes_back_by_reversed_decentres_or_to_an_earlier_surface(back):
+    text = TRIPLET_SEQ.format(first=MOVED, second="").replace("S 100 10\n  CIR 4\n", back)
+    text = text.replace("SI 0 0\n", "S 80 3 500000.5000\nS 0 20\nSI 0 0\n")
+    lens, report = codev.read(Path("lens.seq"), text.splitlines())
+    turn = about(0, -3.0) @ about(1, 2.0) @ about(2, 5.0)
+    front = np.array([0.1, 0.2, 9.3])
+    for number, at, axes in (
+        (2, front, turn),
+        (3, front + turn @ [0.0, 0.0, 2.0], turn),
+        (4, [0.0, 0.0, 21.0], np.eye(3)),
+        (5, [0.0, 0.0, 24.0], np.eye(3)),
+    ):
+        found, turned = standing(lens, number)
+        np.testing.assert_allclose(found, at, atol=SAME_MM)
+        np.testing.assert_allclose(turned, axes, atol=1e-13)
+    assert [element.surfaces for element in lens.elements] == [(2, 3)]
+    assert any(note.startswith("image: 20 mm behind") for note in report.notes)
+
+
 def test_decentres_that_no_lens_here_has_are_refused():
     tilted = TRIPLET_SEQ.format(first="  ADE 3\n", second="")
     with pytest.raises(SceneError, match="the axis is not turned back"):
         codev.read(Path("lens.seq"), tilted.splitlines())
-    with pytest.raises(SceneError, match="plain ones and those with DAR are supported"):
+    with pytest.raises(SceneError, match="the axis is not turned back"):
         codev.read(Path("lens.seq"), tilted.replace("ADE 3\n", "ADE 3\n  REV\n").splitlines())
+    for lines, why in (
+        ("  DAR\n  REV\n", r"line \d+: REV: a surface has one of DAR and REV, once"),
+        ("  BEN\n", r"line \d+: BEN: folded and global axes are not supported"),
+        ("  RET S1\n", "RET with decentres of its own is not supported"),
+        ("  RET S9\n", r"line \d+: RET S9"),
+        ("  RET\n", r"line \d+: RET: it is cut short"),
+        ("  RET SO\n", "it must name a surface between the object and this one"),
+    ):
+        with pytest.raises(SceneError, match=why):
+            codev.read(Path("lens.seq"), tilted.replace("ADE 3\n", f"ADE 3\n{lines}").splitlines())
+    with pytest.raises(SceneError, match=r"returns to another one's place must be empty"):
+        codev.read(Path("lens.seq"), TRIPLET_SEQ.format(first="  RET S2\n", second="").splitlines())
 
 
 def test_tilts_turn_as_a_published_listing_of_zemax_shows():

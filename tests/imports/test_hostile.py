@@ -8,11 +8,19 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.scene import load_lens
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
+from tests.imports.test_coatings import FILE as COATINGS
+from tests.imports.test_lens_table import text as table
 from tests.imports.test_optiland_json import LENS as OPTILAND
 from tests.imports.test_oslo import LENS as LEN
 from tests.processor_time import processor_seconds
 
-FILES = [(".zmx", SINGLET_ZMX), (".seq", SINGLET_SEQ), (".len", LEN), (".json", json.dumps(OPTILAND, indent=1))]
+FILES = [
+    (".zmx", SINGLET_ZMX),
+    (".seq", SINGLET_SEQ),
+    (".len", LEN),
+    (".json", json.dumps(OPTILAND, indent=1)),
+    (".csv", "\n".join(table(" ; "))),
+]
 GARBAGE = {
     "empty": (b"", "it has no line S"),
     "zeros": (bytes(100_000), "no text"),
@@ -91,6 +99,27 @@ def test_changed_words_make_a_lens_or_one_clear_error(tmp_path, ending, text):
         for place in draw.integers(len(new), size=draw.integers(1, 4)):
             new[place] = strange[draw.integers(len(strange))]
         path.write_text(" ".join(new))
+        assert str(path) in outcome(path)
+
+
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
+def test_a_changed_coating_file_makes_a_lens_or_one_clear_error(tmp_path):
+    draw = np.random.default_rng(3)
+    path = tmp_path / "lens.zmx"
+    names = iter(["GROUPS", "MEASURED"])
+    path.write_text(
+        "".join(
+            f"{line}\n  COAT {next(names)}\n" if line in ("SURF 1", "SURF 2") else f"{line}\n"
+            for line in SINGLET_ZMX.split("\n")
+        )
+    )
+    words = COATINGS.split(" ")
+    strange = ["-1", "0", "1e400", "nan", "1e-320", "1_0", "COAT", "MATE", "TABLE", "!", "\n", "99999999999999999999"]
+    for _ in range(100):
+        new = list(words)
+        for place in draw.integers(len(new), size=4):
+            new[place] = strange[draw.integers(len(strange))]
+        (tmp_path / "COATING.DAT").write_text(" ".join(new))
         assert str(path) in outcome(path)
 
 

@@ -1,6 +1,7 @@
 """Random lenses written in each dialect and read again: surfaces, focal length and real rays are those of the scene."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Element, Paraxial, Pose
+from lfmesh.scene.camera.lens import FileChoices
+from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredIndex
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 SEMI = 4.0
@@ -19,6 +22,7 @@ SENSOR_MM = 70.0
 SAME_MM, SAME_FOCAL, SAME_RAYS_MM = 1e-12, 1e-10, 1e-10
 DIALECTS = (".zmx", ".seq")
 ODD_AND_SECTIONS = (".zmx",)
+COATED = (".zmx",)
 
 GLASSES: tuple[dict[str, Any], ...] = ({"glass": "SCHOTT/N-BK7"}, {"glass": "OHARA/S-LAH66"}, {"index": 1.61})
 OWN: dict[str, dict[str, Any]] = {
@@ -52,8 +56,22 @@ def shape(draw: np.random.Generator, ending: str) -> dict[str, Any]:
     return keys
 
 
+def coating(draw: np.random.Generator) -> Coating:
+    """Return a random coating: a share, or up to four layers, some of which disperse and absorb."""
+    if draw.random() < 0.3:
+        return Coating(reflectance=float(draw.random()))
+    layers = []
+    for thickness in draw.uniform(5.0, 300.0, int(draw.integers(1, 5))):
+        nm = np.sort(draw.uniform(350.0, 900.0, 3)).tolist()
+        n, k = draw.uniform(1.3, 2.6, 3).tolist(), draw.uniform(0.0, 0.01, 3).tolist()
+        film = MeasuredIndex(wavelengths_nm=nm, index=n, extinction=k)
+        medium = {"measured": film} if draw.random() < 0.5 else {"index": n[0], "extinction": k[0]}
+        layers.append(Layer(thickness_nm=float(thickness), **medium))
+    return Coating(layers=tuple(layers))
+
+
 def random_lens(seed: int, ending: str) -> lf.Lens:
-    """Return a lens of two to four elements of glass, some of them off their places, with the stop on some surface."""
+    """Return a lens of two to four elements of glass, some off their places, some coated, the stop on some surface."""
     draw = np.random.default_rng(seed)
     surfaces: list[dict[str, Any]] = []
     elements = []
@@ -70,7 +88,12 @@ def random_lens(seed: int, ending: str) -> lf.Lens:
         surface["semi_diameter_mm"] = SEMI
     stop = surfaces[int(draw.integers(len(surfaces)))]
     stop |= {"stop": True, "semi_diameter_mm": 0.6 * SEMI}
-    return lf.Lens(name=f"random {seed}", surfaces=tuple(lf.Surface(**keys) for keys in surfaces), elements=elements)
+    draw = np.random.default_rng([seed, 1])
+    coatings = {f"c{i}": coating(draw) for i in range(len(surfaces)) if ending in COATED and draw.random() < 0.5}
+    for name in coatings:
+        surfaces[int(name[1:])]["coating"] = name
+    made = tuple(lf.Surface(**keys) for keys in surfaces)
+    return lf.Lens(name=f"random {seed}", surfaces=made, elements=elements, coatings=coatings)
 
 
 def standing_points(lens: lf.Lens) -> np.ndarray:
@@ -109,6 +132,7 @@ def examine(seed: int, ending: str, path: Any) -> None:
     np.testing.assert_allclose(after - [0.0, 0.0, shift], before, atol=10.0 * SAME_MM, rtol=0.0)
     for one, other in zip(lens.surfaces, again.surfaces, strict=True):
         assert other.medium == one.medium
+        assert again.coatings.get(other.coating) == lens.coatings.get(one.coating)
         assert other.semi_diameter_mm == pytest.approx(one.semi_diameter_mm, rel=1e-12)
         for x, y in ((0.0, 2.0), (2.2, 0.0), (1.5, -1.1)):
             assert other.sag_at_mm(x, y) == pytest.approx(one.sag_at_mm(x, y), abs=SAME_MM)
@@ -132,6 +156,59 @@ def test_random_lenses_come_back(seed: int, ending: str, tmp_path: Any) -> None:
 @pytest.mark.parametrize("seed", range(6, 100))
 def test_many_random_lenses_come_back(seed: int, ending: str, tmp_path: Any) -> None:
     examine(seed, ending, tmp_path / f"lens{ending}")
+
+
+def other_state(lens: lf.Lens, seed: int) -> lf.Lens:
+    """Return a lens with other thicknesses, and other radii and conics where nothing else depends on them."""
+    draw = np.random.default_rng([seed, 2])
+    surfaces = []
+    for surface in lens.surfaces:
+        new = {} if surface.thickness_mm is None else {"thickness_mm": float(draw.uniform(4.0, 6.0))}
+        if math.isfinite(surface.radius_mm) and surface.qbfs is None and surface.qcon is None:
+            new["radius_mm"] = 1.1 * surface.radius_mm
+            new["conic"] = 0.9 * surface.conic
+        surfaces.append(surface.model_copy(update=new))
+    return lens.model_copy(update={"surfaces": tuple(surfaces)})
+
+
+def operands(one: list[str], two: list[str], ending: str) -> Iterator[str]:
+    """Yield the lines that give a file the values of another one as its second configuration."""
+    number = -1
+    names = {"DISZ": "THIC", "CURV": "CRVT", "CONI": "CONN"}
+    for first, second in zip(one, two, strict=True):
+        a, b = first.split(), second.split()
+        number += a[0] in ("SURF", "SO", "S")
+        if a == b:
+            continue
+        if ending == ".zmx":
+            for k, words in enumerate((a, b), 1):
+                yield f"{names[a[0]]} {number} {k} {words[1]} 0 0 0 1 1 1 0 0"
+        elif a[0] == "S":
+            yield f"ZOO RDY S{number} {a[1]} {b[1]}"
+            yield f"ZOO THI S{number} {a[2]} {b[2]}"
+        else:
+            yield f"ZOO {a[0]} {f'S{number} ' if number >= 0 else ''}{a[1]} {b[1]}"
+
+
+@pytest.mark.parametrize("ending", DIALECTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_random_configurations_are_the_lenses_that_they_stand_for(seed: int, ending: str, tmp_path: Any) -> None:
+    lens = random_lens(seed, ending)
+    paths = [tmp_path / f"{name}{ending}" for name in ("one", "two")]
+    texts = []
+    for each, path in zip((lens, other_state(lens, seed)), paths, strict=True):
+        write_lens_file(each, path)
+        coding = "utf-16" if ending == ".zmx" else "utf-8"
+        # The coatings are the same in both.
+        texts.append([line for line in path.read_text(coding).split("\n") if line.strip() and "COFN" not in line])
+    start, end = {".zmx": ("MNUM 2 1", "MNUM 1 1"), ".seq": ("ZOO 2", "GO")}[ending]
+    both = [line for line in texts[0] if line.strip() != end] + [start, *operands(*texts, ending), "GO"]
+    both.insert(1, 'COFN QF "one_coating.dat"') if lens.coatings else None
+    zoom = tmp_path / f"zoom{ending}"
+    zoom.write_text("\n".join(both))
+    states = [read_lens_file(zoom, FileChoices(configuration=k))[0] for k in (1, 2)]
+    assert states == [read_lens_file(path)[0] for path in paths]
+    assert states[0] != states[1]
 
 
 @pytest.mark.parametrize("ending", DIALECTS)

@@ -1,0 +1,103 @@
+"""Writing the coatings of a lens as the coating file of a Zemax lens file; `lfmesh.imports.coatings` reads it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.coatings import BARE
+from lfmesh.imports.numbers import micrometres
+from lfmesh.optics.glass import complex_index
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredReflectance
+
+_ONE_INDEX_NM = 550.0
+"""Wavelength of the only row of a material that does not disperse."""
+
+_TABLE_NM = np.arange(350.0, 1101.0, 5.0)
+"""Wavelengths at which a material of the catalogue is written, as far as the catalogue has it: linear interpolation
+between them is off by some 1e-5 at 400 nm in ordinary glass."""
+
+
+def coating_names(lens: Lens) -> dict[str, str]:
+    """Return the names that a lens's coatings have in the file, where capitals do not count, by those in the lens."""
+    names: dict[str, str] = {}
+    taken = set(BARE)
+    for name in dict.fromkeys(surface.coating for surface in lens.surfaces if surface.coating in lens.coatings):
+        free, number = name, 1
+        while free.upper() in taken:
+            number += 1
+            free = f"{name}-{number}"
+        taken.add(free.upper())
+        names[name] = free
+    return names
+
+
+def coating_file(lens: Lens, names: dict[str, str]) -> tuple[str, list[str]]:
+    """Return the text of a coating file, and what it does not hold exactly.
+
+    Parameters
+    ----------
+    lens : Lens
+    names : dict
+        Of `coating_names`.
+
+    Raises
+    ------
+    SceneError
+        The catalogue has a layer's material at none of the wavelengths of a table.
+    """
+    notes: list[str] = []
+    materials: dict[tuple[str, ...], str] = {}
+    entries: list[str] = []
+    for name, free in names.items():
+        entries += _entry(free, lens.coatings[name], materials, notes)
+    tables = [line for rows, material in materials.items() for line in (f"MATE {material}", *rows)]
+    return "\r\n".join([*tables, *entries, ""]), list(dict.fromkeys(notes))
+
+
+def _entry(name: str, coating: Coating, materials: dict[tuple[str, ...], str], notes: list[str]) -> Iterator[str]:
+    """Yield the lines of a coating; the materials that it has are put into `materials` by their rows."""
+    if coating.reflectance is not None:
+        yield f"IDEAL {name} {1.0 - coating.reflectance!r} {coating.reflectance!r}"
+    elif coating.measured is not None:
+        yield f"TABLE {name}"
+        yield from _by_angle(coating.measured)
+    else:
+        yield f"COAT {name}"
+        for layer in coating.layers or ():
+            material = materials.setdefault(_material(layer, notes), f"M{len(materials) + 1}")
+            # 1 says that the thickness is in µm.
+            yield f"{material} {micrometres(layer.thickness_nm)} 1"
+
+
+def _by_angle(table: MeasuredReflectance) -> Iterator[str]:
+    """Yield reflectance and transmittance, the same for s and p, by angle and wavelength; their phases are 0."""
+    for place, angle in enumerate(table.angles_deg):
+        yield f"ANGL {angle!r}"
+        for wavelength_nm, row in zip(table.wavelengths_nm, table.reflectance, strict=True):
+            reflected, passed = row[place], 1.0 - row[place]
+            yield f"WAVE {micrometres(wavelength_nm)} {reflected!r} {reflected!r} {passed!r} {passed!r} 0 0 0 0"
+
+
+def _material(layer: Layer, notes: list[str]) -> tuple[str, ...]:
+    """Return the rows of a layer's material: wavelength in µm, n, and k below zero."""
+    if layer.measured is not None:
+        lines = layer.measured.wavelengths_nm
+    elif layer.glass is None:
+        lines = (_ONE_INDEX_NM,)
+    else:
+        lines = tuple(line for line in map(float, _TABLE_NM) if _has(layer.glass, line))
+        if not lines:
+            raise SceneError(f"a coating's layer of {layer.glass}: the catalogue has it at no wavelength of the table")
+        notes.append(f"a layer of {layer.glass} is written as a table from {lines[0]:g} to {lines[-1]:g} nm")
+    indices = [(line, layer.index_at(line)) for line in lines]
+    return tuple(f"{micrometres(line)} {n.real!r} {0.0 - n.imag!r}" for line, n in indices)
+
+
+def _has(glass: str, wavelength_nm: float) -> bool:
+    try:
+        complex_index(glass, wavelength_nm)
+    except GlassError:
+        return False
+    return True

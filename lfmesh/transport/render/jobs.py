@@ -149,7 +149,7 @@ def reduced(
         As for `lfmesh.transport.render.render.render`.
     """
     tracer = Tracer(build(scene), chunk)
-    film = untraced_light(tracer.world, untraced)
+    film = untraced_light(tracer.world, untraced, progress)
     replicates = scene.transport.replicates
     state = tracer.layout.state(saved)
     clock = Clock(state)

@@ -66,7 +66,7 @@ DIMENSIONLESS = {
     "transport/regions/mla.py": {"ROUNDED", "UNSURE"},
     "transport/tables/single_scatter.py": {"FINEST"},
     "transport/tables/lens.py": {"STEEPER"},
-    "transport/tables/particles.py": {"DARKEST", "UM2"},
+    "transport/tables/particles.py": {"UM2"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},

@@ -39,8 +39,9 @@ def texts(notebook: Any) -> list[str]:
     return [str(part) for output in outputs for part in (output.get("text", ""), *output.get("data", {}).values())]
 
 
-def test_there_are_four() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["first_scene", "ghost_hunt", "own_part", "refocus_and_depth"]
+def test_there_are_five() -> None:
+    stems = ["first_scene", "ghost_hunt", "light_field_microscope", "own_part", "refocus_and_depth"]
+    assert [path.stem for path in NOTEBOOKS] == stems
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

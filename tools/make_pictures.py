@@ -3,15 +3,17 @@
 From a run of the demo, one that was refocused, a report of its accuracy, a scene to be seen in 3D, or several of them:
 tools/run demo -o run, tools/run accuracy assets/scenes/first_light.toml -o report, then
 tools/make_pictures.py run report assets/scenes/first_light.toml. From runs of the flame, the particles and the tank,
-tools/run render assets/scenes/flame.toml -o flame --white: their views.
+tools/run render assets/scenes/flame.toml -o flame --white: their views. From an example notebook: its last figure.
 """
 
+import base64
 import io
 import sys
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import nbformat
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -159,6 +161,13 @@ def from_report(report: Path) -> None:
         figure.savefig(PICTURES / "accuracy.png", dpi=FIGURE_DPI)
 
 
+def from_notebook(notebook: Path) -> None:
+    """Write the last figure that a notebook keeps."""
+    outputs = [output for cell in nbformat.read(notebook, as_version=4).cells for output in cell.get("outputs", [])]
+    figures_kept = [output.data["image/png"] for output in outputs if "image/png" in output.get("data", {})]
+    (PICTURES / f"{notebook.stem}.png").write_bytes(base64.b64decode(figures_kept[-1]))
+
+
 def from_scene(scene: Path) -> None:
     """Write the camera with rays, a ghost in its lens, and what one pixel sees through the array."""
     for name, options in VIEWS.items():
@@ -173,6 +182,8 @@ if __name__ == "__main__":
     for folder in map(Path, sys.argv[1:]):
         if folder.suffix == ".toml":
             from_scene(folder)
+        elif folder.suffix == ".ipynb":
+            from_notebook(folder)
         elif (folder / LENS_CSV).is_file():
             from_report(folder)
         elif (name := load(folder / "scene.toml").name) in MEDIA:

@@ -83,11 +83,19 @@ def summary(image: Image) -> list[str]:
 def account(image: Image) -> list[str]:
     """Say what a run gave without its warnings, which are printed as they come: first how good the picture is."""
     measured = noise(image)
-    lines = _noise_lines(image, measured)
+    lines = [*_noise_lines(image, measured), *_untraced(image)]
     if measured.received_share < DARK_SHARE:
         lines += where_the_light_went(image)
     checks = " ".join([*_aim(image), *_order(image), *_coatings(image)])
     return [*lines, *_diffraction(image.scene), *([f"Checks: {checks}"] if checks else []), _work(image)]
+
+
+def _untraced(image: Image) -> list[str]:
+    """Return a sentence on light that was not traced, but added without noise."""
+    light, total = image.ledger.untraced, float(image.mean.sum())
+    if not light > 0.0:
+        return []
+    return [f"Particles bring {light:.3g} W, {percent(light / total)} of the picture's light, by point spreads."]
 
 
 def diffraction(scene: Scene) -> dict[str, float | None]:
@@ -169,6 +177,8 @@ def where_the_light_went(image: Image) -> list[str]:
             f"Only particles shine: {percent(ledger.lamps.sensor / ledger.lamps.emitted)} of their light came to"
             " the sensor."
         ]
+    if total <= 0.0 and ledger.untraced > 0.0:
+        return []
     if total <= 0.0:
         return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
     parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]

@@ -11,6 +11,7 @@ from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import focus_wished_mm
+from lfmesh.scene.light.particles import shining_particles
 from lfmesh.scene.model import format_path
 from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 from lfmesh.scene.scene import Scene
@@ -43,6 +44,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_light(scene),
         *_rough_camera(scene),
         *_samples(scene),
+        *_spreads(scene),
     )
 
 
@@ -54,6 +56,19 @@ def _samples(scene: Scene) -> Iterator[str]:
             f"samples = {transport.samples} cannot be shared by {transport.replicates} replicates: rounded up to "
             f"{transport.samples_each * transport.replicates}"
         )
+
+
+def _spreads(scene: Scene) -> Iterator[str]:
+    """Say that particles are no rays where light diffracts, and how many there are."""
+    chosen = scene.transport.diffraction
+    if chosen == "none" or not scene.particles:
+        return
+    count = sum(len(shining_particles(group, scene)[0]) for group in scene.particles)
+    channels = f" at {scene.channels} wavelengths each" if scene.channels > 1 else ""
+    yield (
+        f'transport.diffraction = "{chosen}": {count:,} particle{"s" if count != 1 else ""} are pictured by point '
+        f"spreads{channels}, which take some seconds apiece"
+    )
 
 
 def _rough_camera(scene: Scene) -> Iterator[str]:

@@ -20,7 +20,7 @@ from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.aims.aim_table import widest_disk
-from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence
+from lfmesh.transport.sequences.ray_tables import Arrived, behind_faces, follow_sequence
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
@@ -276,17 +276,16 @@ class LensRays:
         """
         field = np.asarray(slope, dtype=np.float64)
         position, direction = self.starts(np.broadcast_to(field, entry.shape), entry)
-        before = start = direction
+        before = direction
         if math.isinf(self.object_mm):
             path = (position * direction).sum(axis=1)
         else:
             path = np.linalg.norm(position - [*(field * self.object_mm), -self.object_mm], axis=1)
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
-        whole, first = image_path(len(tables.lens.surfaces)), (position, start)
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         heights = np.empty((len(position), len(media) - 1))
         for face, index in enumerate(media[:-1]):
-            arrived = follow_sequence(tables, whole.until(face + 1), *first)
+            arrived = follow_sequence(behind_faces(tables, face), image_path(1), position, direction)
             path = path + index * np.linalg.norm(arrived.position - position, axis=1)
             position, direction = arrived.position, arrived.direction
             own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)

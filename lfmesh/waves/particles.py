@@ -4,6 +4,8 @@ Light of different particles does not interfere, so their pictures add up. Sprea
 within a resolved length of the camera, so that a grid of them has more points than nearly all scenes have particles.
 """
 
+import time
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -13,6 +15,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene.media.phase import IsotropicPhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.world import World
 from lfmesh.waves.point_spread import NoLightError, point_spread
 
@@ -21,13 +24,17 @@ Array = NDArray[np.float64]
 MOST_SPREADS = 2000
 """Point spreads of a picture: they take seconds each."""
 
+STAGE = "point spreads of particles"
 
-def particle_film(world: World) -> Array:
+
+def particle_film(world: World, progress: Callable[[Progress], None] | None = None) -> Array:
     """Return the light of a scene's particles on each pixel, (rows, columns, wavelengths) W.
 
     Parameters
     ----------
     world : World
+    progress : callable, optional
+        Told of each point spread.
 
     Raises
     ------
@@ -39,6 +46,7 @@ def particle_film(world: World) -> Array:
     columns, rows = scene.camera.sensor.pixels
     film = np.zeros((rows, columns, scene.channels))
     into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    done, all_of_them, began = 0, _spreads(world), time.perf_counter()
     for table in world.particles:
         for point, strength in zip(frames.points(into_camera, table.points), table.strength, strict=True):
             # Power over all directions, of which an even share goes each way.
@@ -46,7 +54,15 @@ def particle_film(world: World) -> Array:
                 with suppress(NoLightError):
                     spread = point_spread(scene, point, scene.wavelengths_nm[channel])
                     film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
+                done += 1
+                if progress is not None:
+                    progress(Progress(done, all_of_them, time.perf_counter() - began, 0, 0, STAGE))
     return film
+
+
+def _spreads(world: World) -> int:
+    """Return the number of point spreads of a world's particles."""
+    return world.scene.channels * sum(len(table.points) for table in world.particles)
 
 
 def _refuse(world: World) -> None:
@@ -62,7 +78,7 @@ def _refuse(world: World) -> None:
                 f'particles[{table.entry}].phase.kind = "{phase.kind}": with {chosen} particles send light evenly; '
                 'take "isotropic", or transport.diffraction = "none"'
             )
-    spreads = scene.channels * sum(len(table.points) for table in world.particles)
+    spreads = _spreads(world)
     if spreads > MOST_SPREADS:
         raise LfmeshError(
             f"{chosen}: particles need {spreads:,} point spreads, some seconds each, {MOST_SPREADS:,} are possible; "

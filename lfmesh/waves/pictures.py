@@ -1,8 +1,9 @@
 """Pictures of many points by their point spreads: the columns of wave matrices.
 
 Where a camera repeats itself from lenslet to lenslet, as a light-field microscope with pupils at infinity does, points
-that lie the image of a pitch apart have the same picture, a pitch aside. One of them is then computed, and one more in
-each plane, which says by how much the rest are off.
+that lie the image of a pitch apart have the same picture, a pitch aside; where nothing is off its axis, points that
+mirror each other have mirrored pictures. One of them is then computed, and one more in each plane, which says by how
+much the rest are off.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.scene import Scene, first_order
-from lfmesh.scene.camera.mla import ArrayForm
+from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
+from lfmesh.scene.pose import Pose
 from lfmesh.waves.point_spread import TOLERANCE, point_spread
 
 Array = NDArray[np.float64]
@@ -34,10 +36,13 @@ class Repeats(NamedTuple):
         From point to point.
     pixels : int
         From picture to picture; below 0 where the lens inverts.
+    mirrors : bool
+        Pictures of points that mirror each other about x, y or the diagonal are mirrored.
     """
 
     object_mm: float
     pixels: int
+    mirrors: bool
 
 
 class Pictures(NamedTuple):
@@ -58,8 +63,7 @@ class Pictures(NamedTuple):
 
 
 def pictures_of_points(
-    scene: Scene, points_mm: Array, wavelength_nm: float, *, tolerance: float = TOLERANCE,
-    progress: Callable[[int, int], None] | None = None,
+    scene: Scene, points_mm: Array, wavelength_nm: float, *, tolerance: float = TOLERANCE
 ) -> Pictures:  # fmt: skip
     """Return the pictures of points by `lf.point_spread`, with as few spreads as the camera allows.
 
@@ -71,8 +75,6 @@ def pictures_of_points(
     wavelength_nm : float
     tolerance : float
         As of `point_spread`; pictures that repeat and differ by more are computed one by one.
-    progress : callable, optional
-        Called with the number of points done and that of all.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def pictures_of_points(
         As from `point_spread`.
     """
     columns, rows = scene.camera.sensor.pixels
-    mean, done, worst, computed = np.zeros((len(points_mm), rows, columns)), 0, 0.0, 0
+    mean, worst, computed = np.zeros((len(points_mm), rows, columns)), 0.0, 0
     repeats = repeats_of(scene)
 
     def spread(of: Scene, point: Array) -> Array:
@@ -96,9 +98,6 @@ def pictures_of_points(
         else:
             for number in plane:
                 mean[number] = spread(scene, points_mm[number])
-        done += len(plane)
-        if progress is not None:
-            progress(done, len(points_mm))
     return Pictures(mean, worst, computed)
 
 
@@ -117,7 +116,16 @@ def repeats_of(scene: Scene) -> Repeats | None:
     telecentric = np.isinf(facts.entrance_pupil_z_mm) and np.isinf(facts.exit_pupil_z_mm)
     if not telecentric or pixels == 0 or abs(facts.micro_image_pitch_px - pixels) > WHOLE_PX:
         return None
-    return Repeats(mla.pitch_mm / abs(facts.magnification), int(np.copysign(pixels, facts.magnification)))
+    step_mm = mla.pitch_mm / abs(facts.magnification)
+    return Repeats(step_mm, int(np.copysign(pixels, facts.magnification)), _is_symmetric(scene, mla))
+
+
+def _is_symmetric(scene: Scene, mla: MicrolensArray) -> bool:
+    """Return True of a camera that a mirror along x, y or the diagonal leaves as it is."""
+    lens, sensor = scene.camera.lens, scene.camera.sensor
+    centred = mla.pose == sensor.pose == Pose() and not lens.elements
+    square = len({*mla.count}) == 1 and len({*sensor.pixels}) == 1 and mla.cylinder_axis is None
+    return centred and square and lens.number_off_revolution is None
 
 
 class _Shared(NamedTuple):
@@ -141,6 +149,10 @@ def _repeated(scene: Scene, points: Array, repeats: Repeats, spread: Callable[[S
     """
     steps = np.round(points[:, :2] / repeats.object_mm - SAME).astype(np.int64)
     near = points[:, :2] - repeats.object_mm * steps
+    mirrored = (near < 0.0) & repeats.mirrors
+    near = np.where(mirrored, -near, near)
+    turned = (near[:, 1] > near[:, 0]) & repeats.mirrors
+    near[turned] = near[turned, ::-1]
     key = np.round(near / (SAME * repeats.object_mm))
     _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
     group = group.ravel()
@@ -155,9 +167,11 @@ def _repeated(scene: Scene, points: Array, repeats: Repeats, spread: Callable[[S
         whole = spread(wide, np.array([*near[member], points[member, 2]]))
         for point in np.flatnonzero(group == number):
             left, low = margin - repeats.pixels * steps[point]
-            mean[point] = whole[low : low + rows, left : left + columns]
+            seen = whole.T if turned[point] else whole
+            across, along = (slice(None, None, -1 if flips else 1) for flips in mirrored[point])
+            mean[point] = seen[along, across][low : low + rows, left : left + columns]
     # The array's rim, and what else does not repeat, is felt most where the shift is largest.
-    farthest = int(np.abs(steps).max(axis=1).argmax())
+    farthest = int((3 * np.abs(steps).max(axis=1) + mirrored.sum(axis=1) + turned).argmax())
     own = spread(scene, points[farthest])
     return _Shared(mean, float(np.abs(mean[farthest] - own).sum() / own.sum()))
 

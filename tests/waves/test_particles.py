@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.files.words import account
+from lfmesh.scene.literals import percent
+from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.render import render as trace_alone
+from lfmesh.waves.particles import STAGE
 
 WAVE_NM, FAR = 550.0, 2000.0
 
@@ -70,6 +74,29 @@ def test_particles_add_to_what_is_traced() -> None:
 def test_particles_beside_the_field_are_dark() -> None:
     image = lf.render(scene(particles=[POINT | {"position_mm": (1000.0, 0.0, -FAR)}]))
     assert not image.mean.any()
+    assert image.ledger.untraced == 0.0
+
+
+def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None:
+    told: list[Progress] = []
+    given = scene(targets=[PLANE], **{"transport.wavelengths_nm": [500.0, 600.0]})
+    image = lf.render(given, told.append)
+    spreads = [each for each in told if each.stage == STAGE]
+    assert [(each.done, each.total) for each in spreads] == [(done, 4) for done in (1, 2, 3, 4)]
+    traced = lf.render(given.changed({"particles": []}))
+    assert traced.ledger.untraced == 0.0
+    assert image.ledger.untraced == pytest.approx(image.mean.sum() - traced.mean.sum(), rel=1e-9)
+    assert abs(image.ledger.imbalance) < 1e-12
+    share = percent(image.ledger.untraced / image.mean.sum())
+    assert any(line.startswith("Particles bring") and share in line for line in account(image))
+    assert not any(line.startswith("Particles bring") for line in account(traced))
+
+
+def test_check_says_beforehand_how_many_particles_are_pictured_by_spreads() -> None:
+    said = "2 particles are pictured by point spreads"
+    assert any(said in line for line in lf.first_order(scene()).warnings)
+    plain = lf.first_order(scene(**{"transport.diffraction": "none"})).warnings
+    assert not any("point spreads" in line for line in plain)
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World, build
 from lfmesh.waves.pictures import Pictures, pictures_of_points
+from lfmesh.waves.point_spread import TOLERANCE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -235,6 +236,8 @@ class Projector:
         Whether what media absorb and scatter on the way to the camera is missing from its entries.
     inside : str, optional
         Name of the body of glass or liquid that the grid is in; it is in air if left out.
+    tolerance : float
+        Of point spreads, see `lf.point_spread`.
 
     Raises
     ------
@@ -244,9 +247,10 @@ class Projector:
 
     def __init__(
         self, scene: Scene, grid: Any, channel: int = 0, threshold: float = THRESHOLD, *, absorption: bool = False,
-        inside: str | None = None,
+        inside: str | None = None, tolerance: float = TOLERANCE,
     ) -> None:  # fmt: skip
         self.grid = VoxelBox.of(grid)
+        self.tolerance = tolerance
         _check(scene, channel, threshold)
         self.absorption, self.inside = bool(absorption), inside
         self._known: list[PictureWarning] = []
@@ -347,7 +351,7 @@ class Projector:
                 f"{len(points):,} point spreads on {self.tracer.pixels:,} pixels take {size / 1e9:.3g} GB: give fewer "
                 "voxels or pixels"
             )
-        pictures = pictures_of_points(self._scene, points, self.wavelength_nm)
+        pictures = pictures_of_points(self._scene, points, self.wavelength_nm, tolerance=self.tolerance)
         warning = _wide_voxels(pictures, self.grid.shape)
         self._known += warning
         warn_caller(warning)
@@ -418,7 +422,8 @@ class Projector:
 
 def projection_matrix(
     scene: Scene, grid: Any, *, channel: int = 0, pixels: ArrayLike | None = None, threshold: float = THRESHOLD,
-    absorption: bool = False, inside: str | None = None, say: Callable[[str], None] | None = None,
+    absorption: bool = False, inside: str | None = None, tolerance: float = TOLERANCE,
+    say: Callable[[str], None] | None = None,
 ) -> ProjectionMatrix:  # fmt: skip
     """Trace what every pixel of a camera detects of every voxel of an emitting grid.
 
@@ -447,6 +452,8 @@ def projection_matrix(
         is clear. Light that is scattered into a ray is in no entry.
     inside : str, optional
         Name of the body of glass or liquid that the grid is in, such as "tanks[0] liquid". Left out, it is in air.
+    tolerance : float
+        With diffraction, the largest error of a column over its light, as of `lf.point_spread`.
     say : callable, optional
         Called with lines for the user: the expected size, first of all.
 
@@ -463,7 +470,7 @@ def projection_matrix(
     """
     from scipy.sparse import csr_array
 
-    projector = Projector(scene, grid, channel, threshold, absorption=absorption, inside=inside)
+    projector = Projector(scene, grid, channel, threshold, absorption=absorption, inside=inside, tolerance=tolerance)
     chosen = pixels_of(projector, pixels)
     size = size_in_words(projector, chosen)
     if say is not None:

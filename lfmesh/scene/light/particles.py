@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 MOST_PARTICLES = 20_000_000
 
+DARKEST = 1e-6
+"""Brightness, over that of the brightest in a sheet, below which particles are left out."""
+
 ACROSS = 1e-3
 """Largest sine of the angle by which a sheet's light may leave its plane."""
 
@@ -247,6 +250,19 @@ def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
     if group.sheet is not None:
         return points, group.sheet.irradiance_w_mm2(points)
     return points, own if own is not None else np.full(len(points), group.intensity_w_sr or 0.0)
+
+
+def shining_particles(group: Particles, scene: Resolves) -> tuple[Array, Array]:
+    """Return the particles of a group that shine, as `particle_places` does.
+
+    Parameters
+    ----------
+    group : Particles
+    scene : Resolves
+    """
+    points, strength = particle_places(group, scene)
+    bright = strength > (DARKEST * strength.max() if group.sheet is not None else 0.0)
+    return points[bright], strength[bright]
 
 
 def _drawn(group: Particles) -> Array:

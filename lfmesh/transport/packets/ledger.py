@@ -75,6 +75,8 @@ class Ledger(Shown):
     """Adjoint: importance that arrived at a target (before it is absorbed or scattered there)."""
     lit: float = 0.0
     """Adjoint: the part of `reached_target` at points that a light reaches or that emit."""
+    untraced: float = 0.0
+    """On the sensor without being traced, W: of particles, by their point spreads. It is no part of the sums."""
     lamps: "Ledger | None" = None
     """Ledger of the packets of particles, of those that lamps send to a rough camera and, adjoint, towards glass, in W;
     a lamp that sends both counts twice in `emitted`. None without."""

@@ -164,7 +164,8 @@ class Image(Pictured):
         film : (H, W, wavelengths) float64, W
         """
         certainty = Certainty(self.error, self.upper + film)
-        return replace(self, mean=self.mean + film, certainty=certainty)
+        ledger = replace(self.ledger, untraced=self.ledger.untraced + float(film.sum()))
+        return replace(self, mean=self.mean + film, certainty=certainty, ledger=ledger)
 
     def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
         """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""

@@ -147,7 +147,7 @@ def reduced(
     untraced : callable, optional
         As for `lfmesh.transport.render.render.render`.
     """
-    film = untraced_light(tracer.world, untraced)
+    film = untraced_light(tracer.world, untraced, progress)
     scene = tracer.world.scene
     replicates = scene.transport.replicates
     state = tracer.layout.state(saved)

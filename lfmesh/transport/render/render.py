@@ -37,8 +37,9 @@ Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 """Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
 
 
-Untraced = Callable[[World], Array]
-"""Computes light that is not traced, (H, W, wavelengths) W: of particles, whose waves diffraction follows."""
+Untraced = Callable[[World, Callable[[Progress], None] | None], Array]
+"""Computes light that is not traced, (H, W, wavelengths) W: of particles, whose waves diffraction follows. Given the
+world, and what is told the progress."""
 
 
 class Keeper(Protocol):
@@ -94,12 +95,22 @@ def render(
         with compiled_ahead(scene, report) as ahead:
             world = build(scene)
             ahead.join(world)
-        renderer = Renderer(world, progress=report, film=untraced_light(world, untraced))
+        renderer = Renderer(world, progress=report, film=untraced_light(world, untraced, report))
         return warned(renderer, lambda: renderer.image(saved, keep))
 
 
-def untraced_light(world: World, untraced: Untraced | None) -> Array | None:
+def untraced_light(
+    world: World, untraced: Untraced | None, progress: Callable[[Progress], None] | None = None
+) -> Array | None:
     """Return light that is added to the image of a world, (H, W, wavelengths) W; None where there is none.
+
+    Parameters
+    ----------
+    world : World
+    untraced : callable, optional
+        Computes it.
+    progress : callable, optional
+        Told its progress.
 
     Raises
     ------
@@ -113,7 +124,7 @@ def untraced_light(world: World, untraced: Untraced | None) -> Array | None:
             f'transport.diffraction = "{world.scene.transport.diffraction}": particles are pictured by point spreads, '
             "which lf.render computes, and this render has none"
         )
-    return untraced(world)
+    return untraced(world, progress)
 
 
 def warned(tracer: Tracer, image: Callable[[], Image]) -> Image:

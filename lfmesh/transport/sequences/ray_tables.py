@@ -74,6 +74,23 @@ def follow_sequence(
     )
 
 
+def behind_faces(tables: Tables, faces: int) -> Tables:
+    """Return the tables of a camera without the first faces of its lens, for rays that have passed them.
+
+    Parameters
+    ----------
+    tables : Tables
+    faces : int
+    """
+    lens = tables.lens
+    rows = lens.interfaces._replace(rows=lens.interfaces.rows[faces:])
+    left = lens._replace(
+        surfaces=lens.surfaces[faces:], medium=lens.medium[faces:], interfaces=rows, ring_slot=lens.ring_slot[faces:],
+        mount_slot=lens.mount_slot[faces:], stop_space=max(lens.stop_space - faces, -1),
+    )  # fmt: skip
+    return tables._replace(lens=left)
+
+
 def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int], colour: int) -> Array:
     """Return the ends (END_ROWS, n) of rays along some legs of a route, see `follow_rays`; no book is kept.
 

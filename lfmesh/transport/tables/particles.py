@@ -11,7 +11,7 @@ from lfmesh.geometry import frame
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
-from lfmesh.scene.light.particles import Particles, particle_places, unit
+from lfmesh.scene.light.particles import Particles, shining_particles, unit
 from lfmesh.scene.media.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
@@ -21,9 +21,6 @@ from lfmesh.transport.tables.tables import Media
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-
-DARKEST = 1e-6
-"""Brightness, over that of the brightest in a sheet, below which particles are left out."""
 
 UM2 = 1e-6
 """One µm² in mm²."""
@@ -66,11 +63,10 @@ def particle_tables(
     tables = []
     for number, group in enumerate(scene.particles):
         where = f"particles[{number}]"
-        points, strength = particle_places(group, scene)
-        bright = strength > (DARKEST * strength.max() if group.sheet is not None else 0.0)
-        if not bright.any():
+        points, strength = shining_particles(group, scene)
+        if not len(points):
             continue
-        inside, numbers = places(points[bright])
+        inside, numbers = places(points)
         index = _index_round(group, media, numbers, where)
         functions = phase_functions(group.phase, lines.wavelengths_nm, scene, f"{where}.phase", index)
         scale = spread(scene, 1.0, group.spectrum, lines, f"{where}.spectrum") * _power(group, lines, where, index)
@@ -78,9 +74,7 @@ def particle_tables(
         if group.sheet is not None:
             along = unit(group.sheet.direction)
         phases = phase_tables([functions])
-        tables.append(
-            ParticleTables(points[bright], strength[bright], scale, along, phases, group.samples, number, inside)
-        )
+        tables.append(ParticleTables(points, strength, scale, along, phases, group.samples, number, inside))
     return tuple(tables)
 
 

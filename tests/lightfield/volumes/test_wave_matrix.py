@@ -6,7 +6,8 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene
-from lfmesh.waves.pictures import repeats_of
+from lfmesh.waves.pictures import pictures_of_points, repeats_of
+from lfmesh.waves.point_spread import TOLERANCE
 
 
 def microscope(**changes: object) -> Scene:
@@ -26,11 +27,30 @@ def test_columns_are_the_point_spreads_of_voxels_a_lenslet_apart() -> None:
         assert np.abs(matrix.matrix[:, [voxel]].toarray().ravel() - own).sum() < 3e-3 * own.sum()
 
 
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.DiffractionWarning")
+def test_mirrored_points_have_mirrored_pictures() -> None:
+    """Of 16 voxels 3 spreads are computed, and one more that checks; each mirror shows in one of the voxels."""
+    scene, grid = microscope(), lf.VoxelBox.of_size((4, 4, 1), (0.0125, 0.0125, 0.001), (0.0, 0.0, -18.02))
+    points = grid.centres_mm().reshape(-1, 3)
+    found = pictures_of_points(scene, points, 550.0)
+    assert found.computed == 4
+    assert found.error <= TOLERANCE
+    for voxel in (1, 6, 14):
+        own = lf.point_spread(scene, points[voxel]).mean
+        assert np.abs(found.mean[voxel] - own).sum() < TOLERANCE * own.sum()
+
+
 def test_the_microscope_repeats_itself_from_lenslet_to_lenslet() -> None:
     repeats = repeats_of(microscope())
     assert repeats is not None
     assert repeats.object_mm == pytest.approx(0.0125)
     assert repeats.pixels == -10
+    assert repeats.mirrors
+    for off in ({"camera.mla.pose.shift_mm": (0.01, 0.0, 0.0)}, {"camera.mla.count": (9, 8)}):
+        aside = repeats_of(microscope(**off))
+        assert aside is not None
+        assert not aside.mirrors
     assert repeats_of(microscope(**{"camera.sensor.pixel_mm": 0.0126})) is None
     assert repeats_of(lf.load(asset_path("scenes/first_light.toml"))) is None
 

@@ -20,6 +20,7 @@ from lfmesh.notebook import show_by
 
 if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
+    from lfmesh.assets import asset_path
     from lfmesh.errors import (
         BlindCheckWarning,
         ClearAirWarning,
@@ -141,6 +142,7 @@ if TYPE_CHECKING:
     from lfmesh.transport.world import build
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
+    from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_ghosts
     from lfmesh.view.show import show
     from lfmesh.waves.point_spread import PointSpread, point_spread
     from lfmesh.waves.render import render
@@ -178,6 +180,7 @@ __all__ = [
     "Disk",
     "DiskLight",
     "Element",
+    "ExactGhosts",
     "Exposed",
     "FileError",
     "FineVoxelsWarning",
@@ -262,6 +265,7 @@ __all__ = [
     "__version__",
     "all_in_focus",
     "analyse",
+    "asset_path",
     "build",
     "calibrate",
     "camera_model",
@@ -272,6 +276,7 @@ __all__ = [
     "draw_lens_sheet",
     "estimate_centres",
     "estimate_depth",
+    "exact_ghosts",
     "export_field",
     "export_raw",
     "first_order",
@@ -308,6 +313,7 @@ __all__ = [
 
 _HOMES = {
     "lfmesh.analysis.analysis": ["LensAnalysis", "analyse"],
+    "lfmesh.assets": ["asset_path"],
     "lfmesh.errors": [
         *["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
         "BlindCheckWarning",
@@ -417,6 +423,7 @@ _HOMES = {
     "lfmesh.transport.world": ["build"],
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
+    "lfmesh.view.rays.exact_ghosts": ["ExactGhosts", "exact_ghosts"],
     "lfmesh.view.show": ["show"],
     "lfmesh.waves.point_spread": ["PointSpread", "point_spread"],
     "lfmesh.waves.render": ["render"],

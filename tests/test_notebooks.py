@@ -1,6 +1,7 @@
 """The example notebooks run as they are, and keep output that is whole, small and of no machine."""
 
 import importlib.util
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -8,10 +9,15 @@ from typing import Any
 import nbformat
 import pytest
 
+import lfmesh as lf
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "assets" / "notebooks").glob("*.ipynb"))
 
 MOST_BYTES = 300_000
+
+SHORT = ("first_scene",)
+"""Runs in every test of the suite; the others with --long, and whenever the site is built."""
 
 
 def maker() -> ModuleType:
@@ -39,9 +45,18 @@ def texts(notebook: Any) -> list[str]:
     return [str(part) for output in outputs for part in (output.get("text", ""), *output.get("data", {}).values())]
 
 
-def test_there_are_five() -> None:
-    stems = ["first_scene", "ghost_hunt", "light_field_microscope", "own_part", "refocus_and_depth"]
-    assert [path.stem for path in NOTEBOOKS] == stems
+def test_every_one_is_listed_once_among_the_tutorials() -> None:
+    page = (ROOT / "assets" / "docs" / "tutorials.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^/assets/notebooks/(\w+)$", page, flags=re.MULTILINE)) == [p.stem for p in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_they_take_public_names_alone(path: Path) -> None:
+    """Nothing is imported from within lfmesh, and every name of it is one of `lf.__all__`."""
+    code = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code")
+    assert "from lfmesh" not in code
+    assert re.findall(r"import lfmesh.*", code) == ["import lfmesh as lf"]
+    assert set(re.findall(r"\blf\.(\w+)", code)) <= set(lf.__all__)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -57,7 +72,9 @@ def test_what_is_kept_is_whole_and_small(path: Path) -> None:
 
 
 @pytest.mark.drawing
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.stem, marks=[] if p.stem in SHORT else [pytest.mark.long]) for p in NOTEBOOKS]
+)
 def test_it_runs_and_gives_what_is_kept(path: Path) -> None:
     again = maker().executed(path)
     assert kinds(again) == kinds(nbformat.read(path, as_version=4))

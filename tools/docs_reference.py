@@ -20,7 +20,7 @@ SUBJECTS = {
     "Rendering and rays": ("transport",),
     "Light fields and volumes": ("lightfield",),
     "Lenses and waves": ("geometry", "analysis", "waves"),
-    "Files": ("files",),
+    "Files": ("files", "assets"),
     "Many cameras": ("study",),
     "Drawing": ("view",),
     "Errors and warnings": ("errors",),

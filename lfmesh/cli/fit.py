@@ -24,8 +24,10 @@ More examples:
 
     lfmesh fit run/ scene.toml -o fitted/             the white image of a run
     lfmesh fit white.tif scene.toml -o fitted/ --orientation sensor
-    lfmesh fit white.png scene.toml -o fitted/ --also camera.sensor.distance_mm=0.05
-    lfmesh fit white.png scene.toml -o fitted/ --board near.png --board far.png --square-mm 5 --grid 7 5
+    lfmesh fit white.png scene.toml -o fitted/ \\
+      --also camera.sensor.distance_mm=0.05
+    lfmesh fit white.png scene.toml -o fitted/ \\
+      --board near.png --board far.png --square-mm 5 --grid 7 5
     lfmesh fit white.png scene.toml -o fitted/ --corners corners.csv
 """
 )

@@ -13,7 +13,8 @@ from lfmesh.cli.options import SceneFile
     help_epilogue="""\
 More examples:
 
-    lfmesh lens sheet scene.toml -o far.png --object-mm inf --wavelengths-nm 450 550 650
+    lfmesh lens sheet scene.toml -o far.png \\
+      --object-mm inf --wavelengths-nm 450 550 650
 """
 )
 def sheet(

@@ -27,7 +27,7 @@ Photographs = tuple["list[Photograph]", "FocalStack | None", "AllInFocus | None"
     help_epilogue="""\
 More examples:
 
-    lfmesh decode run/ --centres white-image     as the owner of a real camera has to
+    lfmesh decode run/ --centres white-image  as the owner of a camera has to
 """
 )
 def decode(
@@ -62,7 +62,7 @@ More examples:
 
     lfmesh refocus run/ --distance-mm 480 --f-number 8
     lfmesh refocus run/ --stack 300:800:20 --all-in-focus
-    lfmesh refocus run/ --distance-mm 500 --method patches   of a focused plenoptic camera
+    lfmesh refocus run/ --distance-mm 500 --method patches  of a focused camera
 """
 )
 def refocus(
@@ -145,7 +145,8 @@ def depth(
     help_epilogue="""\
 More examples:
 
-    lfmesh expose run/ --exposure-s 0.01 --bayer RGGB --bits 10 --full-well-e 6000
+    lfmesh expose run/ --exposure-s 0.01 --bayer RGGB \\
+      --bits 10 --full-well-e 6000
 """
 )
 def expose(

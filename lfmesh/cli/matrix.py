@@ -43,7 +43,8 @@ class Voxels:
     help_epilogue="""\
 More examples:
 
-    lfmesh matrix scene.toml --grid flame.npz --position-mm 0 0 -500 -o m.h5 --split transmit
+    lfmesh matrix scene.toml -o m.h5 --split transmit \\
+      --counts 64 64 64 --size-mm 20 20 20 --position-mm 0 0 -500
 """
 )
 def matrix(

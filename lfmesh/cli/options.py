@@ -28,6 +28,9 @@ Whole = Annotated[int, Parameter(converter=_whole, n_tokens=1)]
 SceneFile = Annotated[Path, Parameter(name="scene", help="Scene file (TOML).")]
 Dask = Annotated[str | None, Parameter(help='Address of a dask scheduler, or "local": work on its workers.')]
 Shard = Annotated[str | None, Parameter(help="Only a share of the work: 1/3, 2/3 or 3/3.")]
+Verbose = Annotated[
+    bool, Parameter(help="Also print how well the light is aimed, what diffraction would blur, and the work done.")
+]
 RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-field camera, from lfmesh render.")]
 
 

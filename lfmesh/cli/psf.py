@@ -18,7 +18,8 @@ from lfmesh.wrapping import wrapped
     help_epilogue="""\
 More examples:
 
-    lfmesh psf scene.toml --point-mm 5 0 -500 --wavelengths-nm 500 550 600 --oversample 4 --window 32 -o white/
+    lfmesh psf scene.toml --point-mm 5 0 -500 -o white/ \\
+      --wavelengths-nm 500 550 600 --oversample 4 --window 32
 """
 )
 def psf(

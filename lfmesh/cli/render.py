@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from lfmesh.cli.application import WRONG_INPUT, app
 from lfmesh.cli.interrupts import code_of_last, defer_interrupt
-from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, as_option, overridden, share_of
+from lfmesh.cli.options import Dask, Overrides, RunFolder, SceneFile, Shard, Verbose, as_option, overridden, share_of
 from lfmesh.cli.printing import list_files, say_note, say_warnings
 from lfmesh.cli.progress import status
 from lfmesh.errors import FileError, LfmeshError, warn_caller
@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 def demo(
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Run folder to write.")] = Path("lfmesh-demo"),
+    verbose: Verbose = False,
     overrides: Overrides | None = None,
 ) -> int:
     """Render the scene that comes with lfmesh: a bracket in front of a chart."""
     from lfmesh.assets import asset_path
 
-    return _render(asset_path("scenes/first_light.toml"), out, overrides)
+    return _render(asset_path("scenes/first_light.toml"), out, overrides, verbose=verbose)
 
 
 @app.command
@@ -78,9 +79,9 @@ def check(scene: SceneFile, /) -> int:
     help_epilogue="""\
 More examples:
 
-    lfmesh render scene.toml -o run/ --samples 256 --threads 4
+    lfmesh render scene.toml -o run/ --samples 256 --threads 4 --verbose
     lfmesh render scene.toml -o run/ --wavelengths-nm 486.1 587.6 656.3
-    lfmesh render --resume run/          go on with a render that was cut short
+    lfmesh render --resume run/      go on with a render that was cut short
     lfmesh render scene.toml -o run/ --restart
     lfmesh render scene.toml -o a/ --shard 1/3
     lfmesh render --merge a/ b/ c/ -o run/
@@ -109,6 +110,7 @@ def render(
         list[Path] | None,
         Parameter(help="Folders of the shares of a render: put them together.", consume_multiple=True),
     ] = None,
+    verbose: Verbose = False,
     overrides: Overrides | None = None,
 ) -> int:
     """Render a scene into a run folder: raw.exr with its standard error, previews, report.json.
@@ -125,10 +127,10 @@ def render(
     if restart and given and dask is None:
         raise LfmeshError(f"--restart begins a render anew: leave it out beside {given[0]}")
     if merge is not None:
-        code = _merged(merge, scene, out, overrides)
+        code = _merged(merge, scene, out, overrides, verbose=verbose)
         return _white(out, None) if with_white and out is not None and code == 0 else code
     if resume is not None:
-        code = _resume(resume, scene, out, overrides)
+        code = _resume(resume, scene, out, overrides, verbose=verbose)
         return _white(resume, None) if with_white and code == 0 else code
     if scene is None or out is None:
         missing = "a scene file" if scene is None else "--out, the run folder to write"
@@ -137,7 +139,7 @@ def render(
         if with_white:
             raise LfmeshError("--white is for the whole run: give it with --merge")
         return _share(scene, out, share, overrides)
-    code = _render(scene, out, overrides, dask, restart=restart)
+    code = _render(scene, out, overrides, dask, restart=restart, verbose=verbose)
     return _white(out, None) if with_white and code == 0 else code
 
 
@@ -169,7 +171,9 @@ def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Ov
     return 0
 
 
-def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
+def _merged(
+    folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None, *, verbose: bool
+) -> int:
     """Make the run of all shares of a render."""
     beside = [
         *(["the scene"] if scene else []),
@@ -184,12 +188,13 @@ def _merged(folders: list[Path], scene: Path | None, out: Path | None, overrides
 
     run.prepare(out)
     image = shares.merged(folders)
-    return _told(image, out)
+    return _told(image, out, verbose=verbose)
 
 
 def _render(
-    scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *, restart: bool = False
-) -> int:
+    scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *,
+    restart: bool = False, verbose: bool = False,
+) -> int:  # fmt: skip
     from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene import load
 
@@ -208,7 +213,7 @@ def _render(
         )
     run.prepare(folder)
     _say_beforehand(scene)
-    return _traced(scene, folder, None, dask)
+    return _traced(scene, folder, None, dask, verbose=verbose)
 
 
 def _say_beforehand(scene: "Scene") -> None:
@@ -220,7 +225,7 @@ def _say_beforehand(scene: "Scene") -> None:
     say_warnings(doubtful(camera.scene, camera.report), camera.report)
 
 
-def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None) -> int:
+def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None, *, verbose: bool) -> int:
     """Go on with a render that was cut short; the run itself says which."""
     given = overrides.given() if overrides else {}
     threads = Overrides(threads=given.pop("threads", None))
@@ -235,10 +240,12 @@ def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overr
         return 0
     run.prepare(folder)
     kept = checkpoint.read(folder, image_file.scene_from)
-    return _traced(overridden(kept.scene, threads), folder, kept.arrays)
+    return _traced(overridden(kept.scene, threads), folder, kept.arrays, verbose=verbose)
 
 
-def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: str | None = None) -> int:
+def _traced(
+    scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: str | None = None, *, verbose: bool
+) -> int:
     """Render into a run folder.
 
     Parameters
@@ -249,6 +256,8 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
         Of a checkpoint, to go on from.
     dask : str, optional
         Address of a scheduler.
+    verbose : bool
+        Print all that is said of the run.
     """
     with defer_interrupt():
         from lfmesh.files import image_file
@@ -271,16 +280,16 @@ def _traced(scene: "Scene", folder: Path, saved: "dict[str, Any] | None", dask: 
             raise
         print(f"Stopped before a replicate was finished: lfmesh render --resume {folder} goes on with it.")
         return code_of_last()
-    return _told(image, folder)
+    return _told(image, folder, verbose=verbose)
 
 
-def _told(image: "Image", folder: Path) -> int:
+def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
     """Save a run, and say what it holds."""
     from lfmesh.files import words
 
     place = _saved(image, folder)
     # Warnings were printed as they came.
-    for line in words.account(image):
+    for line in words.account(image, verbose=verbose):
         print(wrapped(line))
     print(_whereabouts(image, place))
     if not image.complete:

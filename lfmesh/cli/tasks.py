@@ -26,7 +26,7 @@ TASKS = {
     "Other images and models": {
         "frames": "lfmesh frames particles.toml -o pair/",
         "psf": "lfmesh psf scene.toml --point-mm 0 0 -480 --window 64 -o spread/",
-        "matrix": "lfmesh matrix scene.toml --counts 64 64 64 --size-mm 20 20 20 --position-mm 0 0 -500 -o m.npz",
+        "matrix": "lfmesh matrix scene.toml -o m.npz --grid g.npz --position-mm 0 0 -500",
         "camera-model": "lfmesh camera-model scene.toml -o camera.exr",
     },
     "Many cameras": {

@@ -22,9 +22,11 @@ LEAST_PIXELS, MOST_PIXELS = 64, 8192
 More examples:
 
     lfmesh view run/ --screenshot out.png --preset lens --cut
-    lfmesh view scene.toml --rays "pixel 320,310" --preset array --html out.html
+    lfmesh view scene.toml --rays "pixel 320,310" --preset array \\
+      --html out.html
     lfmesh view scene.toml --rays "field 0,20,-500" --split both --table
-    lfmesh view scene.toml --rays "field 0,20,-500" --split both --filter ghost
+    lfmesh view scene.toml --rays "field 0,20,-500" --split both \\
+      --filter ghost
 """
 )
 def view(

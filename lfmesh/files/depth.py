@@ -80,7 +80,7 @@ def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: ND
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, 3).ravel()
     true = np.where(np.isfinite(truth_mm), truth_mm, np.nan)
-    low, high = np.nanpercentile(true, [0.0, 100.0]) if np.isfinite(true).any() else depth.range_mm
+    low, high = _shown_range(depth, true)
     margin = 0.05 * max(high - low, 0.02 * high)
     scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
     for axes, title, values, shown in (
@@ -98,6 +98,15 @@ def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: ND
     _draw_against_truth(panels[4], depth, true)
     _draw_distribution(panels[5], error)
     figure.savefig(path, metadata={"Software": None})
+
+
+def _shown_range(depth: DepthMap, true: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the depths that colours span: all of the truth, and nine of ten of what was found."""
+    found = depth.distance_mm[np.isfinite(depth.distance_mm)]
+    ends = true[np.isfinite(true)]
+    if found.size:
+        ends = np.concatenate([ends, np.percentile(found, [5.0, 95.0])])
+    return (float(ends.min()), float(ends.max())) if ends.size else depth.range_mm
 
 
 def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) -> None:

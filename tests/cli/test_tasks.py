@@ -1,5 +1,6 @@
 """Commands by task: each has one heading and an example that it takes, and help shows no more than that."""
 
+import re
 import shlex
 
 import pytest
@@ -30,6 +31,23 @@ def test_help_begins_with_an_example_that_the_command_takes(words: str, capsys: 
     assert out.startswith(f"Example: {EXAMPLES[words]} Usage: lfmesh {words}")
     assert "--empty-" not in out
     assert "lfmesh demo" not in out.split("Usage: ")[1].removeprefix("lfmesh demo"), "examples of other commands"
+
+
+@pytest.mark.parametrize("words", EXAMPLES)
+def test_examples_fit_a_terminal_of_80_columns_and_can_be_pasted(
+    words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([*words.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert f"Example: {EXAMPLES[words]}\n" in out
+    assert max(map(len, out.splitlines())) <= 80
+    given = out.split("More examples:")[1] if "More examples:" in out else ""
+    for line in re.sub(r"\\\n\s+", "", given).splitlines():
+        if command := re.split(r" {2,}", line.strip())[0]:
+            program, *arguments = shlex.split(command)
+            assert program == "lfmesh"
+            app.parse_args(arguments, exit_on_error=False, print_error=False)
 
 
 def test_the_list_of_commands_goes_by_task(capsys: pytest.CaptureFixture[str]) -> None:

@@ -316,9 +316,7 @@ def _lights(world: World) -> Iterator[Part]:
     for number, light in enumerate(world.scene.lights):
         name = f"lights[{number}]"
         if isinstance(light, DirectionalLight):
-            along = np.array(light.direction) / np.linalg.norm(light.direction)
-            arrow = pv.Arrow(start=-5.0 * size * along, direction=along, scale=3.0 * size)
-            yield Part(name, "light", arrow.triangulate(), lamp)
+            yield Part(name, "light", _parallel_arrows(world, light, size), lamp)
         elif isinstance(light, DiskLight):
             along = np.array(light.direction) / np.linalg.norm(light.direction)
             disk = pv.Disc(
@@ -340,6 +338,23 @@ def _lights(world: World) -> Iterator[Part]:
                 _spikes(light.position_mm, size),
                 "#ffd24a",
             )
+
+
+def _parallel_arrows(world: World, light: DirectionalLight, size: float) -> pv.PolyData:
+    """Return three thin parallel arrows that end before the middle of the targets, or before the lens without any."""
+    along = np.array(light.direction) / np.linalg.norm(light.direction)
+    across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    across /= np.linalg.norm(across)
+    middles = [target.mesh.vertices.mean(axis=0) for target in world.targets]
+    end = (np.mean(middles, axis=0) if middles else np.zeros(3)) - 2.0 * size * along
+    arrows = [
+        pv.Arrow(
+            start=end - 3.0 * size * along + offset * size * across, direction=along, scale=3.0 * size,
+            tip_length=0.15, tip_radius=0.035, shaft_radius=0.008,
+        )
+        for offset in (-0.8, 0.0, 0.8)
+    ]  # fmt: skip
+    return pv.merge([arrow.triangulate() for arrow in arrows])
 
 
 MOST_POINTS = 20_000

@@ -6,7 +6,6 @@ within a resolved length of the camera, so that a grid of them has more points t
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,11 +47,21 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
     into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     done, all_of_them, began = 0, _spreads(world), time.perf_counter()
     for table in world.particles:
-        for point, strength in zip(frames.points(into_camera, table.points), table.strength, strict=True):
+        points = zip(table.points, frames.points(into_camera, table.points), table.strength, strict=True)
+        for number, (there, point, strength) in enumerate(points):
             # Power over all directions, of which an even share goes each way.
             for channel, power in enumerate(strength * table.scale):
-                with suppress(NoLightError):
+                try:
                     spread = point_spread(scene, point, scene.wavelengths_nm[channel])
+                except NoLightError:
+                    pass
+                except LfmeshError as error:
+                    where = ", ".join(f"{x:g}" for x in there)
+                    raise LfmeshError(
+                        f"particles[{table.entry}], number {number} at ({where}) mm: {error}; or picture particles by "
+                        'rays: transport.diffraction = "none"'
+                    ) from None
+                else:
                     film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
                 done += 1
                 if progress is not None:

@@ -474,7 +474,7 @@ def _refuse_scene(scene: Scene) -> None:
 
 
 def _refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
-    """Refuse a point whose light meets a target on its way to the lens."""
+    """Refuse a point of whose light a part, or all, meets a target on its way to the lens."""
     rays = LensRays(world, -float(point[2]), 0.0)
     bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
     entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])
@@ -484,6 +484,8 @@ def _refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_
     found = trace(whole, frames.points(out, point[None, :]) + OFF_POINT * ahead, ahead, wavelength_nm, "transmit")
     names = [target.name or f"targets[{i}]" for i, target in enumerate(camera.scene.targets)]
     hiding = [body for body in found.body if body in names]
+    if len(hiding) == len(entry) > 0:
+        raise NoLightError(f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point or leave the target out")
     if hiding:
         raise LfmeshError(
             f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(entry)} places of the "

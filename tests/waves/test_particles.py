@@ -77,6 +77,21 @@ def test_particles_beside_the_field_are_dark() -> None:
     assert image.ledger.untraced == 0.0
 
 
+def test_particles_behind_a_target_are_dark_and_one_that_is_half_hidden_is_named() -> None:
+    """A wall before them takes all of their light; its edge on the axis, half of one particle's."""
+    one = POINT | {"bounds": {"kind": "box", "size_mm": (1e-3, 1e-3, 1e-3)}, "count": 1}
+    wall = {
+        "shape": {"kind": "plane", "width_mm": 40.0, "height_mm": 40.0},
+        "position_mm": (0.0, 0.0, -0.5 * FAR),
+        "material": {"reflectance": 0.0},
+    }
+    assert (lf.render(scene(particles=[one], targets=[wall])).mean == 0.0).all()
+    half = wall | {"position_mm": (20.0, 0.0, -0.5 * FAR)}
+    words = r"particles\[0\], number 0 at \(.*, -2000\) mm: .* hides it from .* places of the pupil"
+    with pytest.raises(lf.LfmeshError, match=words):
+        lf.render(scene(particles=[one], targets=[half]))
+
+
 def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None:
     told: list[Progress] = []
     given = scene(targets=[PLANE], **{"transport.wavelengths_nm": [500.0, 600.0]})

@@ -72,21 +72,21 @@ class Overlay:
             self._plotter.renderer.RemoveViewProp(text)
         step = 13 * LINE * self._scale / self._plotter.window_size[1]
         self._told = [
-            self._text(line, 13, (0.2, 0.03 + step * place), TEXT, font=FONT_OF_COLUMNS)
-            for place, line in enumerate(reversed(lines))
+            self._text(line, 13, (0.2, 0.03 + step * place), TEXT) for place, line in enumerate(reversed(lines))
         ]
+        for text in self._told:
+            text.GetTextProperty().SetFontFile(str(FONT_OF_COLUMNS))
 
     def _text(
-        self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False,
-        font: Path = FONT,
-    ) -> vtkTextActor:  # fmt: skip
+        self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False
+    ) -> vtkTextActor:
         text = vtkTextActor()
         text.SetInput(words)
         text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
         text.SetPosition(*place)
         look = text.GetTextProperty()
         look.SetFontFamily(4)  # VTK_FONT_FILE
-        look.SetFontFile(str(font))
+        look.SetFontFile(str(FONT))
         look.SetFontSize(max(9, round(size * self._scale)))
         look.SetColor(*pv.Color(colour).float_rgb)
         # Readable over lenslets and charts too.

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.codev_commands import commands
+from lfmesh.imports.codev_commands import commands, zoom_word
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium, formula_glass, private_glass
@@ -120,6 +120,7 @@ class _Reader:
         self.doubts: dict[str, tuple[int, str, str]] = {}
         self.positions = 1
         self.zooms: list[tuple[int, list[str]]] = []
+        self.placed: list[tuple[int, list[str]]] = []
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -129,6 +130,8 @@ class _Reader:
         try:
             if self.in_private_glass:
                 self._private_glass(command, words)
+            elif zoom_word(words) is not None:
+                self.placed.append((at, words))
             elif _SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
             elif command in MOVES:
@@ -328,17 +331,13 @@ class _Reader:
         surface, rest = self._named(words)
         if is_number(rest[0]):
             surface.curvature = number(rest[0])
-            self._taken()
-        else:
-            self._taken("a solve: the present value")
+        self._taken("" if is_number(rest[0]) else "a solve: the present value")
 
     def _on_thi(self, words: list[str]) -> None:
         surface, rest = self._named(words)
         if is_number(rest[0]):
             surface.thickness = number(rest[0])
-            self._taken()
-        else:
-            self._taken("a solve: the present value")
+        self._taken("" if is_number(rest[0]) else "a solve: the present value")
 
     def _on_gla(self, words: list[str]) -> None:
         surface, rest = self._named(words)
@@ -427,7 +426,8 @@ class _Reader:
     def zoom_to(self, wanted: int | None) -> None:
         """Give the lens the values of one zoom position.
 
-        `ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each.
+        `ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each, as do
+        `THI S5 Z1 2.0`, `THI S5 Z2 8.0` and `THI S5 Z3 14.0`.
 
         Parameters
         ----------
@@ -445,11 +445,11 @@ class _Reader:
             raise SceneError(f"{self.report.path}: configuration = {wanted}: the file {has}")
         for at, words in self.zooms:
             text = " ".join(["ZOO", *words])
-            is_count = len(words) == 1
+            is_count, declared = len(words) == 1, len(words) == 2 and _SURFACE_NAME.match(words[1].upper())
             if is_count and count > 1 and wanted is None:
                 how = f"{count} configurations: the values are taken that stand in the surfaces"
                 self.report.add(at, text, Verdict.APPROXIMATED, how)
-            elif is_count and count > 1:
+            elif (is_count and count > 1) or declared:
                 self.report.add(at, text, Verdict.TAKEN)
             elif is_count or count == 1 or wanted is None or words[0].upper() in _WITHOUT_EFFECT:
                 self.report.add(at, text, Verdict.WITHOUT_EFFECT)
@@ -460,6 +460,15 @@ class _Reader:
                     self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
                 else:
                     self.take(at, [*command, values[wanted - 1]])
+        for at, words in self.placed:
+            where = zoom_word(words) or 0
+            position = int(words[where][1:])
+            if len(words) < where + 2 or not 1 <= position <= count:
+                self.report.refuse(at, " ".join(words), f"it must give a value at one of {count} positions")
+            elif position == wanted and words[0].upper() not in _WITHOUT_EFFECT:
+                self.take(at, [*words[:where], *words[where + 1 :]])
+            else:
+                self.report.add(at, " ".join(words), Verdict.WITHOUT_EFFECT)
 
     def _on_prv(self, _: list[str]) -> None:
         self.in_private_glass = True

@@ -236,6 +236,18 @@ def test_a_zoom_position_is_the_lens_whose_surfaces_hold_its_values(position):
     assert lens_of(ZOOM, choices=FileChoices(configuration=position)) == lens_of(alone)
 
 
+PLACED = ZOOM.replace("ZOO THI S1 5.0 6.0 7.5\n", "ZOO THI S1\nTHI S1 Z1 5.0\nTHI S1 Z2 6.0\nthi s1 z3 7.5\n")
+
+
+@pytest.mark.parametrize("position", [1, 2, 3])
+def test_values_at_single_positions_are_those_of_their_row(position):
+    text, choices = PLACED, FileChoices(configuration=position)
+    assert lens_of(text, choices=choices) == lens_of(ZOOM, choices=choices)
+    assert lens_of(text) == lens_of(ZOOM)
+    with pytest.raises(SceneError, match="THI S1 Z4 9: it must give a value at one of 3 positions"):
+        lens_of(text.replace("GO\n", "THI S1 Z4 9\nGO\n"), choices=choices)
+
+
 def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
     report = report_of(ZOOM)
     (line,) = report.of(Verdict.APPROXIMATED)

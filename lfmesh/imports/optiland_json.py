@@ -71,7 +71,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     report = Report(path)
     try:
         made = _Reader(report, data).prescription(group["surfaces"])
-    except (TypeError, KeyError, AttributeError) as error:
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
         raise SceneError(f"{path}: broken: {str(error)[:100]}") from None
     return lens_of(made, report, choices.substitutes), report
 

@@ -64,14 +64,18 @@ def refractive_index(medium: Medium, wavelength_nm: float) -> float:
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), makers have it with different indices, or its
-        data do not reach the wavelength (the message gives their range).
+        The catalogue has no such glass (the message names close ones), makers have it with different indices, its data
+        do not reach the wavelength (the message gives their range), or an index is not above 0.
     """
     if medium is None:
         return AIR
     if isinstance(medium, str):
         return _catalogue_index(medium, float(wavelength_nm))
-    return float(medium) if isinstance(medium, float | int) else medium.index_at(float(wavelength_nm))
+    if not isinstance(medium, float | int):
+        return medium.index_at(float(wavelength_nm))
+    if not medium > 0.0:
+        raise GlassError(f"index {medium:g}: a refractive index must be above 0")
+    return float(medium)
 
 
 def catalogue_name(medium: Medium) -> str | None:

@@ -119,6 +119,11 @@ def of_geometry(k, **changes):
         (of_surface(2, interaction_model={"type": "RefractiveReflectiveModel", "is_reflective": True}), "mirrors"),
         (of_surface(2, aperture={"type": "RadialAperture", "r_min": 1.0, "r_max": 5.0}), "without a dark middle"),
         (lambda data: data["surface_group"]["surfaces"][2]["geometry"]["cs"].update(rx=0.1), "off the axis (rx)"),
+        (lambda data: data["surface_group"]["surfaces"][2]["geometry"]["cs"].update(z=[4.0]), "z = [4.0] is no number"),
+        (
+            of_surface(2, material_post={"type": "IdealMaterial", "index": 0}),
+            "index 0: a refractive index must be above",
+        ),
         (lambda data: data["aperture"].update(type="imageNA"), "an aperture of type imageNA is not read"),
         (lambda data: data["fields"].update(field_definition={"field_type": "X"}), "fields of type X are not read"),
         (lambda data: data.pop("wavelengths"), "broken: 'wavelengths'"),

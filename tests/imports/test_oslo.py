@@ -86,6 +86,7 @@ def test_the_beam_of_a_near_object_has_its_radius_at_the_first_surface():
         ("END 5\n", "", "cut short: it has no line END"),
         ("LEN NEW", "LENS", "no OSLO lens file"),
         ("GLA N-BK7", "GLA K77", "'K77'"),
+        ("GLA N-BK7", "GLA 0", "index 0: a refractive index must be above 0"),
     ],
 )
 def test_what_the_lens_cannot_have_is_refused_in_one_line(old, new, said):

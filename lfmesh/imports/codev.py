@@ -120,7 +120,7 @@ class _Reader:
         self.doubts: dict[str, tuple[int, str, str]] = {}
         self.positions = 1
         self.zooms: list[tuple[int, list[str]]] = []
-        self.placed: list[tuple[int, list[str]]] = []
+        self.placed: list[tuple[int, list[str], int]] = []
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -130,8 +130,8 @@ class _Reader:
         try:
             if self.in_private_glass:
                 self._private_glass(command, words)
-            elif zoom_word(words) is not None:
-                self.placed.append((at, words))
+            elif (where := zoom_word(words)) is not None:
+                self.placed.append((at, words, where))
             elif _SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
             elif command in MOVES:
@@ -460,8 +460,7 @@ class _Reader:
                     self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
                 else:
                     self.take(at, [*command, values[wanted - 1]])
-        for at, words in self.placed:
-            where = zoom_word(words) or 0
+        for at, words, where in self.placed:
             position = int(words[where][1:])
             if len(words) < where + 2 or not 1 <= position <= count:
                 self.report.refuse(at, " ".join(words), f"it must give a value at one of {count} positions")

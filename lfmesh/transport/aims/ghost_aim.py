@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.transport.aims.lenslet_view import by_rings, with_wider_views
-from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_GHOSTS, with_wide_share
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
 from lfmesh.transport.sequences.ghosts import (
@@ -410,31 +408,17 @@ def _cells(light: Array, area: Array) -> Array:
 
 
 def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
-    """Return where the packets of ghosts are aimed.
+    """Return where the packets of ghosts are aimed: without an array, at the cells of the lens that they come from.
 
-    What array, cover or sensor reflect comes through an array mostly from beside the lens's opening, often from the
-    whole lens: so lenslets are chosen by the light of ghosts, in rings about the middle of the lens's view.
+    Through an array they go where those of the image path go, and to the wide disk.
 
     Parameters
     ----------
     tables : Tables
-        With the aim of the image path.
+        With the aim.
     ghosts : GhostTables
     """
-    if not tables.mla.present:
-        # The cells hold all of the lens.
-        exit_ = tables.aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0)
-        return tables.aim._replace(exit=exit_)
-    aim = with_wide_share(tables.aim, WIDE_SHARE_OF_GHOSTS)
-    known = aim.exit.opening.far.radius > 0.0
-    if not known.any():
-        return aim
-    wider = aim.exit.wide_radius / float(np.median(aim.exit.opening.far.radius[known]))
-    if not wider > 1.0:
-        return aim
-    rings = len(aim.lenslets.shown) - 1
-    light = np.diff(ghosts.cells, prepend=0.0, axis=1).reshape(HEIGHTS, RADII, ANGLES).sum(axis=(0, 2))
-    middles = 0.5 * (ghosts.rings[1:] + ghosts.rings[:-1])
-    shown = np.interp((np.arange(rings) + 0.5) / rings * ghosts.rings[-1], middles, light / np.diff(ghosts.rings))
-    wide = with_wider_views(aim.lenslets, tables.mla, tables.frames, tables.sensor, wider)
-    return aim._replace(lenslets=wide._replace(shown=by_rings(shown)))
+    if tables.mla.present:
+        return tables.aim
+    # The cells hold all of the lens.
+    return tables.aim._replace(exit=tables.aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0))

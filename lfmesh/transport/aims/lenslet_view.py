@@ -228,31 +228,7 @@ def fitted_views(
         # Rays at the lenslets' borders were reflected totally or left at grazing angles, so the views are not measured.
         radius2 = np.full_like(radius2, furthest * furthest)
     unseen = opened * opened if opened > 0.0 else NOTHING_SEEN
-    return _with_views(aim, mla, moves, sensor, np.where(seen, radius2, unseen))
-
-
-def with_wider_views(aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, by: float) -> LensletAim:
-    """Return the aim with lenslets' views that are wider.
-
-    Parameters
-    ----------
-    aim : LensletAim
-    mla : MlaTables
-    moves : (6, 6, 3, 4) float64
-        Between frames.
-    sensor : SensorTables
-    by : float
-        Factor on the radius of the views.
-    """
-    seen = aim.slope_radius2 > 0.0
-    return _with_views(aim, mla, moves, sensor, np.where(seen, by * by * aim.slope_radius2, NOTHING_SEEN))
-
-
-def _with_views(
-    aim: LensletAim, mla: MlaTables, moves: Array, sensor: SensorTables, slope_radius2: Array
-) -> LensletAim:
-    """Return the aim with lenslets' views of given squared radii."""
-    return _searched(aim._replace(slope_radius2=slope_radius2), mla, moves, sensor)
+    return _searched(aim._replace(slope_radius2=np.where(seen, radius2, unseen)), mla, moves, sensor)
 
 
 def with_wider_cells(aim: LensletAim, mla: MlaTables, by: float) -> LensletAim:

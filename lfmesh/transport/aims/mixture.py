@@ -29,9 +29,6 @@ WIDE_SHARE = 0.1
 WIDE_SHARE_OF_STRAYS = 0.3
 """The same where only paths with reflections are estimated."""
 
-WIDE_SHARE_OF_GHOSTS = 0.1
-"""The same where only ghosts of two reflections are."""
-
 WIDE_SHARE_OF_IMAGE_PATH = 0.002
 """The same where no reflections are followed: it brings only light outside the measured opening."""
 

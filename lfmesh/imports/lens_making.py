@@ -27,6 +27,9 @@ from lfmesh.scene.first_order.paraxial import Paraxial
 OFF_MM = 1e-9
 """How far a surface may lie off after its term in r² was rewritten."""
 
+MOST_LISTED = 20
+"""Configurations whose focal lengths are noted."""
+
 _MOST_DIGITS = 17
 
 
@@ -58,11 +61,13 @@ def note_focal_lengths(report: Report, count: int, report_of: Callable[[int], Re
         Returns the report of a configuration, from 1.
     """
     lengths = []
-    for k in range(1, count + 1 if count > 1 else 1):
+    for k in range(1, min(count, MOST_LISTED) + 1 if count > 1 else 1):
         try:
             lengths.append(f"{k}: {report_of(k).focal_length_mm:.6g} mm")
         except SceneError:
             lengths.append(f"{k}: not supported")
+    if count > MOST_LISTED:
+        lengths.append(f"and {count - MOST_LISTED} more")
     if lengths:
         report.notes.append(f"focal lengths of the configurations: {', '.join(lengths)}")
 

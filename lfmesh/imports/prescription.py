@@ -17,6 +17,9 @@ FAR_MM = 1e9
 MOST_SURFACES = 1000
 """More than any lens has; a file of more ends in an error before it takes the memory."""
 
+MOST_CONFIGURATIONS = 1000
+"""Of one file: more than any has."""
+
 
 @dataclass
 class FileSurface:

@@ -254,8 +254,16 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     for surface in inner:
         if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
             report.refuse(surface.line, surface.text, "a paraxial lens without its focal length, PARM 1")
-    if inner and not any(surface.stop for surface in inner):
+    stops = [surface for surface in prescription.surfaces if surface.stop]
+    usable = [surface for surface in inner if surface.stop]
+    for surface in stops:
+        if surface is not (usable or [None])[0]:
+            which = "the first of several stops" if usable else "the first surface"
+            report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"not the stop here: {which} is")
+    if inner and not usable:
         inner[0].stop = True
+    for surface in usable[1:]:
+        surface.stop = False
     before: Medium | None = None
     left_out = []
     numbers = []
@@ -307,6 +315,8 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
     moved = [each for each in surfaces if each.before or each.after or each.returns_to is not None]
     if not moved:
         return
+    if moved[0] is surfaces[0]:
+        report.refuse(surfaces[0].line, surfaces[0].text, "an object off the axis is not supported")
     for number in (*numbers, len(surfaces) - 1):
         if surfaces[number].returns_to is not None:
             why = (

@@ -257,7 +257,7 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     stops = [surface for surface in prescription.surfaces if surface.stop]
     usable = [surface for surface in inner if surface.stop]
     for surface in stops:
-        if surface is not (usable or [None])[0]:
+        if not usable or surface is not usable[0]:
             which = "the first of several stops" if usable else "the first surface"
             report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"not the stop here: {which} is")
     if inner and not usable:

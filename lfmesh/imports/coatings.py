@@ -1,8 +1,8 @@
 """Coatings that lens files name: OpticStudio's built-in ones, and those of a coating file beside the lens file.
 
 A coating file (OpticStudio's help, "Defining Coatings") holds materials (`MATE`), layers (`COAT`), fixed shares
-(`IDEAL`) and shares by angle and wavelength (`TABLE`). `!` starts a comment. Layers stand from the air side to the
-glass, as in a scene; between two glasses from the object to the sensor.
+(`IDEAL`, or `COAT` and a name like `I.95`) and shares by angle and wavelength (`TABLE`). `!` starts a comment. Layers
+stand from the air side to the glass, as in a scene; between two glasses from the object to the sensor.
 """
 
 import re
@@ -30,8 +30,8 @@ MGF2_INDEX = 1.38
 BARE = ("NONE", "NULL")
 """Names of coatings that there are not."""
 
-_IDEAL = re.compile(r"I(\.\d+|\d*\.\d+|1)")
-"""Coating named by the share of the light that it transmits: `I.95`."""
+_IDEAL = re.compile(r"I(?:\.(?=\d*\.))?(\d*\.\d+|1)")
+"""Coating named by the share of the light that it transmits: `I.95`, `I0.95` or `I.0.95`."""
 
 _KINDS = ("MATE", "COAT", "IDEAL", "IDEAL2", "TABLE", "TAPR", "ENCRYPTED")
 
@@ -146,6 +146,8 @@ class CoatingFile:
             raise UnreadableCoatingError(f"{self.path.name} has no such coating")
         kind, lines = self.entries[name]
         try:
+            if kind == "COAT" and not lines and (ideal := _ideal(name)) is not None:
+                return ideal
             if kind == "COAT":
                 return self._layers(lines, primary_nm)
             if kind == "IDEAL":
@@ -268,15 +270,23 @@ def found_coating(
         return None
     if file is not None and name in file.entries:
         return file.coating(name, primary_nm)
+    where = f"{file.path.name} has no such coating" if file is not None else f"no {wanted} beside the file"
     if name == "AR":
         quarter = Layer(index=MGF2_INDEX, thickness_nm=primary_nm / MGF2_INDEX / 4.0)
-        return FoundCoating(Coating(layers=(quarter,)))
+        usual = file is None and wanted.upper() == USUAL_FILE
+        how = "" if usual else f"{where}; a quarter wave of MgF2 is taken for it"
+        return FoundCoating(Coating(layers=(quarter,)), how)
     if name == "MIRROR":
         return FoundCoating(Coating(reflectance=1.0), "a metal's coating; taken as one that reflects everything")
-    if _IDEAL.fullmatch(name):
-        return _fixed(float(f"{1.0 - float(name[1:]):.12g}"), float(name[1:]))
-    where = f"{file.path.name} has no such coating" if file is not None else f"no {wanted} beside the file"
+    if (ideal := _ideal(name)) is not None:
+        return ideal
     raise UnreadableCoatingError(where)
+
+
+def _ideal(name: str) -> FoundCoating | None:
+    """Return the coating whose name gives the share that it transmits; it reflects the rest. None for other names."""
+    found = _IDEAL.fullmatch(name)
+    return None if found is None else _fixed(float(f"{1.0 - float(found[1]):.12g}"), float(found[1]))
 
 
 def _free_name(name: str, coating: Coating, taken: Mapping[str, Coating]) -> str:

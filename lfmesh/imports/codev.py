@@ -14,7 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.codev_commands import commands, zoom_word
+from lfmesh.imports.codev_commands import commands
+from lfmesh.imports.codev_zoom import ZoomPositions, zoom_word
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.decentres import Move
 from lfmesh.imports.glasses import Medium, formula_glass, private_glass
@@ -89,10 +90,11 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
     reader = _Reader(Report(path))
     for at, words in commands(lines):
         reader.take(at, words)
-    reader.zoom_to(choices.configuration)
+    for at, words in reader.zoom.commands(choices.configuration):
+        reader.take(at, words)
     made = reader.finished()
     try:
-        return lens_of(made, reader.report, choices.substitutes), reader.report, reader.positions
+        return lens_of(made, reader.report, choices.substitutes), reader.report, reader.zoom.count
     except SceneError as error:
         if reader.radii is not None:
             raise
@@ -118,9 +120,7 @@ class _Reader:
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
         self.doubts: dict[str, tuple[int, str, str]] = {}
-        self.positions = 1
-        self.zooms: list[tuple[int, list[str]]] = []
-        self.placed: list[tuple[int, list[str], int]] = []
+        self.zoom = ZoomPositions(report, _WITHOUT_EFFECT)
         self.at, self.text = 0, ""
 
     def take(self, at: int, words: list[str]) -> None:
@@ -131,7 +131,7 @@ class _Reader:
             if self.in_private_glass:
                 self._private_glass(command, words)
             elif (where := zoom_word(words)) is not None:
-                self.placed.append((at, words, where))
+                self.zoom.add_single(at, words, where)
             elif _SURFACE_NAME.match(command) or command == "S":
                 self._surface_line(command, rest)
             elif command in MOVES:
@@ -142,7 +142,7 @@ class _Reader:
             elif command[:1] in "XY" and command[1:] in _FIELDS and len(command) == 3:
                 self._of_fields(command[0].lower(), _FIELDS[command[1:]], rest)
             elif command in ("VUY", "VLY"):
-                self.fields[command.lower()] = numbers(rest)
+                self._of_each_field(command.lower(), rest)
                 self._taken()
             elif command in COEFFICIENTS and len(command) == 1:
                 self._coefficient(COEFFICIENTS.index(command), rest)
@@ -401,7 +401,7 @@ class _Reader:
         self._taken()
 
     def _on_wl(self, words: list[str]) -> None:
-        values = numbers(words)
+        values = _changed(self.made.wavelengths_nm, "W", words, "wavelength")
         if not values or min(values) <= 0:
             raise ValueError("a wavelength must be above 0")
         self.made.wavelengths_nm = values
@@ -412,62 +412,20 @@ class _Reader:
         self._taken()
 
     def _of_fields(self, axis: str, kind: str, words: list[str]) -> None:
-        self.fields[axis] = numbers(words)
+        self._of_each_field(axis, words)
         if any(self.fields[axis]) or axis == "y":
             self.made.field_kind = kind
         self._taken()
 
     def _on_zoo(self, words: list[str]) -> None:
         # What becomes of it is known with the position that is asked for.
-        if len(words) == 1 and is_number(words[0]):
-            self.positions = int(number(words[0]))
-        self.zooms.append((self.at, words))
+        self.zoom.add_row(self.at, words)
 
-    def zoom_to(self, wanted: int | None) -> None:
-        """Give the lens the values of one zoom position.
-
-        `ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each, as do
-        `THI S5 Z1 2.0`, `THI S5 Z2 8.0` and `THI S5 Z3 14.0`.
-
-        Parameters
-        ----------
-        wanted : int, optional
-            From 1; if left out, the values that stand in the surfaces.
-
-        Raises
-        ------
-        SceneError
-            The file does not have it.
-        """
-        count = self.positions
-        if wanted is not None and not 1 <= wanted <= count:
-            has = "has one configuration" if count == 1 else f"has configurations 1 to {count}"
-            raise SceneError(f"{self.report.path}: configuration = {wanted}: the file {has}")
-        for at, words in self.zooms:
-            text = " ".join(["ZOO", *words])
-            is_count, declared = len(words) == 1, len(words) == 2 and _SURFACE_NAME.match(words[1].upper())
-            if is_count and count > 1 and wanted is None:
-                how = f"{count} configurations: the values are taken that stand in the surfaces"
-                self.report.add(at, text, Verdict.APPROXIMATED, how)
-            elif (is_count and count > 1) or declared:
-                self.report.add(at, text, Verdict.TAKEN)
-            elif is_count or count == 1 or wanted is None or words[0].upper() in _WITHOUT_EFFECT:
-                self.report.add(at, text, Verdict.WITHOUT_EFFECT)
-            else:
-                command, values = words[:-count], words[-count:]
-                misplaced = any(_SURFACE_NAME.match(value.upper()) for value in values)
-                if not 1 <= len(command) <= 2 or is_number(command[0]) or misplaced:
-                    self.report.refuse(at, text, f"it must name one command and its values at {count} positions")
-                else:
-                    self.take(at, [*command, values[wanted - 1]])
-        for at, words, where in self.placed:
-            position = int(words[where][1:])
-            if len(words) < where + 2 or not 1 <= position <= count:
-                self.report.refuse(at, " ".join(words), f"it must give a value at one of {count} positions")
-            elif position == wanted and words[0].upper() not in _WITHOUT_EFFECT:
-                self.take(at, [*words[:where], *words[where + 1 :]])
-            else:
-                self.report.add(at, " ".join(words), Verdict.WITHOUT_EFFECT)
+    def _of_each_field(self, key: str, words: list[str]) -> None:
+        """Take a value of every field, or as `F2 3.0` of one, the next one at most."""
+        count = max(map(len, self.fields.values()), default=0)
+        values = list(self.fields.get(key, []))
+        self.fields[key] = _changed(values + [0.0] * (count - len(values)), "F", words, "field", beyond=1)
 
     def _on_prv(self, _: list[str]) -> None:
         self.in_private_glass = True
@@ -497,3 +455,13 @@ class _Reader:
             except (GlassError, ValueError) as error:
                 how = f"a private glass, refused where a surface has it: {error}"
                 self.report.add(self.at, self.text, Verdict.UNKNOWN, how)
+
+
+def _changed(held: list[float], letter: str, words: list[str], noun: str, beyond: int = 0) -> list[float]:
+    """Return what words make of some values: all of them new, or one, as `F2 3.0` says; `beyond` may be added."""
+    if not words or not re.fullmatch(rf"{letter}\d+", words[0].upper()):
+        return numbers(words)
+    place = int(words[0][1:])
+    if not 1 <= place <= len(held) + beyond:
+        raise ValueError(f"there is no {noun} {place}")
+    return [*held[: place - 1], number(words[1]), *held[place:]]

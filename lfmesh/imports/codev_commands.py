@@ -20,11 +20,6 @@ def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
         held = ""
 
 
-def zoom_word(words: list[str]) -> int | None:
-    """Return which word of a command names a zoom position, such as the `Z2` of `THI S5 Z2 8.0`; None if none does."""
-    return next((k for k in (1, 2) if k < len(words) and re.fullmatch(r"[Zz]\d+", words[k])), None)
-
-
 def _without_comment(line: str) -> str:
     quote = ""
     for i, sign in enumerate(line):

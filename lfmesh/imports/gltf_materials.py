@@ -4,7 +4,7 @@ Every property of the specification (glTF 2.0, section 5) stands in one of the t
 light, or left out with the words that say so. What stands in none of them, such as an extension, is left out by name.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from lfmesh.geometry.files.gltf_nodes import Node
@@ -20,6 +20,8 @@ OF_NODE = _EVERYWHERE | {
     # The weights of morph targets, which the primitives tell of.
     "weights": SILENT,
 }
+OF_MESH = _EVERYWHERE | dict.fromkeys(("primitives", "weights"), SILENT)
+OF_SCENE = _EVERYWHERE | {"nodes": SILENT}
 OF_PRIMITIVE = _EVERYWHERE | {
     **dict.fromkeys(("attributes", "indices", "material", "mode"), SILENT),
     "targets": "its shape keys (morph targets) are left out",
@@ -48,10 +50,29 @@ OF_SAMPLER = _EVERYWHERE | {
     **dict.fromkeys(("wrapS", "wrapT", "minFilter"), SILENT),
     "magFilter": "its picture is interpolated between texels, where the file asks for the nearest",
 }
+OF_IMAGE = _EVERYWHERE | dict.fromkeys(("uri", "mimeType", "bufferView"), SILENT)
 _LINEAR = 9729
 
-_TAKEN = ("KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength")
-"""Extensions that are taken, and one that multiplies an emission which is told of."""
+_TAKEN = ("KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength", "KHR_xmp_json_ld")
+"""Extensions that are taken, one that multiplies an emission which is told of, and one that holds words alone."""
+
+
+def left_out_of_scene(document: dict[str, Any], nodes: Iterable[Node]) -> Iterator[tuple[str, str]]:
+    """Yield place and words of what is left out of a file, its scene and its nodes without a mesh.
+
+    Parameters
+    ----------
+    document : dict
+        The file's JSON.
+    nodes : iterable of Node
+    """
+    own = {"extensions": document.get("extensions")}
+    scene = _entry(document, "scenes", document.get("scene", 0))
+    for place, entry, known in (("the file", own, OF_SCENE), ("its scene", scene, OF_SCENE)):
+        yield from ((place, words) for words in _told(entry, known))
+    for node in nodes:
+        if "mesh" not in node.entry:
+            yield from ((node.place, words) for words in _told(node.entry, OF_NODE))
 
 
 def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]]) -> Iterator[str]:
@@ -67,6 +88,7 @@ def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]])
     """
     told = dict.fromkeys(_told(node.entry, OF_NODE))
     for mesh, number in parts:
+        told |= dict.fromkeys(_told(document["meshes"][mesh], OF_MESH))
         primitive = document["meshes"][mesh]["primitives"][number]
         told |= dict.fromkeys(_told(primitive, OF_PRIMITIVE))
         attributes = primitive.get("attributes")
@@ -88,6 +110,7 @@ def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
         sampler.pop("magFilter")
     for entry, known in (
         (shown, OF_MATERIAL), (pbr, OF_PBR), (base, OF_TEXTURE_INFO), (texture, OF_TEXTURE), (sampler, OF_SAMPLER),
+        (_entry(document, "images", texture.get("source")), OF_IMAGE),
     ):  # fmt: skip
         for words in dict.fromkeys(_told(entry, known)):
             yield f"materials[{number}]: {words}"

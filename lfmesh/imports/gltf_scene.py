@@ -16,7 +16,7 @@ from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document
 from lfmesh.geometry.lens.solved_camera import first_order
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.imports.gltf_lights import light_of
-from lfmesh.imports.gltf_materials import left_out
+from lfmesh.imports.gltf_materials import left_out, left_out_of_scene
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene import Pose, Scene, Target
 from lfmesh.scene.light.lights import Light
@@ -157,6 +157,8 @@ class GltfScene:
         ):
             if self.document.get(key):
                 self._enter(key, Verdict.APPROXIMATED, f"left out; {why}")
+        for place, words in left_out_of_scene(self.document, self.nodes):
+            self._enter(place, Verdict.APPROXIMATED, words)
 
     def _facets(self, mesh: int, number: int) -> int:
         """Return how many facets a primitive has, by what the file says of it."""

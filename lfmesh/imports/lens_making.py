@@ -27,6 +27,9 @@ from lfmesh.scene.first_order.paraxial import Paraxial
 OFF_MM = 1e-9
 """How far a surface may lie off after its term in r² was rewritten."""
 
+MOST_LISTED = 20
+"""Configurations whose focal lengths are noted."""
+
 _MOST_DIGITS = 17
 
 
@@ -58,11 +61,13 @@ def note_focal_lengths(report: Report, count: int, report_of: Callable[[int], Re
         Returns the report of a configuration, from 1.
     """
     lengths = []
-    for k in range(1, count + 1 if count > 1 else 1):
+    for k in range(1, min(count, MOST_LISTED) + 1 if count > 1 else 1):
         try:
             lengths.append(f"{k}: {report_of(k).focal_length_mm:.6g} mm")
         except SceneError:
             lengths.append(f"{k}: not supported")
+    if count > MOST_LISTED:
+        lengths.append(f"and {count - MOST_LISTED} more")
     if lengths:
         report.notes.append(f"focal lengths of the configurations: {', '.join(lengths)}")
 
@@ -249,8 +254,16 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     for surface in inner:
         if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
             report.refuse(surface.line, surface.text, "a paraxial lens without its focal length, PARM 1")
-    if inner and not any(surface.stop for surface in inner):
+    stops = [surface for surface in prescription.surfaces if surface.stop]
+    usable = [surface for surface in inner if surface.stop]
+    for surface in stops:
+        if not usable or surface is not usable[0]:
+            which = "the first of several stops" if usable else "the first surface"
+            report.add(surface.line, surface.text, Verdict.APPROXIMATED, f"not the stop here: {which} is")
+    if inner and not usable:
         inner[0].stop = True
+    for surface in usable[1:]:
+        surface.stop = False
     before: Medium | None = None
     left_out = []
     numbers = []
@@ -302,6 +315,8 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
     moved = [each for each in surfaces if each.before or each.after or each.returns_to is not None]
     if not moved:
         return
+    if moved[0] is surfaces[0]:
+        report.refuse(surfaces[0].line, surfaces[0].text, "an object off the axis is not supported")
     for number in (*numbers, len(surfaces) - 1):
         if surfaces[number].returns_to is not None:
             why = (

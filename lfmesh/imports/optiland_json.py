@@ -19,7 +19,6 @@ from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.optics.glass import MAKERS
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
-from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 _UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 _APERTURES = {"EPD": "epd", "imageFNO": "f_number", "objectNA": "object_na"}
@@ -69,10 +68,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     if not isinstance(group, dict) or not isinstance(group.get("surfaces"), list):
         raise SceneError(f"{path}: no optiland lens file: it has no list surface_group.surfaces")
     report = Report(path)
-    try:
-        made = _Reader(report, data).prescription(group["surfaces"])
-    except (TypeError, KeyError, AttributeError, ValueError) as error:
-        raise SceneError(f"{path}: broken: {str(error)[:100]}") from None
+    made = _Reader(report, data).prescription(group["surfaces"])
     return lens_of(made, report, choices.substitutes), report
 
 
@@ -84,31 +80,34 @@ class _Reader:
 
     def prescription(self, entries: list[Any]) -> Prescription:
         """Return what the file holds."""
-        made = Prescription(name=self.data.get("name") or None)
+        name = self.data.get("name")
+        made = Prescription(name=name if isinstance(name, str) and name else None)
+        z: list[float] = []
         for k, entry in enumerate(entries):
             where = f"surfaces[{k}]"
             made.surfaces.append(FileSurface(0, where))
             try:
-                self._surface(made.surfaces[-1], entry, where)
+                z.append(self._surface(made.surfaces[-1], _table(entry, where), where))
                 self.report.add(0, where, Verdict.TAKEN)
             except ValueError as error:
                 self.report.refuse(0, where, str(error))
-        z = [self._number(entry["geometry"]["cs"], "z", infinite=True) for entry in entries]
+        self.report.raise_refusals()
         for surface, here, after in zip(made.surfaces, z, z[1:], strict=False):
             surface.thickness = after - here
         for key, take in (("aperture", self._aperture), ("fields", self._fields), ("wavelengths", self._wavelengths)):
             try:
-                take(made, self.data[key])
+                take(made, _held(self.data, key, dict))
                 self.report.add(0, key, Verdict.TAKEN)
             except ValueError as error:
                 self.report.refuse(0, key, str(error))
         self._rest("", self.data, _KNOWN["file"])
         return made
 
-    def _number(self, entry: Mapping[str, Any], key: str, infinite: bool = False) -> float:
-        value = entry[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise ValueError(f"{key} = {str(value)[:30]} is no number")
+    @staticmethod
+    def _number(entry: Mapping[str, Any], key: str, infinite: bool = False) -> float:
+        value = _held(entry, key, int | float)
+        if math.isnan(value):
+            raise ValueError(f"{key} = NaN is no number")
         if not infinite and math.isinf(value):
             raise ValueError(f"{key} = {value} is not finite")
         return float(value)
@@ -121,24 +120,27 @@ class _Reader:
                 verdict = Verdict.WITHOUT_EFFECT if key in _WITHOUT_EFFECT else Verdict.UNKNOWN
                 self.report.add(0, f"{where}{key}", verdict)
 
-    def _surface(self, surface: FileSurface, entry: Mapping[str, Any], where: str) -> None:
+    def _surface(self, surface: FileSurface, entry: Mapping[str, Any], where: str) -> float:
+        """Read a surface; return where its vertex stands along the axis."""
         surface.stop = bool(entry.get("is_stop"))
-        shape = entry["geometry"]
+        shape = _held(entry, "geometry", dict)
         self._rest(f"{where}.", entry, _KNOWN["surface"])
         self._rest(f"{where}.geometry.", shape, _KNOWN["geometry"])
         self._shape(surface, shape)
-        self._medium(surface, entry["material_post"])
-        stops = entry.get("aperture")
-        if stops is not None:
-            if stops["type"] != "RadialAperture" or self._number(stops, "r_min"):
+        self._medium(surface, _held(entry, "material_post", dict))
+        if entry.get("aperture") is not None:
+            stops = _held(entry, "aperture", dict)
+            if _held(stops, "type", str) != "RadialAperture" or self._number(stops, "r_min"):
                 raise ValueError("only round apertures without a dark middle are supported")
             largest = self._number(stops, "r_max", infinite=True)
             surface.aperture = largest if math.isfinite(largest) and largest > 0.0 else None
         # Versions before 0.4 have what light does there on the surface itself.
-        self._interaction(surface, entry.get("interaction_model") or entry, where)
+        model = entry if entry.get("interaction_model") is None else _held(entry, "interaction_model", dict)
+        self._interaction(surface, model, where)
+        return self._number(_held(shape, "cs", dict), "z", infinite=True)
 
     def _shape(self, surface: FileSurface, shape: Mapping[str, Any]) -> None:
-        kind, frame = shape["type"], shape["cs"]
+        kind, frame = _held(shape, "type", str), _held(shape, "cs", dict)
         if kind not in _FIRST_POWER:
             raise ValueError(f"surfaces of type {kind} are not read; {', '.join(_FIRST_POWER)} are")
         moved = [key for key in ("x", "y", "rx", "ry", "rz") if self._number(frame, key)]
@@ -148,38 +150,27 @@ class _Reader:
         surface.curvature = 1.0 / radius if radius else 0.0
         surface.conic = self._number(shape, "conic") if "conic" in shape else 0.0
         step = 2 if kind == "EvenAsphere" else 1
-        for k, value in enumerate(shape.get("coefficients") or ()):
+        terms = [] if shape.get("coefficients") is None else _held(shape, "coefficients", list)
+        for k, value in enumerate(terms if _FIRST_POWER[kind] else []):
             power = _FIRST_POWER[kind] + step * k
-            coefficient = self._number({f"the coefficient of r^{power}": value}, f"the coefficient of r^{power}")
-            if coefficient:
-                self._term(surface, power, coefficient)
-
-    @staticmethod
-    def _term(surface: FileSurface, power: int, coefficient: float) -> None:
-        if power == 1:
-            raise ValueError("a term in r makes a cone, which is not supported: it has no normal at its vertex")
-        if power > 2 * MOST_ASPHERE_TERMS + 2:
-            raise ValueError(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
-        if power == 2:
-            surface.square = coefficient
-            return
-        terms, place = (surface.odd if power % 2 else surface.asphere), (power - 3) // 2
-        terms += [0.0] * (place + 1 - len(terms))
-        terms[place] = coefficient
+            surface.add_term(
+                power, self._number({f"the coefficient of r^{power}": value}, f"the coefficient of r^{power}")
+            )
 
     def _medium(self, surface: FileSurface, medium: Mapping[str, Any]) -> None:
-        kind = medium["type"]
+        kind = _held(medium, "type", str)
         if kind == "IdealMaterial":
             index = self._number(medium, "index")
             surface.model = None if index == 1.0 else (index, 0.0)
             if self._number(medium, "absorp") if "absorp" in medium else 0.0:
                 raise ValueError("a medium that absorbs is not read")
-        elif kind.startswith("AbbeMaterial"):
+        elif kind == "AbbeMaterial":
             surface.model = self._number(medium, "index"), self._number(medium, "abbe")
         elif kind == "Material":
             # The folder of its data tells the maker: .../glass/schott/N-BK7.yml.
-            folder = PureWindowsPath(medium.get("filename") or "").parent.name.upper()
-            surface.glass = f"{folder}/{medium['name']}" if folder in MAKERS else medium["name"]
+            file = "" if medium.get("filename") is None else _held(medium, "filename", str)
+            folder, name = PureWindowsPath(file).parent.name.upper(), _held(medium, "name", str)
+            surface.glass = f"{folder}/{name}" if folder in MAKERS else name
         elif kind == "Mirror":
             raise ValueError("mirrors are not supported: the lens refracts")
         else:
@@ -192,7 +183,7 @@ class _Reader:
             raise ValueError("a surface that scatters is not read; give it a finish in the scene")
         if model.get("coating") is not None:
             self.report.add(0, f"{where}.coating", Verdict.APPROXIMATED, "not read; the surface is traced bare")
-        kind = model.get("type", "")
+        kind = _held(model, "type", str) if "type" in model else ""
         if "focal_length" in model:
             surface.focal_length = self._number(model, "focal_length")
         elif kind == "ParaxialSurface":
@@ -201,7 +192,7 @@ class _Reader:
             raise ValueError(f"surfaces with a {kind} are not read")
 
     def _aperture(self, made: Prescription, entry: Mapping[str, Any]) -> None:
-        kind = entry["type"]
+        kind = _held(entry, "type", str)
         value = self._number(entry, "value")
         if kind not in (*_APERTURES, "float_by_stop_size"):
             raise ValueError(f"an aperture of type {kind} is not read; {', '.join(_APERTURES)} are")
@@ -216,20 +207,50 @@ class _Reader:
         made.pupil, stop.aperture = ("stop", 0.0), 0.5 * value
 
     def _fields(self, made: Prescription, entry: Mapping[str, Any]) -> None:
-        kind = entry.get("field_type") or (entry.get("field_definition") or {}).get("field_type")
+        holder = entry if entry.get("field_type") else _held(entry, "field_definition", dict)
+        kind = _held(holder, "field_type", str)
         if kind not in _FIELDS:
             raise ValueError(f"fields of type {kind} are not read; {', '.join(_FIELDS)} are")
         made.field_kind = _FIELDS[kind]
-        for each in entry["fields"]:
+        for k, point in enumerate(_held(entry, "fields", list)):
+            each = _table(point, f"fields[{k}]")
             left = 1.0 - (self._number(each, "vy") if "vy" in each else 0.0)
             made.fields.append(FieldPoint(self._number(each, "x"), self._number(each, "y"), left, left))
 
     def _wavelengths(self, made: Prescription, entry: Mapping[str, Any]) -> None:
-        for k, each in enumerate(entry["wavelengths"]):
+        primaries = []
+        for k, line in enumerate(_held(entry, "wavelengths", list)):
+            each = _table(line, f"wavelengths[{k}]")
+            unit = _held(each, "unit", str) if "unit" in each else "um"
+            if unit not in _UNITS_NM:
+                raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_NM)}")
             # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
-            wavelength = float(f"{self._number(each, 'value') * _UNITS_NM[each.get('unit', 'um')]:.10g}")
+            wavelength = float(f"{self._number(each, 'value') * _UNITS_NM[unit]:.10g}")
             if not wavelength > 0.0:
                 raise ValueError(f"wavelength {wavelength:g}: it must be above 0")
             made.wavelengths_nm.append(wavelength)
             if each.get("is_primary"):
-                made.primary = k
+                primaries.append(k)
+        made.primary = primaries[0] if primaries else 0
+        if len(primaries) > 1:
+            self.report.add(0, "wavelengths", Verdict.APPROXIMATED, "several are the primary one; the first is taken")
+
+
+def _held(entry: Mapping[str, Any], key: str, kind: Any) -> Any:
+    """Return what a part of the file has under a key; ValueError unless that is of a kind."""
+    if key not in entry:
+        raise ValueError(f"it has no {key}")
+    value = entry[key]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise ValueError(f"{key} = {json.dumps(value)[:30]} is no {_KINDS[kind]}")
+    return value
+
+
+def _table(entry: Any, name: str) -> Mapping[str, Any]:
+    """Return a part of the file that must be an object of JSON."""
+    table: Mapping[str, Any] = _held({name: entry}, name, dict)
+    return table
+
+
+_KINDS = {dict: "object", list: "list", str: "text", int | float: "number"}
+"""What JSON calls the kinds of values."""

@@ -10,12 +10,16 @@ from lfmesh.imports.square_terms import SquareTerm, without_square
 from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene.camera.lens import Element
 from lfmesh.scene.camera.qbfs import Qbfs
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 FAR_MM = 1e9
 """Distance of the object from which it counts as infinite; files write 1e10 to 1e14."""
 
 MOST_SURFACES = 1000
 """More than any lens has; a file of more ends in an error before it takes the memory."""
+
+MOST_CONFIGURATIONS = 1000
+"""Of one file: more than any has."""
 
 
 @dataclass
@@ -76,6 +80,25 @@ class FileSurface:
             self.curvature, self.conic, self.aperture or self.extent
         )
         return self.curvature if form is None else 1.0 / form.radius_mm
+
+    def add_term(self, power: int, value: float) -> None:
+        """Let the sag have a term in a power of r; ValueError where there can be none."""
+        if not value:
+            return
+        if power < 1:
+            raise ValueError("a term without r moves the surface along the axis; put it into the thicknesses")
+        if power == 1:
+            raise ValueError("a term in r makes a cone, which is not supported: it has no normal at its vertex")
+        if power == 2 and self.section is not None:
+            raise ValueError("a term in y² beside the curvature is not supported; put it into the curvature")
+        if power > 2 * MOST_ASPHERE_TERMS + 2:
+            raise ValueError(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
+        if power == 2:
+            self.square = value
+            return
+        terms, place = (self.odd if power % 2 else self.asphere), (power - 3) // 2
+        terms += [0.0] * (place + 1 - len(terms))
+        terms[place] = value
 
     def take_square(self) -> None:
         """Put a term in r² into the curvature, the conic constant and the other terms."""

@@ -21,7 +21,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths
 from lfmesh.imports.numbers import number, numbers
-from lfmesh.imports.prescription import Prescription
+from lfmesh.imports.prescription import MOST_CONFIGURATIONS, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.imports.zemax_configurations import Configurations
@@ -256,4 +256,7 @@ class _Reader(SurfaceReader):
         self._taken()
 
     def _on_mnum(self, words: list[str]) -> None:
-        self.configurations = Configurations(self.at, self.text, *map(int, numbers(words[:2])))
+        count, current = (int(value) for value in [*numbers(words[:2]), 1.0, 1.0][:2])
+        if not 1 <= current <= count <= MOST_CONFIGURATIONS:
+            raise ValueError(f"it must give a number of configurations up to {MOST_CONFIGURATIONS}, and one of them")
+        self.configurations = Configurations(self.at, self.text, count, current)

@@ -195,21 +195,12 @@ class SurfaceReader:
 
     def _add_term(self, power: int, value: float) -> None:
         """Let the sag have a term in a power of r."""
-        if power == 2 and self.kind in SECTIONS:
-            self._refuse("a term in y² beside the curvature is not supported; put it into the curvature")
-        elif power == 2:
-            self._surface.square = value
-            self._taken("in the curvature, the conic constant and the other terms")
-        elif power == 1:
-            self._refuse("a term in r makes a cone, which is not supported: it has no normal at its vertex")
-        elif power > 2 * MOST_ASPHERE_TERMS + 2:
-            self._refuse(f"a term in r^{power}: aspheres reach up to r^{2 * MOST_ASPHERE_TERMS + 2}")
+        try:
+            self._surface.add_term(power, value)
+        except ValueError as error:
+            self._refuse(str(error))
         else:
-            terms = self._surface.odd if power % 2 else self._surface.asphere
-            place = (power - 3) // 2
-            terms += [0.0] * (place + 1 - len(terms))
-            terms[place] = value
-            self._taken()
+            self._taken("in the curvature, the conic constant and the other terms" if power == 2 else "")
 
     def _on_xdat(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])

@@ -76,6 +76,7 @@ GOLD 0.25
 IDEAL HALF 0.5 0.5
 IDEAL GREY 0.5 0.1
 IDEAL MUCH 0.9 0.5
+COAT I.75 ! the name is all there is
 TABLE MEASURED
 ANGL 0
 WAVE 0.5 0.02 0.02 0.98 0.98 0 0 0 0
@@ -145,7 +146,7 @@ STACKS = {
 @pytest.mark.parametrize("name", STACKS)
 @pytest.mark.parametrize("degrees", [0.0, 35.0])
 def test_light_through_coated_faces_is_that_of_tmm(tmp_path: Path, name: str, degrees: float) -> None:
-    lens, report = read(tmp_path, name, name)
+    lens, report = read(tmp_path, name, name, None if name == "AR" else FILE)
     assert not report.of(Verdict.APPROXIMATED)
     stack = STACKS[name]
     assert kept(lens, degrees) == pytest.approx(by_tmm(stack, stack, degrees), abs=1e-6)
@@ -179,7 +180,10 @@ def test_layers_of_a_file_disperse(tmp_path: Path) -> None:
     assert kept(lens, 20.0, 450.0) == pytest.approx(truth, abs=1e-6)
 
 
-@pytest.mark.parametrize(("name", "passes"), [("I.95", 0.95), ("I0.5", 0.5), ("HALF", 0.5), ("I1", 1.0)])
+@pytest.mark.parametrize(
+    ("name", "passes"),
+    [("I.95", 0.95), ("I.75", 0.75), ("I0.5", 0.5), ("I.0.5", 0.5), ("HALF", 0.5), ("I1", 1.0)],
+)
 def test_ideal_coatings_pass_their_share(tmp_path: Path, name: str, passes: float) -> None:
     lens, report = read(tmp_path, name, name)
     assert not report.of(Verdict.APPROXIMATED)
@@ -202,6 +206,7 @@ BARE = {
     "SECRET": "Coating.dat has it as ENCRYPTED, which is not read; the surface is traced bare",
 }
 APPROXIMATED = {
+    "AR": "Coating.dat has no such coating; a quarter wave of MgF2 is taken for it",
     "GREY": "of the light it absorbs 0.4, which passes here",
     "TAPERED": "layers of taper EDGE have the thickness of the middle everywhere",
     "MIRROR": "a metal's coating; taken as one that reflects everything",
@@ -286,10 +291,12 @@ def test_coatings_whose_names_become_one_stay_apart(tmp_path: Path) -> None:
 
 def test_a_named_coating_file_that_is_missing_is_named(tmp_path: Path) -> None:
     (tmp_path / "COATING.DAT").write_text(FILE)
-    text = PLATE.format(front="STACK", back="NONE").replace("UNIT MM", "COFN QF OTHER.DAT\nUNIT MM")
+    text = PLATE.format(front="STACK", back="AR").replace("UNIT MM", "COFN QF OTHER.DAT\nUNIT MM")
     (tmp_path / "plate.zmx").write_text(text)
-    (said,) = read_lens_file(tmp_path / "plate.zmx")[1].of(Verdict.APPROXIMATED)
-    assert said.how == "no OTHER.DAT beside the file; the surface is traced bare"
+    assert [line.how for line in read_lens_file(tmp_path / "plate.zmx")[1].of(Verdict.APPROXIMATED)] == [
+        "no OTHER.DAT beside the file; the surface is traced bare",
+        "no OTHER.DAT beside the file; a quarter wave of MgF2 is taken for it",
+    ]
 
 
 def test_a_scene_may_give_a_lens_of_a_file_coatings_beside_its_own(tmp_path: Path) -> None:

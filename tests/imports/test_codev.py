@@ -248,6 +248,15 @@ def test_values_at_single_positions_are_those_of_their_row(position):
         lens_of(text.replace("GO\n", "THI S1 Z4 9\nGO\n"), choices=choices)
 
 
+@pytest.mark.parametrize("row", ["ZOO YAN F2 7.0 5.0 3.0", "YAN F2 Z1 7; YAN F2 Z2 5; YAN F2 Z3 3"])
+def test_one_field_and_one_wavelength_may_differ_between_positions(row):
+    text = ZOOM.replace("GO\n", f"{row}\nZOO WL W3 400 500 510\nGO\n")
+    for position, (field, wavelength) in enumerate(((7.0, 400.0), (5.0, 500.0), (3.0, 510.0)), 1):
+        held = read(FILE, text.splitlines(), FileChoices(configuration=position))[1].conditions
+        assert [point.y for point in held.fields] == [0.0, field]
+        assert held.wavelengths_nm == (*report_of(SINGLET_SEQ).conditions.wavelengths_nm[:2], wavelength)
+
+
 def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
     report = report_of(ZOOM)
     (line,) = report.of(Verdict.APPROXIMATED)
@@ -264,6 +273,10 @@ def test_a_zoom_file_says_which_position_is_taken_and_their_focal_lengths():
         (ZOOM, 4, "configuration = 4: the file has configurations 1 to 3"),
         (SINGLET_SEQ, 2, "configuration = 2: the file has one configuration"),
         (ZOOM.replace("5.0 6.0 7.5", "5.0 6.0"), 2, "it must name one command and its values at 3 positions"),
+        (ZOOM.replace("ZOO 3", "ZOO 0"), None, "ZOO 0: the number of zoom positions must be a whole one from"),
+        (ZOOM.replace("ZOO 3", "ZOO 2.5"), None, "must be a whole one"),
+        (ZOOM.replace("ZOO EPD", "ZOO YAN F4"), 2, "YAN F4 9.0: there is no field 4"),
+        (ZOOM.replace("ZOO EPD", "ZOO WL W4"), 2, "WL W4 9.0: there is no wavelength 4"),
         (ZOOM.replace("THI S1 5.0 6.0 7.5", "ADE S1 0.0 1.0 2.0"), 2, "the axis is not turned back"),
     ],
 )

@@ -112,7 +112,7 @@ def of_geometry(k, **changes):
         (of_geometry(2, type="ZernikePolynomialGeometry"), "surfaces[2]: surfaces of type ZernikePolynomialGeometry"),
         (of_geometry(1, coefficients=[0.0] * 40 + [1e-90]), "a term in r^82"),
         (of_geometry(4, coefficients=[1e-3]), "a term in r makes a cone"),
-        (of_geometry(2, radius="25"), "radius = 25 is no number"),
+        (of_geometry(2, radius="25"), 'radius = "25" is no number'),
         (of_surface(2, material_post={"type": "Mirror"}), "mirrors are not supported"),
         (of_surface(2, material_post={"type": "GradientMaterial"}), "a medium of type GradientMaterial is not read"),
         (of_surface(2, interaction_model={"type": "DiffractiveInteractionModel"}), "with a DiffractiveInteraction"),
@@ -126,7 +126,7 @@ def of_geometry(k, **changes):
         ),
         (lambda data: data["aperture"].update(type="imageNA"), "an aperture of type imageNA is not read"),
         (lambda data: data["fields"].update(field_definition={"field_type": "X"}), "fields of type X are not read"),
-        (lambda data: data.pop("wavelengths"), "broken: 'wavelengths'"),
+        (lambda data: data.pop("wavelengths"), "wavelengths: it has no wavelengths"),
         (lambda data: data.pop("surface_group"), "no optiland lens file"),
     ],
 )
@@ -167,3 +167,50 @@ def test_files_that_are_none_are_refused_in_one_line(tmp_path, content):
 def test_it_has_one_configuration():
     with pytest.raises(SceneError, match="configuration = 2: the file has one configuration"):
         read_changed(choices=FileChoices(configuration=2))
+
+
+def places(entry, path=()):
+    """Yield the paths of everything in a file of JSON."""
+    for key, value in entry.items() if isinstance(entry, dict) else enumerate(entry):
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*path, key))
+
+
+@pytest.mark.parametrize("strange", [None, True, -1.0, "x", [], {}, [None], {"a": None}, "left out"])
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.LensFileWarning")
+def test_a_value_of_another_kind_is_used_or_named(strange):
+    # Beyond the second surface everything comes again.
+    for path in [path for path in places(LENS) if len(path) < 3 or path[1] != "surfaces" or path[2] < 2]:
+        data = deepcopy(LENS)
+        *inner, last = path
+        entry = data
+        for key in inner:
+            entry = entry[key]
+        if strange == "left out":
+            entry.pop(last)
+        else:
+            entry[last] = strange
+        try:
+            read(FILE, json.dumps(data).splitlines())
+        except SceneError as error:
+            message = str(error)
+        else:
+            continue
+        told = [key for key in path if isinstance(key, str)] + [
+            "holds no lens",
+            "as a lens",
+            "stands in a medium",
+            "glass of nd",
+        ]
+        assert any(word in message for word in told), (path, message)
+
+
+def test_a_surface_without_geometry_is_named():
+    with pytest.raises(SceneError, match=r"lens\.json: surfaces\[1\]: geometry = null is no object"):
+        read_changed(lambda data: data["surface_group"]["surfaces"][1].update(geometry=None))
+
+
+def test_a_medium_of_the_e_line_is_refused():
+    with pytest.raises(SceneError, match="a medium of type AbbeMaterialE is not read"):
+        read_changed(lambda data: data["surface_group"]["surfaces"][4]["material_post"].update(type="AbbeMaterialE"))

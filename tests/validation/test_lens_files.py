@@ -40,7 +40,7 @@ REFUSED = {
     "codev/tests/achroMangin.seq": MIRRORS,
     "codev/tests/achroMangin_ok.seq": MIRRORS,
     "codev/tests/dar_test.seq": "nothing but a stop",
-    "codev/tests/dec_rev_tilt_test.seq": TILTS,
+    "codev/tests/dec_rev_tilt_test.seq": "nothing but a stop",
     "codev/tests/dec_test.seq": TILTS,
     "codev/tests/dec_tilt_test.seq": TILTS,
     "codev/tests/folded_lenses.seq": MIRRORS,

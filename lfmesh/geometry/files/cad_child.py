@@ -35,6 +35,9 @@ DEEPEST, MOST_PLACED = 50, 100_000
 FINEST_MM = 1e-6
 """Tolerance: above the precision that OpenCASCADE calculates with, 1e-7 mm."""
 
+GRACE_SECONDS = 60
+"""Processor time after its limit, in which the signal of that limit ends the process."""
+
 TURN_RAD = 0.1
 """How far a facet's edge may turn on a curved face."""
 
@@ -61,11 +64,12 @@ def _limit(mebibytes: int, seconds: int, output_mebibytes: int) -> None:
         return
     for what, most in (
         (resource.RLIMIT_AS, mebibytes * 2**20),
-        (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_FSIZE, output_mebibytes * 2**20),
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(what, (most, most))
+    # At the soft limit the process gets SIGXCPU; at the hard one SIGKILL, as from a system that is out of memory.
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + GRACE_SECONDS))
 
 
 def check_step(content: bytes) -> None:

@@ -52,8 +52,8 @@ MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
 MM_PER_METRE = 1e3
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
-OUT_OF_TIME = (-24, -9)
-"""Codes that a process ends with whose processor time is over: SIGXCPU, or SIGKILL where that did not end it."""
+OUT_OF_TIME, ENDED_BY_SYSTEM = -24, -9
+"""Codes of a process that ends by SIGXCPU, when its processor time is over, and by SIGKILL, when memory runs short."""
 
 STRETCHED = 1e-12
 """How far a body's frame may be from a rotation: rounding."""
@@ -119,7 +119,7 @@ def _opened(path: Path, stamp: tuple[object, ...], tolerance_mm: float | None, s
             done = _child(cad_child.__file__, path, out, own, repr(tolerance_mm or 0.0), repr(factor))
             if done.returncode == 0 and out.is_file():
                 return out.read_bytes(), _coarser_in_words(factor, tolerance_mm, seconds)
-            if done.returncode not in OUT_OF_TIME:
+            if done.returncode != OUT_OF_TIME:
                 break
     raise MeshError(f"{path}: {_reason(path, done.returncode, done.stderr, seconds)}")
 
@@ -162,7 +162,7 @@ def _child(program: str, path: Path, out: Path, seconds: int, *options: str) -> 
     try:
         return subprocess.run(command, capture_output=True, timeout=wait, check=False)
     except subprocess.TimeoutExpired:
-        return subprocess.CompletedProcess(command, OUT_OF_TIME[0], b"", b"")
+        return subprocess.CompletedProcess(command, OUT_OF_TIME, b"", b"")
 
 
 def _way_out(path: Path) -> str:
@@ -193,7 +193,9 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
         return said
     if any("File too large" in line for line in lines) or code == -25:
         return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_way_out(path)}"
-    if code in OUT_OF_TIME:
+    if code == ENDED_BY_SYSTEM:
+        return f"the system ended the program that opened it, most likely for want of memory; {_way_out(path)}"
+    if code == OUT_OF_TIME:
         coarser = ", with coarser facets as well" if path.suffix.lower() in STEP_ENDINGS else ""
         return (
             f"opening it took more than {seconds} s of processor time{coarser}; set the environment variable {SECONDS} "

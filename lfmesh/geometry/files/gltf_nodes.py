@@ -36,6 +36,9 @@ WRAP = "wrap"
 TAKEN_EXTENSIONS = ("KHR_lights_punctual", "KHR_texture_transform")
 """That a file may require."""
 
+FLOAT = 5126
+"""Component type of an accessor of float32 (glTF 2.0, section 5.1.3)."""
+
 TRIANGLES, STRIP = 4, 5
 """Modes of primitives that have facets and can be read (glTF 2.0, section 3.7.2.1)."""
 
@@ -242,7 +245,28 @@ def _alone(path: Path, document: dict[str, Any], mesh: int, number: int) -> dict
             if asked not in attributes:
                 raise MeshError(f"{where} asks for {asked}, which the mesh does not have")
             attributes = attributes | {"TEXCOORD_0": attributes[asked]}
+    _check_accessors(path, document, primitive, attributes)
     return {"name": _called(mesh, number), "primitives": [primitive | {"attributes": attributes}]}
+
+
+def _check_accessors(
+    path: Path, document: dict[str, Any], primitive: dict[str, Any], attributes: dict[str, Any]
+) -> None:
+    """Raise where a primitive's numbers are stored in a way in which trimesh takes them for others.
+
+    It passes over `sparse`, and takes places in a picture that are `normalized` whole numbers as they stand.
+    """
+    accessors = _list(path, document, "accessors")
+    used = {key: attributes.get(key) for key in ("POSITION", "NORMAL", "TEXCOORD_0")}
+    for key, number in (used | {"indices": primitive.get("indices")}).items():
+        if not isinstance(number, int) or not 0 <= number < len(accessors):
+            continue
+        if "sparse" in accessors[number]:
+            raise MeshError(f"{path}: accessors[{number}] ({key}) is sparse, which is not read: save it in full")
+        if key == "TEXCOORD_0" and accessors[number].get("componentType") != FLOAT:
+            raise MeshError(
+                f"{path}: accessors[{number}] ({key}) holds whole numbers; save texture coordinates as floats"
+            )
 
 
 def _base_picture(document: dict[str, Any], primitive: dict[str, Any]) -> dict[str, Any]:

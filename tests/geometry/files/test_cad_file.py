@@ -242,6 +242,22 @@ def test_step_facets_that_take_too_long_are_made_coarser_with_a_warning(tmp_path
     assert len(same.mesh.faces) // 2 <= len(coarse.mesh.faces) < len(fine.mesh.faces)
 
 
+@needs_cascadio
+def test_a_process_that_the_system_ends_for_memory_is_told_of_memory_and_not_repeated(tmp_path, monkeypatch):
+    program = Path(cad_file.cad_child.__file__).read_text()
+    tries = tmp_path / "tries"
+    killed = f"    open({str(tries)!r}, 'a').write('x')\n    os.kill(os.getpid(), signal.SIGKILL)\n    memory, output"
+    program = program.replace("def main(", "import os, signal\n\n\ndef main(").replace("    memory, output", killed, 1)
+    (tmp_path / "child.py").write_text(program)
+    monkeypatch.setattr(cad_file.cad_child, "__file__", str(tmp_path / "child.py"))
+    path = tmp_path / "a.step"
+    path.write_text((SOLIDS / "biconvex.step").read_text())
+    message = refusal(path)
+    assert "the system ended the program that opened it, most likely for want of memory" in message
+    assert "processor time" not in message
+    assert tries.read_text() == "x"
+
+
 def test_time_for_a_file_grows_with_its_size(tmp_path):
     path = tmp_path / "a.step"
     path.write_bytes(b"x" * 2**20)

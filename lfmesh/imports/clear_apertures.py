@@ -7,8 +7,7 @@ from itertools import pairwise
 from lfmesh.errors import SceneError
 from lfmesh.imports.prescription import KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.scene.camera.lens import Surface
-from lfmesh.scene.camera.sections import AZIMUTHS
+from lfmesh.scene.camera.lens import Surface, gap_round_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
 
 MARGIN = 0.05
@@ -187,8 +186,6 @@ def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
     most = min(most, front.reach_mm, back.reach_mm)
     for k in range(1, 257):
         height = most * k / 256
-        if max(a - b for a, b in zip(*(s.sags_mm(height, AZIMUTHS) for s in (front, back)), strict=True)) > (
-            front.thickness_mm or 0.0
-        ):
+        if -gap_round_mm(front, back, height) > (front.thickness_mm or 0.0):
             return most * (k - 1) / 256
     return math.inf

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, refractive_index
+from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, is_glass, refractive_index
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
@@ -69,12 +70,8 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
         There is no such glass; the message names close ones.
     """
     for maker in catalogues:
-        full = f"{maker}/{name}"
-        try:
-            find_glass(full)
-        except GlassError:
-            continue
-        return full, ""
+        if is_glass(full := f"{maker}/{name}"):
+            return full, ""
     _refuse_ambiguous(name)
     try:
         find_glass(name)
@@ -96,12 +93,10 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
 def _refuse_ambiguous(name: str) -> None:
     """Raise if a name without a maker means glasses that differ, SCHOTT's successor of an old one among them."""
     found: dict[str, float] = {}
-    for full in (*(f"{maker}/{name}" for maker in MAKERS), f"SCHOTT/N-{name}"):
-        try:
-            find_glass(full)
+    for full in filter(is_glass, (*(f"{maker}/{name}" for maker in MAKERS), f"SCHOTT/N-{name}")):
+        # Not one whose data do not reach that line.
+        with suppress(GlassError):
             found[full] = refractive_index(full, D_LINE_NM)
-        except GlassError:
-            continue
     if found and max(found.values()) - min(found.values()) > SAME:
         listed = ", ".join(f"{glass} (nd = {index:.5f})" for glass, index in found.items())
         raise GlassError(

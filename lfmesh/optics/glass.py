@@ -142,6 +142,18 @@ def find_glass(name: str) -> Page:
     return _find(name)
 
 
+def is_glass(name: str) -> bool:
+    """Return whether a name means one glass of the catalogue, so that `find_glass` finds it.
+
+    Parameters
+    ----------
+    name : str
+        As in `refractive_index`.
+    """
+    pages = _pages(name)
+    return len(pages) == 1 or (len(pages) > 1 and _are_one_glass(pages))
+
+
 @cache
 def _catalogue_index(name: str, wavelength_nm: float) -> float:
     index = _catalogue_value(name, wavelength_nm)
@@ -227,12 +239,18 @@ def _catalogue() -> dict[str, list[Page]]:
     return names
 
 
-@cache
-def _find(name: str) -> Page:
+def _pages(name: str) -> list[Page]:
     wanted = name.strip().upper()
     if "" in wanted.split("/"):
+        return []
+    return _catalogue().get(wanted) or _other_spellings().get(_letters(wanted), [])
+
+
+@cache
+def _find(name: str) -> Page:
+    if "" in name.strip().split("/"):
         raise GlassError(f"glass {name!r}: nothing stands before or after a /; {_suggestion(name)}")
-    pages = _catalogue().get(wanted) or _other_spellings().get(_letters(wanted), [])
+    pages = _pages(name)
     if not pages:
         raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")
     if len(pages) == 1:
@@ -300,7 +318,7 @@ def _in_brackets(page: Page) -> str:
     return f" (nd {d:.5f}, Vd {(d - 1.0) / (f - c):.2f})" if f > c else f" (nd {d:.5f})"
 
 
-@cache  # readers of lens files try a name with one maker after another
+@cache
 def _suggestion(name: str) -> str:
     names = _catalogue()
     wanted = name.strip().upper()

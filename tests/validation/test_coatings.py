@@ -4,6 +4,8 @@ The truth knows the prescription, where a recorded path has its vertices, and wh
 tables, and nothing of how packets are divided.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
@@ -83,6 +85,7 @@ def products(world, rays, paths):
     return np.array(made)
 
 
+@cache
 def launched(coating):
     world = lf.build(double_gauss(coating))
     return world, from_field_point(world, POINT, 60, aim="lens", weight_cutoff=CUTOFF, seed=3)

@@ -378,7 +378,7 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     given = front.thickness_mm or 0.0
     if front.section_key is not None or back.section_key is not None:
         heights = [radius * k / _HEIGHTS_ALL_ROUND for k in range(_HEIGHTS_ALL_ROUND + 1)]
-        return max((-_gap_round_mm(front, back, h), h) for h in heights)
+        return max((-gap_round_mm(front, back, h), h) for h in heights)
     if not front.powers_mm and not back.powers_mm:
         # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
@@ -388,8 +388,16 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
 
 
-def _gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
-    """Return the smallest difference of sags, back less front, at a height, over the azimuths that tell."""
+def gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
+    """Return the smallest difference of sags, back less front, at a height, over the azimuths that tell, in mm.
+
+    Parameters
+    ----------
+    front, back : Surface
+        Neighbours.
+    height_mm : float
+        Distance from the axis.
+    """
     around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
     sags = zip(front.sags_mm(height_mm, around), back.sags_mm(height_mm, around), strict=True)
     return min(of_back - of_front for of_front, of_back in sags)
@@ -658,7 +666,7 @@ class Lens(Model):
         The smallest over all azimuths.
         """
         front, back = self.surfaces[number], self.surfaces[number + 1]
-        return (front.thickness_mm or 0.0) + _gap_round_mm(front, back, height_mm)
+        return (front.thickness_mm or 0.0) + gap_round_mm(front, back, height_mm)
 
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""

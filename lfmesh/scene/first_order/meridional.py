@@ -11,8 +11,8 @@ from lfmesh.scene.camera.lens import Lens, Surface
 STEPS = 50
 """Of Newton's method towards a surface."""
 
-HALVINGS = 60
-"""Of the interval in which the ray at the edge of the stop is sought."""
+TRIALS = 60
+"""Rays at most of which the one at the edge of the stop is sought."""
 
 
 def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
@@ -76,21 +76,30 @@ def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
 
-    def at(height: float) -> list[float]:
-        return heights_mm(lens, wavelength_nm, object_mm, height)
-
-    def beyond(heights: list[float]) -> bool:
-        return len(heights) <= stop or abs(heights[stop]) >= radius
+    def at(height: float) -> tuple[float, list[float]]:
+        """Return by how much a ray passes the edge, inf where it ends before the stop, and its heights."""
+        heights = heights_mm(lens, wavelength_nm, object_mm, height)
+        return abs(heights[stop]) - radius if len(heights) > stop else math.inf, heights
 
     low, high = 0.0, abs(guess_mm)
+    (below, inside), (above, outside) = at(low), at(high)
     for _ in range(8):
-        if beyond(at(high)):
+        if above >= 0:
             break
-        low, high = high, 1.5 * high
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if beyond(at(middle)) else (middle, high)
-    heights = at(low)
+        low, below, inside, high = high, above, outside, 1.5 * high
+        above, outside = at(high)
+    for trial in range(TRIALS):
+        # By proportion where both ends reach the stop; the middle now and then, and where one does not.
+        share = 0.5 if trial % 3 == 2 or math.isinf(above) else below / (below - above)
+        height = low + share * (high - low)
+        if not low < height < high:
+            break
+        excess, heights = at(height)
+        if excess >= 0:
+            high, above, outside = height, excess, heights
+        else:
+            low, below, inside = height, excess, heights
+    heights = outside if above < -below else inside
     return heights if len(heights) > stop and abs(heights[stop]) >= radius * (1 - 1e-6) else []
 
 

@@ -48,8 +48,18 @@ def test_a_parabolic_plate_sends_parallel_light_by_snell() -> None:
 def test_the_ray_at_the_edge_of_the_stop_meets_it(scene: Scene) -> None:
     lens = scene.camera.lens
     heights = edge_of_stop_mm(lens, 587.6, 400.0, 6.0)
-    assert heights[0] == pytest.approx(6.0, rel=1e-9)
+    assert heights[0] == pytest.approx(6.0, rel=1e-12)
     assert heights == pytest.approx(heights_mm(lens, 587.6, 400.0, 6.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("guess", [0.5, 4.0, 9.0])
+def test_the_ray_at_the_edge_of_a_stop_behind_is_found_from_any_guess(guess: float) -> None:
+    """A ball turns rays the more the farther out they are."""
+    front, back = (surface.model_copy(update={"stop": False}) for surface in ball().surfaces)
+    edge = back.model_copy(update={"stop": True, "semi_diameter_mm": 1.0})
+    heights = edge_of_stop_mm(Lens(surfaces=(front, edge)), 587.6, math.inf, guess)
+    outside, inside = math.asin(heights[0] / 10.0), math.asin(heights[0] / 15.0)
+    assert abs(10.0 * math.sin(2 * inside - outside)) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_a_ray_that_no_surface_meets_ends_there() -> None:

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from lfmesh.study.metrics.resolution import edge_mtf50
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ def test_the_edge_of_every_phase_and_slant_has_the_mtf_of_the_closed_form(size: 
     assert np.abs(off).max() < (0.02 if blur == 0.0 else 0.001)
 
 
-@pytest.mark.parametrize("blur", [0.0, 0.6])
+@pytest.mark.parametrize("blur", instances([0.0, 0.6], long=[0.6]))
 def test_noise_of_a_thousandth_moves_it_by_less_than_two_thousandths_in_200_draws(blur: float) -> None:
     draw = np.random.default_rng(5)
     exact = edge((40, 40), np.radians(5.0), 0.3, blur)

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3
 """Chance that a test fails though the law holds, shared by its comparisons (Bonferroni)."""
 
-REPLICATES, RAYS = 40, 4000
+REPLICATES, RAYS = 40, 1600
 
 LENS = {"surfaces": [{"radius_mm": 30.0, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 9.0},
                      {"radius_mm": -30.0, "thickness_mm": 2.0, "semi_diameter_mm": 9.0},

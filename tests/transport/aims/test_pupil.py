@@ -224,7 +224,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     array, aim, moves = world.tables.mla, world.aim.lenslets, world.tables.frames
     lattice = array.lenslets.lattice
     random = np.random.default_rng(5)
-    rays = 200_000
+    rays = 60_000
     p = np.zeros((rays, 3))
     p[:, :2] = random.uniform(-0.5, 0.5, (rays, 2)) * world.scene.camera.sensor.size_mm
     p = frames.points(moves[SENSOR_FRAME, MLA_FRAME], p)

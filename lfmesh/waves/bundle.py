@@ -304,9 +304,10 @@ class LensRays:
         fan = trial[:, None] * along
         hits = self.at_stop(np.broadcast_to(field, fan.shape), fan, wavelength_nm) @ along
         known = np.isfinite(hits)
-        to_stop = solved_camera(self.world.scene).paraxial.to_stop
-        scale = to_stop.a + to_stop.b / self.object_mm
-        guess = (aim + to_stop.b * field) / scale
+        paraxial = solved_camera(self.world.scene).paraxial
+        by_slope = paraxial.indices[0] * paraxial.to_stop.b
+        scale = paraxial.to_stop.a + by_slope / self.object_mm
+        guess = (aim + by_slope * field) / scale
         if known.sum() > 1:
             order = np.argsort(hits[known])
             h, entries, wanted = hits[known][order], trial[known][order], aim @ along

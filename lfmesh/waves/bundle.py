@@ -283,6 +283,7 @@ class LensRays:
             path = np.linalg.norm(position - [*(field * self.object_mm), -self.object_mm], axis=1)
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
+        path = media[0] * path
         heights = np.empty((len(position), len(media) - 1))
         for face, index in enumerate(media[:-1]):
             arrived = follow_sequence(behind_faces(tables, face), image_path(1), position, direction)

@@ -137,6 +137,7 @@ def test_the_promised_scenes_are_there() -> None:
         "hot_metal",
         "polarised",
         "tank",
+        "underwater",
         *promised,
     } <= set(names(SCENES))
 

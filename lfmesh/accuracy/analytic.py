@@ -25,7 +25,7 @@ from lfmesh.accuracy.analytic_rays import (
     turned,
 )
 from lfmesh.errors import LfmeshError
-from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Lens, Scene, solved
 
 
@@ -96,7 +96,8 @@ class Camera:
         """
         scene = solved(scene)
         lens, camera = scene.camera.lens, scene.camera
-        interfaces, before = [], AIR
+        interfaces = []
+        before, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
         for i, (surface, z) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
             if surface.mesh is not None:
                 raise LfmeshError(
@@ -108,7 +109,7 @@ class Camera:
                     f"camera.lens.surfaces[{i}].{surface.section_key}: the truth that errors are measured against has "
                     "surfaces of revolution alone"
                 )
-            after = refractive_index(surface.medium, wavelength_nm)
+            after = behind[i]
             interfaces.append(
                 Interface(
                     z, surface.curvature_per_mm, surface.vertex_conic, surface.terms_mm,

@@ -55,7 +55,7 @@ def check(scene: SceneFile, /) -> int:
         from lfmesh.transport.world import build
     lines = [*first_order(loaded).lines(), *mesh_lines(loaded), *glass_lines(solved_camera(loaded).scene)]
     if loaded.tanks:
-        lines += tank_lines(loaded)
+        lines += tank_lines(loaded, first_order(loaded).object_index)
     if loaded.all_coatings:
         from lfmesh.transport.tables.interfaces import coating_lines
 

@@ -49,7 +49,8 @@ def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Par
     elif kind == "object_na":
         if math.isinf(object_mm):
             raise SceneError(f"{report.path}: an aperture of the object's side needs an object at a finite distance")
-        radius = abs(paraxial.to_stop(Ray(object_mm, 1.0)).height_mm) * math.tan(math.asin(min(value, 0.999)))
+        sine = min(value / paraxial.indices[0], 0.999)
+        radius = abs(paraxial.to_stop(Ray(object_mm, paraxial.indices[0])).height_mm) * math.tan(math.asin(sine))
     else:
         size = stop.aperture or stop.extent
         if not size:
@@ -129,22 +130,22 @@ def _needed_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxia
 
 def _chief_ray(prescription: Prescription, paraxial: Paraxial, size: float, object_mm: float, pupil_mm: float) -> Ray:
     """Return the ray of a field point through the middle of the entrance pupil, at the first vertex."""
-    unit = prescription.unit_mm
+    unit, index = prescription.unit_mm, paraxial.indices[0]
     if prescription.field_kind == "angle":
         slope = math.tan(math.radians(min(size, 89.0)))
-        return Ray(0.0, slope) if math.isinf(pupil_mm) else Ray(-slope * pupil_mm, slope)
+        return Ray(0.0 if math.isinf(pupil_mm) else -slope * pupil_mm, index * slope)
     height = size * unit
     if prescription.field_kind == "image":
-        scale = paraxial.efl_mm if math.isinf(object_mm) else paraxial.magnification(object_mm)
+        scale = index * paraxial.efl_mm if math.isinf(object_mm) else paraxial.magnification(object_mm)
         if math.isinf(object_mm):
             slope = height / scale if scale else 0.0
-            return Ray(0.0, slope) if math.isinf(pupil_mm) else Ray(-slope * pupil_mm, slope)
+            return Ray(0.0 if math.isinf(pupil_mm) else -slope * pupil_mm, index * slope)
         height = height / scale if scale else 0.0
     if math.isinf(object_mm) or math.isinf(pupil_mm) or object_mm + pupil_mm == 0:
         return Ray(height, 0.0)
     # The object stands below the axis, so that the ray climbs through the pupil, as a positive field angle does.
     slope = height / (object_mm + pupil_mm)
-    return Ray(-slope * pupil_mm, slope)
+    return Ray(-slope * pupil_mm, index * slope)
 
 
 def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, report: Report) -> list[dict[str, object]]:

@@ -8,6 +8,7 @@ stand from the air side to the glass, as in a scene; between two glasses from th
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -195,7 +196,7 @@ def lens_coatings(
     ----------
     surfaces : sequence of FileSurface
     media : sequence of Medium
-        What follows each; None is air.
+        What stands before the first, then what follows each; None is air.
     prescription : Prescription
         Gives the primary wavelength, in which quarter waves count, and the coating file.
     report : Report
@@ -206,8 +207,7 @@ def lens_coatings(
     primary_nm, file_name = prescription.primary_nm, prescription.coating_file
     coated = any(surface.coating for surface in surfaces)
     file = CoatingFile.beside(report.path, file_name) if coated else None
-    before: Medium | None = None
-    for surface, medium in zip(surfaces, media, strict=True):
+    for surface, (before, medium) in zip(surfaces, pairwise(media), strict=True):
         names.append(None)
         if surface.coating is not None:
             line, text, name = surface.coating
@@ -227,7 +227,6 @@ def lens_coatings(
                 beyond = _beyond_tables(found.coating, prescription.wavelengths_nm)
                 how = "; ".join(filter(None, (found.how, beyond)))
             report.add(line, text, Verdict.APPROXIMATED if how else Verdict.TAKEN, how)
-        before = medium
     return coatings, names
 
 

@@ -47,27 +47,30 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     else:
         lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0, primary_nm)!r}")
     lines += ["DIM M", *_conditions(conditions)]
-    plain = dict.fromkeys(surface.index for surface in lens.surfaces if isinstance(surface.medium, float))
+    plain = dict.fromkeys(medium for medium in lens.media if isinstance(medium, float))
     private: dict[Medium, str] = {index: f"N{i}" for i, index in enumerate(plain)}
     if private:
         # Of two wavelengths, so that the table is seen to be one index.
         lines += ["PRV", "PWL 1000.0 400.0", *(f"'{name}' {n!r} {n!r}" for n, name in private.items()), "END"]
     lines += _dispersive(lens, private, notes)
-    lines.append(f"SO 0.0 {'0.1e14' if far else repr(conditions.object_mm)}")
+    distance = "0.1e14" if far else repr(conditions.object_mm)
+    lines.append(f"SO 0.0 {distance}{_named(lens.media[0], private)}")
     for i, surface in enumerate(lens.surfaces):
         last = i == len(lens.surfaces) - 1
-        distance = conditions.image_mm if last else surface.thickness_mm or 0.0
-        glass = ""
-        if isinstance(surface.glass, str):
-            maker, name = maker_and_name(surface.glass, "CODE V")
-            glass = f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
-        elif surface.medium is not None:
-            glass = f" '{private[surface.medium]}'"
+        behind = conditions.image_mm if last else surface.thickness_mm or 0.0
         radius_mm = 0.0 if math.isinf(surface.vertex_radius_mm) else surface.vertex_radius_mm
-        lines.append(f"S {radius_mm!r} {distance!r}{glass}")
+        lines.append(f"S {radius_mm!r} {behind!r}{_named(surface.medium, private)}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
         lines += _moved(lens, i)
     return {path: "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode()}, notes
+
+
+def _named(medium: Medium, private: dict[Medium, str]) -> str:
+    """Return the name of a medium at the end of a surface's line; none for air."""
+    if isinstance(medium, str):
+        maker, name = maker_and_name(medium, "CODE V")
+        return f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
+    return "" if medium is None else f" '{private[medium]}'"
 
 
 def _conditions(conditions: Conditions) -> list[str]:
@@ -102,8 +105,7 @@ def _moved(lens: Lens, number: int) -> list[str]:
 def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> list[str]:
     """Return the tables of glasses without a name, whose names are put into `private`."""
     lines = []
-    for surface in lens.surfaces:
-        glass = surface.glass
+    for glass in lens.media:
         if not isinstance(glass, OwnGlass) or glass in private:
             continue
         private[glass] = f"G{len(private)}"

@@ -23,6 +23,7 @@ from lfmesh.imports.report import Report, Verdict
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.materials.matter import Matter
 
 OFF_MM = 1e-9
 """How far a surface may lie off after its term in r² was rewritten."""
@@ -104,7 +105,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         paraxial = Paraxial(
             curvatures=tuple(surface.vertex_curvature / unit for surface in made.kept),
             gaps_mm=tuple(made.gaps_mm),
-            indices=(AIR, *(refractive_index(medium, prescription.primary_nm) for medium in made.media)),
+            indices=tuple(refractive_index(medium, prescription.primary_nm) for medium in (media[0], *made.media)),
             stop=stop,
             thin_powers=tuple(_thin_power(surface) / unit for surface in made.kept),
         )
@@ -126,7 +127,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
                 f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
                 f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
             )
-    coatings, names = lens_coatings(made.kept, made.media, prescription, report)
+    coatings, names = lens_coatings(made.kept, [media[0], *made.media], prescription, report)
     # Forbes' mild terms end at their radius, so that no f-number may size them.
     f_number = None if made.kept[stop].forbes else f_number
     surfaces = []
@@ -148,6 +149,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             f_number=f_number,
             coatings=coatings,
             elements=tuple(made.elements),
+            object_medium=None if media[0] is None else Matter(**_medium_keys(media[0])),
         )
     except SceneError as error:
         raise SceneError(f"{report.path}: as a lens of this program: {error}") from None
@@ -244,8 +246,6 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     unit = prescription.unit_mm
     distances = [surface.thickness * unit for surface in prescription.surfaces]
     made = KeptSurfaces([], [], [], distances[0], 0.0)
-    if media[0] is not None:
-        report.refuse(prescription.surfaces[0].line, "object", "it stands in a medium; the lens must start in air")
     for surface, name in ((prescription.surfaces[0], "object"), (prescription.surfaces[-1], "image")):
         if surface.curvature or any(surface.asphere) or any(surface.odd) or surface.forbes:
             how = f"the {name} is curved in the file; here it is flat"
@@ -264,7 +264,7 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
         inner[0].stop = True
     for surface in usable[1:]:
         surface.stop = False
-    before: Medium | None = None
+    before = media[0]
     left_out = []
     numbers = []
     for i, surface in enumerate(inner, 1):

@@ -11,8 +11,9 @@ from lfmesh.imports.conditions import Conditions
 from lfmesh.imports.decentres import move_of
 from lfmesh.imports.glasses import named_glass
 from lfmesh.imports.writing import ZEMAX, check_writable, curvature, maker_and_name, stop_radius_mm
-from lfmesh.optics.glass import glass_name
+from lfmesh.optics.glass import AIR, glass_name
 from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.materials.own_glass import OwnGlass
 from lfmesh.scene.pose import Pose
 
@@ -70,7 +71,10 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
         notes += [f"the coatings stand in {beside.name}; OpticStudio looks for it in its folder Coatings", *inexact]
     far = math.isinf(conditions.object_mm)
     rows = [
-        _Row(["  TYPE STANDARD", "  CURV 0.0"], math.inf if far else conditions.object_mm),
+        _Row(
+            ["  TYPE STANDARD", "  CURV 0.0", *_glass("object_medium", lens.object_medium or Matter(index=AIR))],
+            math.inf if far else conditions.object_mm,
+        ),
         *_rows(lens, radius, coatings),
     ]
     # What follows a group that is turned back stands in the row of the way back.
@@ -153,22 +157,25 @@ def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[s
     else:
         lines += _shape(number, surface)
     lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
-    if isinstance(surface.glass, OwnGlass):
-        if surface.glass.nd is None or surface.glass.air is not None:
-            raise SceneError(
-                f"surfaces[{number}].glass: a Zemax file has no place for a {surface.glass.in_words()}; write .seq"
-            )
-        lines.append(f"  GLAS ___BLANK 1 0 {surface.glass.nd!r} {surface.glass.vd!r} 0 0 0 0 0 0")
-    elif surface.glass is not None:
-        lines.append(f"  GLAS {maker_and_name(surface.glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0")
-    elif surface.medium is not None:
-        # A model glass of Abbe number 0 does not disperse.
-        lines.append(f"  GLAS ___BLANK 1 0 {surface.index!r} 0 0 0 0 0 0 0")
+    lines += _glass(f"surfaces[{number}]", surface)
     if surface.vertex_conic:
         lines.append(f"  CONI {surface.vertex_conic!r}")
     if aperture_mm is not None:
         lines += [f"  DIAM {aperture_mm!r} 1 0 0 1", f"  FLAP 0 {aperture_mm!r} 0"]
     return lines
+
+
+def _glass(where: str, matter: Surface | Matter) -> list[str]:
+    """Return the line of what follows a surface, or stands before the lens; none for air."""
+    glass = matter.glass
+    if isinstance(glass, OwnGlass):
+        if glass.nd is None or glass.air is not None:
+            raise SceneError(f"{where}.glass: a Zemax file has no place for a {glass.in_words()}; write .seq")
+        return [f"  GLAS ___BLANK 1 0 {glass.nd!r} {glass.vd!r} 0 0 0 0 0 0"]
+    if glass is not None:
+        return [f"  GLAS {maker_and_name(glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0"]
+    # A model glass of Abbe number 0 does not disperse.
+    return [] if matter.medium is None else [f"  GLAS ___BLANK 1 0 {matter.index!r} 0 0 0 0 0 0 0"]
 
 
 def _terms(terms_mm: Sequence[float]) -> list[str]:
@@ -214,7 +221,7 @@ def _odd_terms(number: int, surface: Surface) -> list[str]:
 
 def _makers(lens: Lens) -> list[str]:
     """Return the makers of a lens's glasses in an order in which each name is found at its own maker."""
-    glasses = list(dict.fromkeys(surface.glass for surface in lens.surfaces if isinstance(surface.glass, str)))
+    glasses = list(dict.fromkeys(medium for medium in lens.media if isinstance(medium, str)))
     named = [(glass, *maker_and_name(glass, "Zemax")) for glass in glasses]
     makers = list(dict.fromkeys(maker for _, maker, _ in named))
     for turn in range(max(1, len(makers))):

@@ -47,10 +47,18 @@ class GltfMaterial:
         return max(self.roughness**2, SMALLEST_ALPHA)
 
 
-def gltf_parameters(material: GltfMaterial, wavelengths_nm: tuple[float, ...]) -> Array:
-    """Return the parameters of both parts as kernels take them, first the dielectric's, (2 ROWS, wavelengths)."""
+def gltf_parameters(material: GltfMaterial, wavelengths_nm: tuple[float, ...], surroundings: Array) -> Array:
+    """Return the parameters of both parts as kernels take them, first the dielectric's, (2 ROWS, wavelengths).
+
+    Parameters
+    ----------
+    material : GltfMaterial
+    wavelengths_nm : (wavelengths,) tuple of float
+    surroundings : (wavelengths,) float64
+        Refractive index of what the material stands in; that part which is a metal has its colour in any.
+    """
     colour = np.clip([primary_reflectances(w) @ material.base for w in wavelengths_nm], 0.0, 1.0)
-    dielectric = np.full(len(colour), DIELECTRIC_INDEX, np.complex128)
+    dielectric = np.asarray(DIELECTRIC_INDEX / surroundings, np.complex128)
     return np.concatenate(
         [
             gloss_parameters(colour, dielectric, material.alpha),

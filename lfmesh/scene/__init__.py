@@ -20,6 +20,7 @@ from lfmesh.scene.light.lights import (
 )
 from lfmesh.scene.materials.coatings import Coating, Layer
 from lfmesh.scene.materials.finishes import Finish
+from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.media.media import Grid, Medium
 from lfmesh.scene.objects.refractor import MeshFace, MeshShape, Refractor
 from lfmesh.scene.objects.tank import Liquid, Tank, Wall
@@ -50,6 +51,7 @@ __all__ = [
     "LinearPolarisation",
     "Liquid",
     "Material",
+    "Matter",
     "Medium",
     "MeshFace",
     "MeshShape",

@@ -89,12 +89,12 @@ def load_lens(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
 def with_lens_file(lens: Lens, folder: Path) -> Lens:
     """Return a lens whose `file` is replaced by what it holds.
 
-    Stop size, names, poses and coatings that are given beside it win.
+    Stop size, names, poses, coatings and the object medium that are given beside it win.
     """
     if lens.file is None:
         return lens
     held = load_lens(_lens_path(lens.file, folder), _choices_in(folder, lens))
-    beside = {key: value for key in ("name", "source") if (value := getattr(lens, key)) is not None}
+    beside = {key: value for key in ("name", "source", "object_medium") if (value := getattr(lens, key)) is not None}
     if lens.stop_size:
         beside |= {key: getattr(lens, key) for key in STOP_SIZES}
     if lens.elements:

@@ -537,6 +537,9 @@ class Scene(Model, Shown):
             (("camera", "lens", "surfaces", i, "glass"), surface.medium)
             for i, surface in enumerate(self.camera.lens.surfaces)
         ]
+        for place, outside in ((("camera",), self.camera), (("camera", "lens"), self.camera.lens)):
+            if outside.object_medium is not None:
+                media.append(((*place, "object_medium", "glass"), outside.object_medium.medium))
         for i, surface in enumerate(self.camera.lens.surfaces):
             if surface.refractor is not None:
                 media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))

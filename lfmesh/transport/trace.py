@@ -274,7 +274,8 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
     cover = tables.cover
     if cover is not None:
         cover = cover._replace(media=media(cover.medium), interfaces=interfaces.cover)
-    objects = tables.objects._replace(media=media(tables.objects.medium))
+    medium = tables.objects.medium.tolist()
+    objects = tables.objects._replace(media=world.media.table_of_objects((wavelength_nm,), world.book, medium))
     if objects.glass is not None:
         objects = objects._replace(glass=objects.glass._replace(interfaces=interfaces.objects))
     if objects.volumes is not None:

@@ -250,10 +250,11 @@ class World(Shown):
 def book_of(scene: Scene, shape: LensShape) -> Book:
     """Return the book of a scene: its slots for lens elements, targets, spaces between lens surfaces, and coatings.
 
-    The spaces are the air before the lens, glass and air inside it, and the air behind it.
+    The spaces are the air or medium before the lens, glass and air inside it, and the air behind it.
     """
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
-    spaces = ["the air before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
+    before = "air" if shape.media[0] is None else "medium"
+    spaces = [f"the {before} before the lens", *[""] * (len(shape.media) - 2), "the air behind the lens"]
     element = -1
     for k, medium in enumerate(shape.media[1:-1], start=1):
         element += medium is not None

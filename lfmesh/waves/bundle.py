@@ -283,6 +283,7 @@ class LensRays:
             path = np.linalg.norm(position - [*(field * self.object_mm), -self.object_mm], axis=1)
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
+        path = media[0] * path
         heights = np.empty((len(position), len(media) - 1))
         for face, index in enumerate(media[:-1]):
             arrived = follow_sequence(behind_faces(tables, face), image_path(1), position, direction)
@@ -304,9 +305,10 @@ class LensRays:
         fan = trial[:, None] * along
         hits = self.at_stop(np.broadcast_to(field, fan.shape), fan, wavelength_nm) @ along
         known = np.isfinite(hits)
-        to_stop = solved_camera(self.world.scene).paraxial.to_stop
-        scale = to_stop.a + to_stop.b / self.object_mm
-        guess = (aim + to_stop.b * field) / scale
+        paraxial = solved_camera(self.world.scene).paraxial
+        by_slope = paraxial.indices[0] * paraxial.to_stop.b
+        scale = paraxial.to_stop.a + by_slope / self.object_mm
+        guess = (aim + by_slope * field) / scale
         if known.sum() > 1:
             order = np.argsort(hits[known])
             h, entries, wanted = hits[known][order], trial[known][order], aim @ along

@@ -21,6 +21,7 @@ BENCH = bench_camera(4, 4).replace(
     "thickness_mm = 4.0, index = 1.5", "thickness_mm = 4.0, glass = { nd = 1.5, vd = 60.0 }"
 )
 BENCH = BENCH.replace("\nindex = 1.5", '\nglass = "SCHOTT/N-BK7"')
+BENCH = BENCH.replace("focus_mm = 500.0", "focus_mm = 500.0\nobject_medium = { index = 1.333 }")
 
 SCENE = f"""name = "bench"
 {BENCH}reflectance = 0.1

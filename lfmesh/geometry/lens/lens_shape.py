@@ -50,7 +50,7 @@ class LensShape:
     closures: list[Mesh]
     """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
     media: list[Medium]
-    """What fills each space: K + 1 entries, air first and last."""
+    """What fills each space: K + 1 entries, the object medium first, air last."""
     analytic: NDArray[np.bool_]
     """Whether each surface has an analytic parent, or is a mesh from a file."""
     errors_mm: Array
@@ -73,7 +73,7 @@ def lens_shape(scene: Scene, rings: int | None = None) -> LensShape:
     """
     prescription = scene.camera.lens
     numbers = [i for i in range(len(prescription.surfaces)) if not prescription.is_pure_stop(i)]
-    media: list[Medium] = [None]
+    media: list[Medium] = [prescription.media[0]]
     records = []
     for i in numbers:
         s = prescription.surfaces[i]

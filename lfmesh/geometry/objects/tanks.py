@@ -44,17 +44,23 @@ def tank_bodies(tank: Tank, name: str) -> tuple[Target, Target]:
     return wall_body, liquid
 
 
-def tank_lines(scene: Scene) -> list[str]:
+def tank_lines(scene: Scene, object_index: float) -> list[str]:
     """Describe every tank of a scene, a line each: its size, media, and how much nearer its middle is seen.
 
     The middle is that between its windows along its own z axis, seen along that axis, by first-order optics.
+
+    Parameters
+    ----------
+    scene : Scene
+    object_index : float
+        Refractive index of the medium that the tanks stand in, at the primary wavelength.
     """
     lines = []
     for i, tank in enumerate(in_its_air(scene).tanks):
         n_wall, n_liquid = (refractive_index(matter.medium, scene.primary_nm) for matter in (tank.wall, tank.liquid))
         window = 0.0 if tank.open == "front" else tank.wall_mm
         depth = 0.5 * tank.size_mm[2]
-        seen = window / n_wall + (depth - window) / n_liquid
+        seen = object_index * (window / n_wall + (depth - window) / n_liquid)
         size = " × ".join(f"{length:g}" for length in tank.size_mm)
         state = f"open at the {tank.open}" if tank.open is not None else "closed"
         lines.append(

@@ -22,6 +22,7 @@ from lfmesh.scene.camera.sections import (
 from lfmesh.scene.literals import at_least, at_most
 from lfmesh.scene.materials.coatings import UNCOATED, Coating
 from lfmesh.scene.materials.finishes import POLISHED, AnyFinish, both_given
+from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.materials.own_glass import Glass
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.refractor import MeshFace, Refractor
@@ -501,6 +502,9 @@ class Lens(Model):
     """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings that the lens brings, by the name that its surfaces use, beside those of the scene."""
+    object_medium: Matter | None = None
+    """Medium before the first surface that the lens is designed for, such as { index = 1.333 }; omitted: air. A scene's
+    `camera.object_medium` takes its place."""
 
     def __hash__(self) -> int:
         values = (frozenset(value.items()) if isinstance(value, dict) else value for _, value in self)
@@ -510,6 +514,12 @@ class Lens(Model):
     def file_choices(self) -> FileChoices:
         """Choices that its file leaves open."""
         return FileChoices(**{key: getattr(self, key) for key in FILE_CHOICES})
+
+    @property
+    def media(self) -> tuple[Medium, ...]:
+        """Medium before the first surface, then that behind each."""
+        outside = self.object_medium.medium if self.object_medium is not None else None
+        return outside, *(surface.medium for surface in self.surfaces)
 
     @property
     def stop_index(self) -> int | None:
@@ -531,7 +541,7 @@ class Lens(Model):
     def is_pure_stop(self, number: int) -> bool:
         """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
         surface = self.surfaces[number]
-        before = self.surfaces[number - 1].medium if number else None
+        before = self.media[number]
         bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
         bare = bare and not any(a for _, a in surface.powers_mm)
         return surface.stop and bare and not surface.paraxial and before == surface.medium
@@ -579,13 +589,13 @@ class Lens(Model):
                 given |= {"finish": surface.finish.kind} if surface.finish != POLISHED else {}
                 for key, value in given.items():
                     yield Fault(("surfaces", i, key), value, "omit it: a stop without glass is no interface")
-        for i, surface in enumerate(self.surfaces[1:], start=1):
-            if surface.paraxial and self.surfaces[i - 1].medium is not None:
-                medium = self.surfaces[i - 1].medium
+        for i, (surface, medium) in enumerate(zip(self.surfaces, self.media, strict=False)):
+            if surface.paraxial and medium is not None:
+                what = f"surfaces[{i - 1}]" if i else "camera.object_medium"
                 yield Fault(
                     ("surfaces", i, "paraxial"), True,
-                    f"surfaces[{i - 1}] puts {medium if isinstance(medium, str) else 'glass'} before it; a thin lens "
-                    "stands in air",
+                    f"{what} puts {medium if isinstance(medium, str) else 'glass' if i else 'a medium'} before it; a "
+                    "thin lens stands in air",
                 )  # fmt: skip
         yield from self._stop_faults()
         yield from self._spacing_faults()

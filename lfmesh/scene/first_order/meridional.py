@@ -5,7 +5,7 @@ Plain floats: a scene is judged before anything is built.
 
 import math
 
-from lfmesh.optics.glass import AIR, refractive_index
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
 
 STEPS = 50
@@ -38,9 +38,8 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
     if object_mm < 0:
         angle = math.atan2(-height_mm, -object_mm)
     heights: list[float] = []
-    index = AIR
-    for surface, vertex in zip(lens.surfaces, lens.vertices_mm, strict=True):
-        after = refractive_index(surface.medium, wavelength_nm)
+    index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
+    for surface, vertex, after in zip(lens.surfaces, lens.vertices_mm, behind, strict=True):
         met = _meet(surface, y, z - vertex, math.tan(angle))
         if met is None:
             return heights

@@ -1,8 +1,9 @@
-"""Paraxial optics of a lens in air: the y-nu trace and what follows from it.
+"""Paraxial optics of a lens: the y-nu trace and what follows from it.
 
 Heights are in mm, angles in rad, reduced (times the index), so that each surface and each gap is a matrix of
-determinant 1. The lens stands in air, where reduced angles are plain ones. The formulas are those of any
-textbook, such as W. J. Smith, Modern Optical Engineering.
+determinant 1. Behind the lens is air, where reduced angles are plain ones; before it may be another medium, in which
+distances are reduced too (over the index). The formulas are those of any textbook, such as W. J. Smith, Modern Optical
+Engineering.
 """
 
 import math
@@ -15,7 +16,7 @@ from lfmesh.scene.camera.lens import Lens
 
 
 class Ray(NamedTuple):
-    """A paraxial ray at a plane."""
+    """A paraxial ray at a plane, its angle reduced."""
 
     height_mm: float
     angle: float
@@ -91,7 +92,7 @@ class Paraxial:
                 surface.curvature_x_per_mm if section_x else surface.curvature_per_mm for surface in lens.surfaces
             ),
             gaps_mm=tuple(surface.thickness_mm or 0.0 for surface in lens.surfaces[:-1]),
-            indices=(AIR, *(refractive_index(surface.medium, wavelength_nm) for surface in lens.surfaces)),
+            indices=tuple(refractive_index(medium, wavelength_nm) for medium in lens.media),
             stop=lens.stop_index or 0,
             thin_powers=tuple(surface.thin_lens_power_per_mm for surface in lens.surfaces),
         )
@@ -166,7 +167,7 @@ class Paraxial:
 
     @property
     def efl_mm(self) -> float:
-        """Effective focal length; inf for an afocal lens."""
+        """Effective focal length, that on the side of the image; inf for an afocal lens."""
         return _ratio(-1.0, self.whole.c)
 
     @property
@@ -177,14 +178,19 @@ class Paraxial:
     @property
     def ffl_mm(self) -> float:
         """From the first vertex to the front focal point: negative where that lies before the lens."""
-        return _ratio(self.whole.d, self.whole.c)
+        return self.indices[0] * _ratio(self.whole.d, self.whole.c)
+
+    @property
+    def front_principal_mm(self) -> float:
+        """From the first vertex to the front principal plane."""
+        return self.ffl_mm + self.indices[0] * self.efl_mm
 
     def image_mm(self, object_mm: float) -> float:
         """Return the image distance behind the last vertex of an object this far before the first."""
         if math.isinf(object_mm):
             return self.bfl_mm
-        m = self.whole
-        return _ratio(-(m.a * object_mm + m.b), m.c * object_mm + m.d)
+        m, reduced = self.whole, object_mm / self.indices[0]
+        return _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d)
 
     def object_mm(self, image_mm: float) -> float:
         """Return the object distance before the first vertex whose image lies this far behind the last.
@@ -192,12 +198,14 @@ class Paraxial:
         It is negative for a virtual object: an image between the lens and its rear focal point.
         """
         m = self.whole
-        distance = _ratio(-(m.b + m.d * image_mm), m.a + m.c * image_mm)
+        distance = self.indices[0] * _ratio(-(m.b + m.d * image_mm), m.a + m.c * image_mm)
         return abs(distance) if math.isinf(distance) else distance
 
     def magnification(self, object_mm: float) -> float:
         """Return the transverse magnification of an object this far off; negative for an inverted image."""
-        return 0.0 if math.isinf(object_mm) else _ratio(1.0, self.whole.c * object_mm + self.whole.d)
+        if math.isinf(object_mm):
+            return 0.0
+        return _ratio(1.0, self.whole.c * object_mm / self.indices[0] + self.whole.d)
 
     def chief_scale_mm(self, object_mm: float, image_mm: float) -> float:
         """Return the height at which the chief ray of an object point with a slope of one meets a plane, in mm.
@@ -209,14 +217,14 @@ class Paraxial:
         image_mm : float
             Of the plane behind the last vertex.
         """
-        vergence, before = quotient(1.0, object_mm), self.to_stop
-        height = quotient(before.b, before.a + before.b * vergence)
-        ray = self.whole(Ray(height, vergence * height - 1.0))
+        vergence, before, index = quotient(1.0, object_mm), self.to_stop, self.indices[0]
+        height = quotient(index * before.b, before.a + index * before.b * vergence)
+        ray = self.whole(Ray(height, index * (vergence * height - 1.0)))
         return ray.height_mm + image_mm * ray.angle
 
     def axial_ray(self, object_mm: float) -> Ray:
         """Return some ray from the axial point of an object, at the first vertex."""
-        return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm, 1.0)
+        return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm / self.indices[0], 1.0)
 
     def marginal_ray(self, object_mm: float, stop_radius_mm: float) -> Ray:
         """Return the axial object point's ray, at the first vertex, that grazes the edge of the stop."""
@@ -227,7 +235,7 @@ class Paraxial:
     def entrance_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
         """Return z and diameter of the stop's image in object space, in mm; both inf if telecentric."""
         m = self.to_stop
-        return _ratio(m.b, m.a), abs(_ratio(2 * stop_radius_mm, m.a))
+        return self.indices[0] * _ratio(m.b, m.a), abs(_ratio(2 * stop_radius_mm, m.a))
 
     def exit_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
         """Return z and diameter of the stop's image in image space, in mm; both inf if telecentric."""

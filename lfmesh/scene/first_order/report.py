@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from lfmesh.notebook import Shown
+from lfmesh.optics.glass import AIR
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
@@ -44,7 +45,7 @@ class FirstOrder(Shown):
     wavelength_nm: float
     """The primary wavelength."""
     efl_mm: float
-    """Effective focal length."""
+    """Effective focal length; of a lens in an object medium that on the side of the image."""
     bfl_mm: float
     """From the last vertex to the rear focal point."""
     ffl_mm: float
@@ -116,6 +117,8 @@ class FirstOrder(Shown):
     efl_x_mm: float | None = None
     """Effective focal length in the section x–z, where a biconic or toroid makes it another than in y–z, for which all
     other figures are."""
+    object_index: float = 1.0
+    """Refractive index of the medium before the lens."""
     image_x_shift_mm: float | None = None
     """How far behind the image plane the section x–z has the image of the plane in focus."""
     focused: tuple[FocusedLenslets, ...] = ()
@@ -141,6 +144,7 @@ class FirstOrder(Shown):
         rows = [
             ("camera", self.kind),
             ("wavelength", f"{self.wavelength_nm:g} nm"),
+            *self._object_medium_in_words(),
             ("effective focal length", _mm(self.efl_mm)),
             ("back focal length", f"{_mm(self.bfl_mm)} behind the last vertex"),
             ("front focal length", f"{_mm(self.ffl_mm)} from the first vertex"),
@@ -201,6 +205,12 @@ class FirstOrder(Shown):
         if self.poses:
             rows.append(("", "the figures above are those of the camera without poses"))
         return rows
+
+    def _object_medium_in_words(self) -> Iterator[tuple[str, str]]:
+        """Yield the medium before the lens, where it is not air, and the focal length on its side."""
+        if self.object_index != AIR:
+            front = _mm(self.object_index * self.efl_mm)
+            yield "object medium", f"index {self.object_index:.6g}: {front} is the focal length on its side"
 
     def _lenslets_in_words(self) -> str:
         """Return where the lenslets of a focused camera stand."""
@@ -343,7 +353,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         efl_mm=lens.efl_mm,
         bfl_mm=lens.bfl_mm,
         ffl_mm=lens.ffl_mm,
-        front_principal_plane_z_mm=lens.ffl_mm + lens.efl_mm,
+        front_principal_plane_z_mm=lens.front_principal_mm,
         rear_principal_plane_z_mm=lens.length_mm + lens.bfl_mm - lens.efl_mm,
         entrance_pupil_z_mm=entrance_z,
         entrance_pupil_diameter_mm=entrance_diameter,
@@ -374,6 +384,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         focused=focused,
         lenslet_sections=tuple(lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
+        object_index=lens.indices[0],
         poses=tuple(_pose_lines(camera)),
     )
     if camera.lens.number_off_revolution is not None:

@@ -35,8 +35,8 @@ def solved(scene: Scene) -> Scene:
 
     The lens file is inlined; exactly one surface is the stop and has its semi-diameter; `f_number`, `epd_mm` and
     `stop_semi_diameter_mm` are used up; the array has radii instead of focal lengths; the array and the
-    sensor have their distances; `camera.air` is used up, and glasses name the air round them. All of it is paraxial, at
-    the primary wavelength. A solved scene comes back as it is.
+    sensor have their distances; `camera.object_medium` is the lens's own; `camera.air` is used up, and glasses name the
+    air round them. All of it is paraxial, at the primary wavelength. A solved scene comes back as it is.
 
     Raises
     ------
@@ -52,6 +52,10 @@ def solved(scene: Scene) -> Scene:
                 f"camera.lens.surfaces[{i}].refractor: its faces are not measured yet; lf.first_order, lf.build and "
                 "lf.render do that, or see lfmesh.geometry.lens.solved_camera"
             )
+    outside = scene.camera.object_medium
+    if outside is not None:
+        lens = _changed(lens, object_medium=outside)
+        scene = scene.model_copy(update={"camera": _changed(scene.camera, object_medium=None)})
     if lens is not scene.camera.lens:
         # The lens came after the scene was checked: check the two together.
         scene = scene.changed({"camera.lens": lens.model_dump()}, solves=True)
@@ -177,8 +181,8 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
 def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> float:
     """Return the image distance of an object `focus_mm` before the sensor.
 
-    With the distances x and x' from the focal points, x x' = f² (Newton): of the two that leave x + x' as it is, the
-    object's is the larger one.
+    With the distances x and x' from the focal points, x x' = n f² (Newton), n the index before the lens: of the two
+    that leave x + x' as it is, the object's is the larger one.
     """
     assert camera.focus_mm is not None
     rest = -lens.ffl_mm + lens.length_mm + lens.bfl_mm + _behind_image_mm(camera, wavelength_nm)
@@ -188,13 +192,13 @@ def _image_by_track_mm(camera: Camera, lens: Paraxial, wavelength_nm: float) -> 
     if math.isinf(camera.focus_mm):
         image = lens.bfl_mm
     else:
-        both = camera.focus_mm - rest
-        if both < 2 * focal:
+        both, least = camera.focus_mm - rest, 2 * math.sqrt(lens.indices[0]) * focal
+        if both < least:
             raise SceneError(
                 f"camera.focus_mm = {camera.focus_mm:g}: no plane this far before the sensor is imaged onto it; give "
-                f"{at_least(rest + 2 * focal)} or more"
+                f"{at_least(rest + least)} or more"
             )
-        image = lens.bfl_mm + 2 * focal**2 / (both + math.sqrt(both**2 - 4 * focal**2))
+        image = lens.bfl_mm + 2 * lens.indices[0] * focal**2 / (both + math.sqrt(both**2 - least**2))
     if image <= 0:
         raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: the image would lie inside the lens; focus nearer")
     return image

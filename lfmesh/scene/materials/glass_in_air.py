@@ -18,9 +18,8 @@ def in_its_air(scene: "Scene") -> "Scene":
     if air is None:
         return scene
     camera = scene.camera
-    lens = camera.lens.model_copy(
-        update={"surfaces": tuple(_placed(_placed(each, air), air, "refractor") for each in camera.lens.surfaces)}
-    )
+    surfaces = tuple(_placed(_placed(each, air), air, "refractor") for each in camera.lens.surfaces)
+    lens = _placed(camera.lens.model_copy(update={"surfaces": surfaces}), air, "object_medium")
     mla = _placed(camera.mla, air)
     sensor = _placed(camera.sensor, air, "cover")
     tanks = tuple(_placed(_placed(tank, air, "wall"), air, "liquid") for tank in scene.tanks)

@@ -10,6 +10,9 @@ Glass = str | OwnGlass
 def glass_lines(scene: Scene) -> list[str]:
     """Describe every glass of a solved scene, a line each: where it is, its name with the catalogue, nd and Vd."""
     places: dict[Glass, list[str]] = {}
+    outside = scene.camera.lens.object_medium
+    if outside is not None and outside.glass is not None:
+        places[outside.glass] = ["object medium"]
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.glass is not None:
             places.setdefault(surface.glass, []).append(f"surface {i}")

@@ -3,36 +3,23 @@
 from collections.abc import Iterator
 from typing import Literal
 
-from lfmesh.optics.glass import Medium
 from lfmesh.scene.light.spectra import Coefficient, coefficient_faults
-from lfmesh.scene.materials.own_glass import Glass
+from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.model import Fault, Model
-from lfmesh.scene.quantities import Index, Positive, Text, Vector
+from lfmesh.scene.quantities import Positive, Text, Vector
 
 Side = Literal["top", "front"]
 
 
-class Wall(Model):
+class Wall(Matter):
     """Walls of a tank."""
 
-    index: Index | None = None
-    """Refractive index. Or give `glass`."""
-    glass: Glass | None = None
-    """Catalogue glass, like "SCHOTT/N-BK7"."""
     absorption_per_mm: Coefficient = 0.0
     """Absorption coefficient, in 1/mm; a number, or by wavelength."""
 
-    @property
-    def medium(self) -> Medium:
-        """An index or a glass."""
-        return self.index if self.index is not None else self.glass or 1.0
-
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
-        if self.index is None and self.glass is None:
-            yield Fault(("index",), None, "missing: give the index, or glass")
-        elif self.index is not None and self.glass is not None:
-            yield Fault(("glass",), self.glass, f"index = {self.index:g} is given too; give one of them")
+        yield from super().faults()
         yield from coefficient_faults(self.absorption_per_mm, ("absorption_per_mm",))
 
 

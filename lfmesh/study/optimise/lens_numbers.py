@@ -129,11 +129,7 @@ class RayLayout:
                 *(coefficient for _, coefficient in surface.powers_mm),
             )
         ]
-        indices = [
-            index
-            for wave in self.waves_nm
-            for index in (1.0, *(refractive_index(s.medium, wave) for s in lens.surfaces))
-        ]
+        indices = [refractive_index(medium, wave) for wave in self.waves_nm for medium in lens.media]
         stop = lens.surfaces[self.stop].semi_diameter_mm or math.nan
         return np.array([*per_surface, *indices, stop, 1.0 / object_mm, image_z, *slopes, *heights])
 

@@ -183,10 +183,10 @@ def emitted_radiance(
     if radiance <= 0.0:
         return 0.0
     source = emission_of(objects, point, derived(packet.key, packet.events))
-    if objects.scattering.models[source.model].kind == THERMAL:
-        # Radiance over n² is conserved on the way out of glass, in which a black body has n² times that in air.
+    hot = objects.scattering.models[source.model].kind == THERMAL
+    # Radiance over n² is conserved. That of a black body grows as n², and is known for what bodies stand in.
+    index = objects.media.indices[AIR if hot else packet.medium, packet.colour]
+    radiance /= index * index
+    if hot:
         return radiance * emissivity(objects.scattering, source, packet.colour, ox, oy, oz)
-    radiance *= point.texel
-    if packet.medium != AIR:
-        radiance /= objects.media.indices[packet.medium, packet.colour] ** 2
-    return radiance
+    return radiance * point.texel

@@ -347,6 +347,10 @@ def bring_light(space: ObjectSpace, packet: Any, reach: float) -> None:
     light = _along_media(objects.volumes, objects, space.flow, packet, reach)
     if packet.light == TO_FACET:
         light *= transmitted(objects.media.absorption, packet.medium, packet.colour, reach)
+    else:
+        # Radiance over n² is conserved on the way into the camera; that of facets is divided already.
+        index = objects.media.indices[packet.medium, packet.colour]
+        light /= index * index
     if light > 0.0:
         deposit(space.options, space.flow, packet.source, packet.colour, light)
 
@@ -360,9 +364,7 @@ def _along_media(volumes: Any, objects: ObjectTables, flow: Flow, packet: Any, r
     key = derived(packet.key, IN_MEDIUM + packet.events)
     passage = pass_through(volumes, line, reach, flow.book, 0.0, key)
     if packet.light == TO_MEDIA:
-        # Radiance over n² is conserved on the way out of glass and liquids.
-        index = objects.media.indices[packet.medium, packet.colour]
-        return packet.weight * passage.light / (index * index)
+        return packet.weight * passage.light
     if packet.light == PAST_LAMP:
         if passage.scattered > 0.0:
             gather_past_lamp(volumes.near_lamps, flow, objects, packet, line, passage, key)

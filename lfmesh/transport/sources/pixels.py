@@ -2,8 +2,8 @@
 
 A pixel's power is the integral of radiance over its area and the directions it sees, W = ∫∫ L cos θ dω dA. The packet
 carries the importance cos θ dA / density, in m² sr. At an interface radiance over n² is conserved but for T, so the
-importance would gain (n_i/n_t)² at every crossing. As pixel and light both lie in air, these factors cancel and are
-left out; the radiance of a target that emits inside glass is divided by n² instead.
+importance would gain (n_i/n_t)² at every crossing. The pixel lies in air, so all of them together are one over n² of
+the medium that the light starts in: they are left out, and what light brings is divided by n² instead.
 """
 
 from collections.abc import Callable

@@ -10,7 +10,7 @@ from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
-from lfmesh.transport.tables.tables import OPAQUE, Media
+from lfmesh.transport.tables.tables import AIR, OPAQUE, Media
 
 Numbers = NDArray[np.int64]
 
@@ -31,8 +31,8 @@ class Hosts(NamedTuple):
         return [(facets.min(axis=(0, 1)), facets.max(axis=(0, 1))) for facets in self.corners]
 
     def index_of(self, body: int | None) -> Array:
-        """Return the refractive index of a body, None for air, at each wavelength."""
-        return self.media.indices[0 if body is None else self.medium[body]]
+        """Return the refractive index of a body, None for what bodies stand in, at each wavelength."""
+        return self.media.indices[AIR if body is None else self.medium[body]]
 
     def absorbing(self, bodies: set[int]) -> list[int]:
         """Return all bodies of the media of some bodies, as far as these media absorb."""

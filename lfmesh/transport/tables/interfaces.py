@@ -23,6 +23,7 @@ from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.tables import (
     ABSORBING,
+    AIR,
     BARE,
     COATED,
     DIFFUSE,
@@ -124,15 +125,14 @@ def lens_faces(scene: Scene) -> list[Face]:
     Layers of a coating are listed from the air side to the glass, between two glasses from the object to the sensor.
     """
     lens = scene.camera.lens
-    faces, before = [], None
-    for i, surface in enumerate(lens.surfaces):
+    faces = []
+    for i, (before, surface) in enumerate(zip(lens.media, lens.surfaces, strict=False)):
         behind = surface.medium is None and before is not None
         outer, inner = (surface.medium, before) if behind else (before, surface.medium)
         if not lens.is_pure_stop(i):
             names = f"camera.lens.surfaces[{i}]", f"coating of lens surface {i}", surface.coating
             power = surface.thin_lens_power_per_mm if surface.paraxial else None
             faces.append(Face(*names, outer, inner, surface.finish, behind, power))
-        before = surface.medium
     return faces
 
 
@@ -161,19 +161,22 @@ def cover_faces(scene: Scene) -> list[Face]:
     ]  # fmt: skip
 
 
-def body_faces(scene: Scene, outer: Medium = None) -> list[Face]:
-    """Return the surfaces of the targets with a medium on their outside.
+def body_faces(scene: Scene, medium: int = AIR) -> list[Face]:
+    """Return the surfaces of the targets with a medium, by its number in object space, on their outside.
 
-    Bare are those of opaque targets, and those that no such medium can touch: it is neither air nor another body's.
+    Bare are those of opaque targets, and those that no such medium can touch: it is neither what bodies stand in nor
+    another body's.
     """
-    faces = []
+    faces, known = [], MediumList.of(scene)
+    surroundings = known.media[known.before_lens]
+    outer = surroundings if medium == AIR else known.media[medium]
     bodies = [(i, target.refractor.medium) for i, target in enumerate(scene.targets) if target.refractor is not None]
     for i, target in enumerate(scene.targets):
         glass = target.refractor
         coating, inner, rough = UNCOATED, None, POLISHED
         if glass is not None:
             coating, inner, rough = glass.coating, glass.medium, glass.finish
-        if outer is not None and outer not in [medium for other, medium in bodies if other != i]:
+        if outer != surroundings and outer not in [medium for other, medium in bodies if other != i]:
             coating, rough = UNCOATED, POLISHED
         body = f"coating of {target.name or f'targets[{i}]'}"
         faces.append(Face(f"targets[{i}]", body, coating, outer, inner, rough))
@@ -299,7 +302,7 @@ def finish_lines(scene: Scene) -> list[str]:
 
 def faces_of_regions(scene: Scene) -> tuple[list[Face], list[Face], list[Face], list[Face]]:
     """Return the faces of lens, array, object space and sensor cover, in the order of their rows in the tables."""
-    by_medium = [body_faces(scene, outer) for outer in MediumList.of(scene).media]
+    by_medium = [body_faces(scene, medium) for medium in range(len(MediumList.of(scene).media))]
     bodies = [faces[i] for i in range(len(scene.targets)) for faces in by_medium]
     return lens_faces(scene), array_faces(scene), bodies, cover_faces(scene)
 

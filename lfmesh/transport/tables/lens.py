@@ -92,7 +92,7 @@ def lens_tables(
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
-    medium = np.array([known.in_camera(each) for each in shape.media])
+    medium = np.array([known.before_lens, *(known.in_camera(each) for each in shape.media[1:])])
     media = known.table(wavelengths_nm, book, medium.tolist())
     order, by_roots, ordered = surface_order(shape)
     return mesh, LensTables(

@@ -1,7 +1,8 @@
 """The media of a scene: air, and the glasses of lens, array and bodies in object space, each with a number.
 
 Packets carry the number of the medium that they travel in; the properties of media are the fields of `Media`. Glasses
-of one index that absorb differently are different media.
+of one index that absorb differently are different media. In object space number 0 is the medium that bodies stand in:
+air, or the object medium of the lens, which has a number of its own among the spaces of the lens.
 """
 
 from collections.abc import Iterable
@@ -15,7 +16,7 @@ from lfmesh.optics.glass import Medium, absorption_per_mm, catalogue_name, refra
 from lfmesh.scene import Refractor, Scene
 from lfmesh.scene.light.spectra import Spectrum, curve_of
 from lfmesh.transport.packets.book import Book
-from lfmesh.transport.tables.tables import NO_SLOT, Absorption, LensTables, Media, MlaTables
+from lfmesh.transport.tables.tables import AIR, NO_SLOT, Absorption, LensTables, Media, MlaTables
 
 Array = NDArray[np.float64]
 
@@ -50,10 +51,19 @@ class MediumList:
         inside += [camera.mla.medium] if camera.mla is not None else []
         inside += [camera.sensor.cover.medium] if camera.sensor.cover is not None else []
         bodies = [target.refractor for target in scene.targets if target.refractor is not None]
-        found = [(None, CLEAR), *((medium, _dye_in_camera(scene, medium)) for medium in inside)]
+        found = [
+            (None, CLEAR),
+            (camera.lens.media[0], CLEAR),
+            *((medium, _dye_in_camera(scene, medium)) for medium in inside),
+        ]
         found += [(body.medium, body.absorption_per_mm) for body in bodies]
         distinct = tuple(dict.fromkeys(found))
         return cls(scene, tuple(medium for medium, _ in distinct), tuple(dye for _, dye in distinct))
+
+    @property
+    def before_lens(self) -> int:
+        """Number of the medium before the lens, among the spaces of the lens."""
+        return self._number(self.scene.camera.lens.media[0], CLEAR)
 
     def in_camera(self, medium: Medium) -> int:
         """Return the number of a medium of the lens, the array or the sensor's cover."""
@@ -111,6 +121,12 @@ class MediumList:
         slot[list(absorbing)] = book.absorbers
         per_mm = np.array([self._absorption(number, wavelengths_nm) for number in range(len(self.media))])
         return Media(indices, Absorption(per_mm, slot))
+
+    def table_of_objects(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
+        """Return the media of object space at some wavelengths; parameters as for `table`."""
+        media = self.table(wavelengths_nm, book, within)
+        media.indices[AIR] = media.indices[self.before_lens]
+        return media
 
     def _absorption(self, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
         """Return the absorption coefficient of a medium at some wavelengths, 1/mm."""

@@ -200,6 +200,11 @@ def object_tables(
     _refuse_touched_finishes(scene, bodies, first)
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
+    media = known.table_of_objects(wavelengths_nm, book, medium.tolist())
+    surroundings = media.indices[AIR]
+    _refuse_thin_gloss(scene, float(surroundings.max()))
+    # A black body in a medium has n² times the radiance that it has in air.
+    radiance[[m.temperature_k is not None for m in materials]] *= surroundings**2
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
@@ -216,12 +221,12 @@ def object_tables(
             ],
             dtype=np.bool_,
         ),
-        scattering=scattering_tables(materials, wavelengths_nm, reflectances, from_files),
+        scattering=scattering_tables(materials, wavelengths_nm, reflectances, from_files, surroundings),
         model=models,
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         emission_spectra=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
-        media=known.table(wavelengths_nm, book, medium.tolist()),
+        media=media,
         medium=medium,
         rank=ranks,
         by_rank=by_rank,
@@ -339,6 +344,17 @@ def _models_of_facets(targets: list[TargetMesh], others: int) -> tuple[NDArray[n
     return np.concatenate([*rows, np.zeros(others)]).astype(np.int64), list(known)
 
 
+def _refuse_thin_gloss(scene: Scene, surroundings: float) -> None:
+    """Refuse a gloss whose index is not above that of the medium that targets stand in."""
+    for i, target in enumerate(scene.targets):
+        gloss = target.material.gloss
+        if gloss is not None and gloss.index is not None and not gloss.index > surroundings:
+            raise SceneError(
+                f"targets[{i}].material.gloss.index = {gloss.index:g}: must be above that of camera.object_medium, "
+                f"{surroundings:.6g}"
+            )
+
+
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:
     """Refuse a coated or rough body of glass that touches another: which of the two faces is met would be chance."""
     if not len(first):
@@ -395,7 +411,7 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
 def _glass(objects: ObjectTables) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Tell which bodies are of glass and which of these are rough, and which facets are of smooth glass."""
     glass = objects.medium != OPAQUE
-    # A body's row with air tells whether it is rough.
+    # A body's row with what it stands in tells whether it is rough.
     rough = np.zeros(len(glass), np.bool_)
     if objects.glass is not None:
         kinds = objects.glass.interfaces.rows["kind"].reshape(len(glass), len(objects.media.indices))

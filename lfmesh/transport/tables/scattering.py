@@ -50,6 +50,7 @@ def scattering_tables(
     wavelengths_nm: tuple[float, ...],
     reflectances: Sequence[Array] | None = None,
     from_files: Sequence[GltfMaterial] = (),
+    surroundings: Array | float = 1.0,
 ) -> ScatteringTables:
     """Return the scattering models of some materials, then those of mesh files' materials, then those of emission.
 
@@ -63,11 +64,14 @@ def scattering_tables(
     reflectances : sequence of (wavelengths,) float64, optional
         Of the materials; may be left out if they are numbers.
     from_files : sequence of GltfMaterial
+    surroundings : (wavelengths,) float64
+        Refractive index of what the targets stand in: their gloss has its own index over that.
     """
+    around = np.broadcast_to(surroundings, len(wavelengths_nm))
     if reflectances is None:
         reflectances = [np.full(len(wavelengths_nm), material.reflectance, np.float64) for material in materials]
-    made = [_model_of(each, share, wavelengths_nm) for each, share in zip(materials, reflectances, strict=True)]
-    made += [(BLEND, gltf_parameters(each, wavelengths_nm)) for each in from_files]
+    made = [_model_of(each, share, wavelengths_nm, around) for each, share in zip(materials, reflectances, strict=True)]
+    made += [(BLEND, gltf_parameters(each, wavelengths_nm, around)) for each in from_files]
     hot = [i for i, each in enumerate(materials) if each.temperature_k is not None]
     one_sided = [i for i in hot if materials[i].sides == "front"]
     black = len(made)
@@ -121,7 +125,9 @@ def mean_emission(tables: ScatteringTables, model: int) -> tuple[Array, Array]:
     return np.zeros_like(first), first
 
 
-def _model_of(material: Material, reflectance: Array, wavelengths_nm: tuple[float, ...]) -> tuple[int, Array]:
+def _model_of(
+    material: Material, reflectance: Array, wavelengths_nm: tuple[float, ...], around: Array
+) -> tuple[int, Array]:
     """Return the kind of a material's scattering model, and its parameters, (parameters, wavelengths)."""
     gloss = material.gloss
     if gloss is None:
@@ -129,4 +135,4 @@ def _model_of(material: Material, reflectance: Array, wavelengths_nm: tuple[floa
     index = np.full(len(wavelengths_nm), gloss.index or 1.0, dtype=np.complex128)
     if gloss.metal is not None:
         index[:] = [metal_index(gloss.metal, wavelength) for wavelength in wavelengths_nm]
-    return GLOSSY, gloss_parameters(reflectance, index, gloss.roughness)
+    return GLOSSY, gloss_parameters(reflectance, index / around, gloss.roughness)

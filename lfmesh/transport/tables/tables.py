@@ -45,7 +45,7 @@ class Media(NamedTuple):
 
 
 AIR = 0
-"""Number of the medium that every scene has."""
+"""Number of the medium that every scene has: air, and in object space what bodies stand in, see `tables.media`."""
 
 
 @by_address

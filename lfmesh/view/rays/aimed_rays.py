@@ -136,13 +136,18 @@ class Aim:
     @property
     def _entry_shift(self) -> float:
         """Shift of the entry of a ray through a fixed point of the stop for a slope of one, paraxially, mm."""
-        before = self.paraxial.to_stop
-        return before.b / (before.a + before.b * self.vergence)
+        by_slope = self._stop_by_slope
+        return by_slope / (self.paraxial.to_stop.a + by_slope * self.vergence)
+
+    @property
+    def _stop_by_slope(self) -> float:
+        """Height at which a ray from the first vertex meets the stop for a slope of one before the lens, paraxially."""
+        return self.paraxial.indices[0] * self.paraxial.to_stop.b
 
     def _image_scale(self, z: Array) -> Array:
         """Return how far a ray through a fixed point of the stop moves in planes z for a slope of one, paraxially."""
         whole, height = self.paraxial.whole, self._entry_shift
-        angle = self.vergence * height - 1.0
+        angle = self.paraxial.indices[0] * (self.vergence * height - 1.0)
         behind = z - self.paraxial.length_mm
         return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
 
@@ -214,11 +219,11 @@ class Aim:
 
     def _guess(self, slope: Array, aim: Array) -> Array:
         """Return about where rays cross the plane of the first vertex (n, 2), from a fan for every object point."""
-        m = self.paraxial.to_stop
-        scale = m.a + m.b * self.vergence
-        entry = (aim + m.b * slope) / scale
+        by_slope = self._stop_by_slope
+        scale = self.paraxial.to_stop.a + by_slope * self.vergence
+        entry = (aim + by_slope * slope) / scale
         fields, which = np.unique(slope, axis=0, return_inverse=True)
-        middle = m.b * fields / scale
+        middle = by_slope * fields / scale
         half = FAN_WIDTH * self.stop_radius / abs(scale)
         across = np.linspace(-half, half, FAN)
         trial = np.repeat(middle[:, None], FAN, axis=1)

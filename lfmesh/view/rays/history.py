@@ -108,13 +108,14 @@ def history(rays: Rays, path: int) -> list[Step]:
     interfaces = interface_tables(rays.world.scene, (wavelength,))
     steps: list[Step] = []
     first, end = int(rays.offsets[path]), int(rays.offsets[path + 1])
-    medium = _medium_beyond(rays, first)
+    to_camera = rays.world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    medium = _medium_beyond(rays, first, bool(frames.points(to_camera, rays.position[first][None])[0, 2] < 0.0))
     for vertex in range(first, end):
         event, met = Event(int(rays.event[vertex])), _interface(rays, vertex, interfaces)
         incidence = reflectance = transmittance = None
         power = left = float(rays.power[vertex])
         if met is not None and vertex > first:
-            other = medium if met.table is None else _medium_beyond(rays, vertex)
+            other = medium if met.table is None else _medium_beyond(rays, vertex, met.body is not None)
             n_i, n_t = refractive_index(medium, wavelength), refractive_index(other, wavelength)
             cosine = _cosine(rays, vertex, met.normal, n_i, n_t)
             row = met.row if met.body is None else _row_of_body(rays, met.body, medium, other)
@@ -230,9 +231,10 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
     return np.asarray(frames.directions(moves[face.frame, WORLD_FRAME], normal[None])[0])
 
 
-def _medium_beyond(rays: Rays, vertex: int) -> Medium:
-    """Return the medium on the far side of an interface, or round a start; light that a target emits starts in air."""
-    return rays.world.media.media[max(int(rays.beyond[vertex]), AIR)]
+def _medium_beyond(rays: Rays, vertex: int, in_objects: bool) -> Medium:
+    """Return the medium on the far side of an interface, or round a start; targets emit into what they stand in."""
+    known, number = rays.world.media, max(int(rays.beyond[vertex]), AIR)
+    return known.media[known.before_lens if in_objects and number == AIR else number]
 
 
 def _in_words(medium: Medium) -> str:

@@ -91,7 +91,7 @@ def test_plain_indices_stay_and_the_key_is_used_up_once() -> None:
     assert world.scene.camera.air is None
     again = lf.build(lf.loads(world.scene.dump_toml()))
     assert lf.first_order(again.scene).efl_mm == lf.first_order(world.scene).efl_mm
-    assert f"(n = {by_hand(WALL, 0.0, 300.0):.6g}), liquid n = {PLAIN:g}" in tank_lines(scene_of(GLASSES, air))[0]
+    assert f"(n = {by_hand(WALL, 0.0, 300.0):.6g}), liquid n = {PLAIN:g}" in tank_lines(scene_of(GLASSES, air), 1.0)[0]
 
 
 def test_a_scene_with_air_is_read_as_it_was_written() -> None:

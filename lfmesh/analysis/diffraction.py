@@ -179,5 +179,5 @@ def _path_fan(rays: LensRays, slope: float, wavelength_nm: float, centre: Array,
     waves = np.full(len(pupil), np.nan)
     if bundle.passes[0]:
         entry = bundle.entry[bundle.passes]
-        waves[bundle.passes] = path_differences(rays, slope, entry, wavelength_nm, centre)
+        waves[bundle.passes], _ = path_differences(rays, slope, entry, wavelength_nm, centre)
     return PathFan(fan, *np.split(waves[1:], 2))

@@ -2,9 +2,9 @@
 
 Rays of one object point run through the lens by the order of its surfaces. The optical path of each, from the object
 point (or from a plane square to a parallel bundle) over all faces to the reference sphere, is compared with that of the
-chief ray. The sphere is centred where the chief ray meets the image plane, and passes through the axial point of the
-exit pupil, as in OpticStudio and CODE V; its radius matters little (W. T. Welford, Aberrations of Optical Systems,
-1986, chapter 7). Optical path lengths are those of the glasses relative to air, waves those of the wavelength in air.
+chief ray. The sphere is centred where the chief ray meets the image plane, and passes through the point where that ray
+crosses the plane of the exit pupil, as in OpticStudio and CODE V (tests/validation/test_published_wavefronts.py); its
+radius matters little (W. T. Welford, Aberrations of Optical Systems, 1986, chapter 7). Optical path lengths are those of the glasses relative to air, waves those of the wavelength in air.
 """
 
 import math
@@ -20,7 +20,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import Scene
 from lfmesh.transport.world import build
-from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.waves.bundle import LensRays, Traced, pupil_grid
 from lfmesh.waves.zernike import FRINGE_TERMS, fitted
 
 Array = NDArray[np.float64]
@@ -190,45 +190,55 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     if passes.sum() < 2:
         raise LfmeshError(f"{words}: the lens stops all rays of this field but the chief ray")
     image = np.array([*bundle.place[0], rays.image_z_mm])
-    opd = path_differences(rays, slope, bundle.entry[passes], wavelength_nm, image)
+    opd, radius = path_differences(rays, slope, bundle.entry[passes], wavelength_nm, image)
     return Wavefront(
-        wavelength_nm, slope, image, abs(_sphere_radius_mm(rays, image)), pupil[passes][1:], opd[1:],
+        wavelength_nm, slope, image, radius, pupil[passes][1:], opd[1:],
         bundle.weight[passes][1:], float(passes[1:].mean()),
     )  # fmt: skip
 
 
-def path_differences(rays: LensRays, slope: float, entry: Array, wavelength_nm: float, centre: Array) -> Array:
-    """Return the optical path of the first ray less that of each, up to the reference sphere, (n,) waves.
+def path_differences(
+    rays: LensRays, slope: float, entry: Array, wavelength_nm: float, centre: Array
+) -> tuple[Array, float]:
+    """Return the optical path of the first ray less that of each, up to the reference sphere, and the sphere's radius.
 
     Parameters
     ----------
     rays : LensRays
     slope : float
     entry : (n, 2) float64, mm
-        Where the rays cross the plane of the first vertex; all of them pass.
+        Where the rays cross the plane of the first vertex; all of them pass. The first is the chief ray.
     wavelength_nm : float
     centre : (3,) float64, mm
         Of the reference sphere, camera frame.
+
+    Returns
+    -------
+    (n,) float64, waves
+    float, mm
 
     Raises
     ------
     LfmeshError
         Rays miss the reference sphere, or ideal lenses stand beside real surfaces.
     """
-    radius = _sphere_radius_mm(rays, centre)
-    _, paths = rays.traced([0.0, slope], entry, wavelength_nm).onto_sphere(centre, radius)
+    traced = rays.traced([0.0, slope], entry, wavelength_nm)
+    radius = _sphere_radius_mm(rays, traced, centre)
+    _, paths = traced.onto_sphere(centre, radius)
     if not np.isfinite(paths).all():
         raise LfmeshError(
             f"image_z_mm = {centre[2]:g}: rays miss the reference sphere, whose radius is {abs(radius):.4g} mm; give a "
             f"plane farther from the exit pupil at {solved_camera(rays.world.scene).report.exit_pupil_z_mm:.6g} mm"
         )
-    return np.asarray((paths[0] - paths) * NM_PER_MM / wavelength_nm)
+    return np.asarray((paths[0] - paths) * NM_PER_MM / wavelength_nm), abs(radius)
 
 
-def _sphere_radius_mm(rays: LensRays, centre: Array) -> float:
-    """Return the radius of the sphere about a point through the exit pupil on the axis; below 0 if that is behind."""
+def _sphere_radius_mm(rays: LensRays, traced: Traced, centre: Array) -> float:
+    """Return the radius of the sphere about a point through the first ray in the exit pupil; below 0 if that is behind."""
     facts = solved_camera(rays.world.scene).report
     pupil_z = facts.exit_pupil_z_mm
     if not math.isfinite(pupil_z):
         return FAR * abs(facts.efl_mm)
-    return math.copysign(float(np.linalg.norm(centre - [0.0, 0.0, pupil_z])), centre[2] - pupil_z)
+    position, direction = traced.position[0], traced.direction[0]
+    crossing = position + (pupil_z - position[2]) / direction[2] * direction
+    return math.copysign(float(np.linalg.norm(centre - crossing)), centre[2] - pupil_z)

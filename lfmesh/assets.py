@@ -13,6 +13,10 @@ def asset_path(name: str) -> Path:
     name : str
         Relative to the assets, e.g. ``"scenes/first_light.toml"``.
 
+    Returns
+    -------
+    Path
+
     Raises
     ------
     FileError

@@ -68,7 +68,12 @@ class PictureWarning(UserWarning):
         return hash((type(self), str(self)))
 
     def as_dict(self) -> dict[str, str]:
-        """Return the warning for JSON."""
+        """Return the warning for JSON.
+
+        Returns
+        -------
+        dict of str
+        """
         return {"kind": type(self).__name__, "text": str(self)}
 
     @classmethod
@@ -79,6 +84,10 @@ class PictureWarning(UserWarning):
         ----------
         values : dict
             With `kind` and `text`.
+
+        Returns
+        -------
+        PictureWarning
         """
         kind, text = str(values["kind"]), str(values["text"])
         return next((each for each in cls.__subclasses__() if each.__name__ == kind), cls)(text)

@@ -153,7 +153,12 @@ class LensAnalysis(Shown):
         return f"<LensAnalysis: {self.name}, {lens}, spots rms {spots} µm>"
 
     def lines(self) -> list[str]:
-        """Return the key figures for a terminal, a line each."""
+        """Return the key figures for a terminal, a line each.
+
+        Returns
+        -------
+        list of str
+        """
         facts = self.first_order
         at = "infinity" if math.isinf(self.object_mm) else f"{self.object_mm:.6g} mm"
         lines = [
@@ -191,7 +196,12 @@ class LensAnalysis(Shown):
         return "\n".join(self.lines())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the key figures as plain numbers."""
+        """Return the key figures as plain numbers.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "name": self.name,
             "object_mm": self.object_mm,

@@ -127,6 +127,14 @@ def finished_blocks(path: Path) -> int:
 def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     """Read a projection matrix that `write_projection_matrix` has written.
 
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    ProjectionMatrix
+
     Raises
     ------
     FileError

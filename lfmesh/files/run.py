@@ -201,6 +201,15 @@ def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike
 def open_white(folder: str | os.PathLike[str]) -> Image | None:
     """Read the white image of a run folder, None if it has none.
 
+    Parameters
+    ----------
+    folder : str or path
+        Of the run.
+
+    Returns
+    -------
+    Image or None
+
     Raises
     ------
     FileError

@@ -127,6 +127,17 @@ class Detector:
     def filling(self, image: Image, share: float = 0.8) -> "Detector":
         """Return this detector with the exposure time that fills its bright pixels to a share of the well.
 
+        Parameters
+        ----------
+        image : Image
+            Whose 99.9th percentile counts as bright.
+        share : float
+            Of the full well.
+
+        Returns
+        -------
+        Detector
+
         Raises
         ------
         LfmeshError
@@ -149,6 +160,11 @@ class Detector:
         ----------
         wavelengths_nm : tuple of float
             Of the channels.
+
+        Returns
+        -------
+        (filters, channels) float64
+            Electrons a watt.
 
         Raises
         ------
@@ -175,7 +191,17 @@ class Detector:
         return np.asarray(weights * [[name == colour for name in names] for colour in RGB_NM])
 
     def expected_e(self, image: Image) -> Array:
-        """Return the photoelectrons expected in each pixel, (H, W): see `electrons_per_watt`."""
+        """Return the photoelectrons expected in each pixel, (H, W): see `electrons_per_watt`.
+
+        Parameters
+        ----------
+        image : Image
+
+        Returns
+        -------
+        (H, W) float64
+            Electrons.
+        """
         by_filter = self.electrons_per_watt(image.wavelengths_nm)
         if self.bayer is None:
             return np.asarray(image.mean @ by_filter[0])
@@ -194,6 +220,10 @@ class Detector:
         ----------
         image : Image
             Not changed. Single wavelengths are taken as lines that carry all of the power.
+
+        Returns
+        -------
+        Exposed
         """
         random = np.random.Generator(np.random.Philox(self.seed))
         expected = self.expected_e(image)

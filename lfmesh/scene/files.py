@@ -42,6 +42,10 @@ def load(path: str | Path) -> Scene:
     path : str or Path
         A TOML file; the relative paths in it start from its folder.
 
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     SceneError
@@ -56,7 +60,22 @@ def load(path: str | Path) -> Scene:
 
 
 def loads(text: str, folder: str | Path = ".") -> Scene:
-    """Read a scene from TOML text, with relative paths starting from `folder`; errors as in `load`."""
+    """Read a scene from TOML text, with relative paths starting from `folder`; errors as in `load`.
+
+    Parameters
+    ----------
+    text : str
+    folder : str or Path
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        As `load`.
+    """
     return _scene(_parse(text, "scene"), Path(folder).resolve(), "scene")
 
 

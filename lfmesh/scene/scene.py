@@ -98,6 +98,15 @@ class Scene(Model, Shown):
     def resolve(self, path: str | Path) -> Path:
         """Return the path of a texture or mesh of this scene as one that can be opened.
 
+        Parameters
+        ----------
+        path : str or Path
+            As the scene gives it.
+
+        Returns
+        -------
+        Path
+
         Raises
         ------
         FileError
@@ -168,6 +177,14 @@ class Scene(Model, Shown):
 
         Spectra of light have no power at a single one. What they stand for shines with an even spectrum instead, and
         a surface with a temperature or a spectrum of radiance with 1 W/(m² sr).
+
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        Scene
         """
         changes: dict[str, Any] = {"camera.sensor.bands": None, "transport.wavelengths_nm": (wavelength_nm,)}
         for i, target in enumerate(self.targets):
@@ -193,14 +210,33 @@ class Scene(Model, Shown):
         return dict(self._digests)
 
     def in_folder(self, folder: str | Path) -> "Scene":
-        """Return the same scene with its relative paths starting from `folder`."""
+        """Return the same scene with its relative paths starting from `folder`.
+
+        Parameters
+        ----------
+        folder : str or Path
+
+        Returns
+        -------
+        Scene
+        """
         copy = self.model_copy()
         copy._folder = Path(folder).resolve()
         copy._found = {}
         return copy
 
     def with_digests(self, digests: dict[str, str]) -> "Scene":
-        """Return the same scene, whose files must have these SHA-256, by their paths."""
+        """Return the same scene, whose files must have these SHA-256, by their paths.
+
+        Parameters
+        ----------
+        digests : dict of str
+            SHA-256, in hexadecimal digits, by path.
+
+        Returns
+        -------
+        Scene
+        """
         copy = self.model_copy()
         copy._digests, copy._found = dict(digests), {}
         return copy
@@ -209,6 +245,10 @@ class Scene(Model, Shown):
         """Return the same scene, whose files have to stay what they are now, as they are read more than once.
 
         Files that have digests already keep them.
+
+        Returns
+        -------
+        Scene
         """
         names = dict.fromkeys(name for _, name in files_of(self) if name not in self._digests)
         there = {name: path for name in names if (path := self.resolve(name)).is_file()}
@@ -224,6 +264,10 @@ class Scene(Model, Shown):
             None takes an optional value out.
         solves : bool
             They are what follows from the scene itself, so that its lens stays the one of its file.
+
+        Returns
+        -------
+        Scene
 
         Raises
         ------
@@ -257,18 +301,32 @@ class Scene(Model, Shown):
         ----------
         values : dict, optional
             What else is replaced, as in `changed`.
+
+        Returns
+        -------
+        Scene
         """
         empty: dict[str, Any] = dict.fromkeys(("targets", "lights", "media", "particles", "tanks"), ())
         return self.changed(empty | (values or {}))
 
     def dump_toml(self) -> str:
-        """Return the scene as TOML that loads to an equal scene; defaults are left out."""
+        """Return the scene as TOML that loads to an equal scene; defaults are left out.
+
+        Returns
+        -------
+        str
+        """
         from lfmesh.scene import toml
 
         return toml.dump(self)
 
     def to_json(self) -> str:
-        """Return the scene as JSON, with the keys and values of the TOML file."""
+        """Return the scene as JSON, with the keys and values of the TOML file.
+
+        Returns
+        -------
+        str
+        """
         from lfmesh.scene import toml
 
         return json.dumps(toml.table(self), ensure_ascii=False)
@@ -316,7 +374,14 @@ class Scene(Model, Shown):
         return {**self.camera.lens.coatings, **self.coatings}
 
     def coating_uses(self) -> Iterator[tuple[Location, str]]:
-        """Yield where surfaces give the name of a coating, and the name."""
+        """Yield where surfaces give the name of a coating, and the name.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        coating : str
+        """
         for i, surface in enumerate(self.camera.lens.surfaces):
             where: Location = ("camera", "lens", "surfaces", i)
             yield (*where, "coating"), surface.coating
@@ -332,7 +397,12 @@ class Scene(Model, Shown):
                 yield ("targets", i, "refractor", "coating"), target.refractor.coating
 
     def bodies(self) -> tuple[tuple[str, int], ...]:
-        """Return the names of all bodies of glass and liquid, and their numbers among targets, tanks' bodies last."""
+        """Return the names of all bodies of glass and liquid, and their numbers among targets, tanks' bodies last.
+
+        Returns
+        -------
+        tuple of (str, int)
+        """
         found = []
         for i, target in enumerate(self.targets):
             if target.refractor is not None:
@@ -344,6 +414,15 @@ class Scene(Model, Shown):
 
     def body_named(self, name: str) -> int:
         """Return the number of a body of glass or liquid among the targets, where tanks' bodies come last.
+
+        Parameters
+        ----------
+        name : str
+            Such as "prism" or "tanks[0] liquid".
+
+        Returns
+        -------
+        int
 
         Raises
         ------
@@ -424,11 +503,24 @@ class Scene(Model, Shown):
             )
 
     def rough_in_camera(self) -> list[Location]:
-        """Return where lens and array are given a finish that scatters light."""
+        """Return where lens and array are given a finish that scatters light.
+
+        Returns
+        -------
+        list of tuple
+            Keys from the scene's root.
+        """
         return [where for where, finish in self.finishes() if finish.is_rough and where[0] == "camera"]
 
     def finishes(self) -> Iterator[tuple[Location, Finish]]:
-        """Yield where surfaces give a finish, and the finish."""
+        """Yield where surfaces give a finish, and the finish.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        finish : Finish
+        """
         for i, surface in enumerate(self.camera.lens.surfaces):
             where: Location = ("camera", "lens", "surfaces", i)
             yield (*where, "finish"), surface.finish

@@ -90,6 +90,10 @@ def trace(
     threads : int
         0: all processors. The result does not depend on it.
 
+    Returns
+    -------
+    Paths
+
     Other Parameters
     ----------------
     surface : str

@@ -83,6 +83,15 @@ class Paths(Shown):
     def vertices(self, packet: int) -> list[Vertex]:
         """Return the recorded path of a packet, from its ray's start to its end.
 
+        Parameters
+        ----------
+        packet : int
+            Its row in the result.
+
+        Returns
+        -------
+        list of Vertex
+
         Raises
         ------
         LfmeshError

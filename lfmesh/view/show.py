@@ -123,6 +123,11 @@ def show(
     filter : str, optional
         Which paths to draw, see `lfmesh.view.rays.filters`.
 
+    Returns
+    -------
+    PIL.Image.Image or None
+        The picture, in a notebook.
+
     Other Parameters
     ----------------
     count : int

@@ -121,7 +121,12 @@ class PointSpread(Shown):
         return self.mean / self.step_mm**2
 
     def lines(self) -> list[str]:
-        """Return the key figures in words."""
+        """Return the key figures in words.
+
+        Returns
+        -------
+        list of str
+        """
         pixel_mm = self.step_mm * self.oversample
         lit = f"{self.lenslets} lenslet{'' if self.lenslets == 1 else 's'} lit, "
         peak = f"Strehl ratio {self.strehl:.4g}, " if self.strehl is not None else lit
@@ -135,7 +140,12 @@ class PointSpread(Shown):
         ]
 
     def facts(self) -> dict[str, object]:
-        """Return all but the picture, by name."""
+        """Return all but the picture, by name.
+
+        Returns
+        -------
+        dict
+        """
         named = {
             name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("mean", "x_mm", "y_mm")
         }
@@ -171,6 +181,10 @@ def point_spread(
         Parts along each side of a pixel, from 1 to 64.
     tolerance : float
         Largest change of the picture, over its power, with the last refinement of the grid.
+
+    Returns
+    -------
+    PointSpread
 
     Raises
     ------

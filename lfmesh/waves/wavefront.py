@@ -101,6 +101,11 @@ class Wavefront(Shown):
         order : {"fringe", "noll"}
             Noll's polynomials are orthonormal; those of the Fringe order are 1 at the rim.
 
+        Returns
+        -------
+        (terms,) float64
+            Waves.
+
         Raises
         ------
         LfmeshError
@@ -141,6 +146,10 @@ def wavefront(
         focus if left out.
     across : int
         Rays on a diameter of the stop, from 4 to 1000.
+
+    Returns
+    -------
+    Wavefront
 
     Raises
     ------

@@ -108,7 +108,16 @@ def solved_camera(scene: Scene) -> SolvedCamera:
 
 
 def first_order(scene: Scene) -> FirstOrder:
-    """Return the first-order report of a scene, elements given as meshes measured first; see `solved_camera`."""
+    """Return the first-order report of a scene, elements given as meshes measured first; see `solved_camera`.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    FirstOrder
+    """
     return solved_camera(scene).report
 
 

@@ -118,13 +118,32 @@ class Calibration:
         return math.atan2(self._similarity.imag, self._similarity.real)
 
     def error_px(self, truth: "Calibration") -> Array:
-        """Return the distances of these centres from the true ones, of the lenslets that both know, in pixels."""
+        """Return the distances of these centres from the true ones, of the lenslets that both know, in pixels.
+
+        Parameters
+        ----------
+        truth : Calibration
+            From `lf.calibrate`.
+
+        Returns
+        -------
+        (n,) float64
+            Pixels, one for each lenslet.
+        """
         both = self.known & truth.known
         return np.asarray(np.linalg.norm(self.centres_px[both] - truth.centres_px[both], axis=1))
 
 
 def calibrate(scene: Scene) -> Calibration:
     """Find the true geometry of a scene's camera: every chief ray is traced, installation and form errors included.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    Calibration
 
     Raises
     ------

@@ -50,6 +50,10 @@ def estimate_centres(white: Image, scene: Scene | None = None) -> Calibration:
     scene : Scene, optional
         Its own if omitted.
 
+    Returns
+    -------
+    Calibration
+
     Raises
     ------
     LfmeshError

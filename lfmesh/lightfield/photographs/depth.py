@@ -74,6 +74,10 @@ class DepthMap(Pictured):
         truth_mm : (t, s) float
             `DepthTruth.middle_mm`.
 
+        Returns
+        -------
+        (t, s) float64
+
         Raises
         ------
         LfmeshError
@@ -88,7 +92,17 @@ class DepthMap(Pictured):
         return np.where(np.isfinite(self.distance_mm), self.distance_mm, np.nan) / truth - 1.0
 
     def in_words(self, truth_mm: NDArray[np.floating]) -> str:
-        """Return the error of the depth in words, of what lies in the range that was searched."""
+        """Return the error of the depth in words, of what lies in the range that was searched.
+
+        Parameters
+        ----------
+        truth_mm : (t, s) float
+            `DepthTruth.middle_mm`.
+
+        Returns
+        -------
+        str
+        """
         near, far = self.range_mm
         within = (truth_mm >= near) & (truth_mm <= far)
         error = np.abs(self.error(truth_mm)[within])
@@ -112,6 +126,10 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         Best divided by its white image; then views need not be equally bright.
     near_mm, far_mm : float, optional
         Distances between which to search; the refocus range if omitted.
+
+    Returns
+    -------
+    DepthMap
 
     Raises
     ------

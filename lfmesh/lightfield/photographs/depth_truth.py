@@ -70,6 +70,10 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     samples : int
         Rays of a pixel's bundle.
 
+    Returns
+    -------
+    DepthTruth
+
     Raises
     ------
     LfmeshError

@@ -57,6 +57,7 @@ class FocalStack(Pictured):
     """Photographs of the same scene, from plane to plane."""
 
     photographs: tuple[Photograph, ...]
+    """In the order in which the distances were given."""
 
     def __repr__(self) -> str:
         planes = self.distances_mm
@@ -111,6 +112,15 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
     """Take every sample from the photograph of a stack that is sharpest there.
 
     Sharpness is the energy of the Laplacian in a window of 5 × 5 samples, summed over the channels.
+
+    Parameters
+    ----------
+    stack : FocalStack
+        From `lf.focal_stack`.
+
+    Returns
+    -------
+    AllInFocus
     """
     sharpness = np.stack([_sharpness(photograph.mean) for photograph in stack.photographs])
     best = sharpness.argmax(axis=0)

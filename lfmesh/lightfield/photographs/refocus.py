@@ -47,6 +47,10 @@ def refocus(
         Photography", SIGGRAPH 2005): exact for light fields without detail finer than a sample, whose views are
         continued beyond their borders.
 
+    Returns
+    -------
+    Photograph
+
     Warns
     -----
     UserWarning
@@ -73,6 +77,10 @@ def focal_stack(
         Of the planes, before the first vertex.
     f_number : float, optional
     method : {"shift", "fourier"}
+
+    Returns
+    -------
+    FocalStack
 
     Raises
     ------

@@ -108,6 +108,10 @@ def camera_model(
     distances_mm : tuple of float, optional
         Before the first vertex, at which the pinholes are to hold; the range that refocuses sharply, if omitted.
 
+    Returns
+    -------
+    CameraModel
+
     Raises
     ------
     LfmeshError

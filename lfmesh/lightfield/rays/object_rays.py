@@ -48,6 +48,10 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     pixels_px : (n, 2) float64
         Column and row on the sensor, the middle of the first pixel at (0, 0).
 
+    Returns
+    -------
+    ObjectRays
+
     Raises
     ------
     LfmeshError

@@ -102,6 +102,14 @@ class RayModel:
     def of(cls, scene: Scene) -> "RayModel":
         """Read a scene's camera, with the shifts along z and the pitch error of its array, and trace its real focus.
 
+        Parameters
+        ----------
+        scene : Scene
+
+        Returns
+        -------
+        RayModel
+
         Raises
         ------
         LfmeshError
@@ -169,6 +177,15 @@ class RayModel:
     def image_excess_mm(self, distance_mm: float) -> float:
         """Return ε, how far behind the array an object this far before the first vertex is imaged most sharply.
 
+        Parameters
+        ----------
+        distance_mm : float
+
+        Returns
+        -------
+        float
+            mm, towards the sensor.
+
         Raises
         ------
         LfmeshError
@@ -185,7 +202,18 @@ class RayModel:
         return self.rear_principal_z_mm + image - self.array_z_mm
 
     def shift_mm(self, distance_mm: float) -> float:
-        """Return how far an object point moves on the array from one view to the next; positive nearer than focus."""
+        """Return how far an object point moves on the array from one view to the next; positive nearer than focus.
+
+        Parameters
+        ----------
+        distance_mm : float
+            Of the point, before the first vertex; may be inf.
+
+        Returns
+        -------
+        float
+            mm.
+        """
         excess = self.image_excess_mm(distance_mm)
         return self.slope_step * excess / (1.0 + excess / self.pupil_to_array_mm)
 
@@ -194,7 +222,18 @@ class RayModel:
     @overload
     def distance_mm(self, shift_mm: Array) -> Array: ...
     def distance_mm(self, shift_mm: Any) -> Any:
-        """Return the distances whose points move so far; see `ShiftMap`."""
+        """Return the distances whose points move so far; see `ShiftMap`.
+
+        Parameters
+        ----------
+        shift_mm : float or array
+            On the array from one view to the next.
+
+        Returns
+        -------
+        float or array
+            mm before the first vertex.
+        """
         shift = np.asarray(shift_mm, dtype=np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
             excess = shift / (self.slope_step - shift / self.pupil_to_array_mm)
@@ -210,6 +249,15 @@ class RayModel:
         """Return the size of an object over that of its image in the middle view, where that crosses the array.
 
         The refocused picture keeps the middle view's place and size whatever it is focused on.
+
+        Parameters
+        ----------
+        distance_mm : float
+            Of the object, before the first vertex.
+
+        Returns
+        -------
+        float
         """
         enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
         from_principal = distance_mm + self.front_principal_z_mm

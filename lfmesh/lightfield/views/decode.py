@@ -81,6 +81,10 @@ def decode(
     views : int, optional
         Along each axis; as many whole pixels as a micro-image is wide, if omitted.
 
+    Returns
+    -------
+    LightField
+
     Raises
     ------
     LfmeshError

@@ -96,6 +96,16 @@ class LightField(Pictured):
     def view(self, v: int, u: int) -> Samples:
         """Return one view, (t, s, c).
 
+        Parameters
+        ----------
+        v, u : int
+            Row and column of the view, (0, 0) at the top left.
+
+        Returns
+        -------
+        (t, s, c) float32
+            W.
+
         Raises
         ------
         LfmeshError
@@ -116,6 +126,11 @@ class LightField(Pictured):
             vertical EPI (v, t, c) of the views of column `u`.
         v, u : int, optional
             The middle one if omitted.
+
+        Returns
+        -------
+        (u, s, c) or (v, t, c) float32
+            W.
 
         Raises
         ------
@@ -138,11 +153,21 @@ class LightField(Pictured):
         return self.data[:, column, :, s]
 
     def views_mosaic(self) -> Samples:
-        """Return all views side by side, (v·t, u·s, c)."""
+        """Return all views side by side, (v·t, u·s, c).
+
+        Returns
+        -------
+        (v·t, u·s, c) float32
+            W.
+        """
         return mosaic(self.data)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Return data and standard error as an xarray Dataset with labelled axes.
+
+        Returns
+        -------
+        xarray.Dataset
 
         Raises
         ------

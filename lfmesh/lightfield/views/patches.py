@@ -76,6 +76,10 @@ def render_patches(
     sample_mm : float, optional
         Step of the picture, on the array; if omitted a pixel of the patches.
 
+    Returns
+    -------
+    Photograph
+
     Raises
     ------
     LfmeshError
@@ -113,6 +117,10 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
     image : Image
     distances_mm : sequence of float
     white : Image, optional
+
+    Returns
+    -------
+    AllInFocus
 
     Raises
     ------

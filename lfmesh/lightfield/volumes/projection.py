@@ -174,6 +174,16 @@ class ProjectionMatrix:
         Parameters
         ----------
         emission : (nx, ny, nz) or (voxels,) float64, W/(mm³ sr)
+
+        Returns
+        -------
+        (rows,) float64
+            W.
+
+        Raises
+        ------
+        LfmeshError
+            The emission has another number of voxels.
         """
         x = np.asarray(emission, dtype=np.float64)
         if x.shape not in (self.grid.shape, (self.grid.voxels,)):
@@ -456,6 +466,10 @@ def projection_matrix(
         With diffraction, the largest error of a column over its light, as of `lf.point_spread`.
     say : callable, optional
         Called with lines for the user: the expected size, first of all.
+
+    Returns
+    -------
+    ProjectionMatrix
 
     Warns
     -----

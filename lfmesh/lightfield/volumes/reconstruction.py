@@ -97,7 +97,17 @@ class Reconstruction:
         return f"<Reconstruction: {shape} voxels, {self.method}, residual {self.residual[-1]:.3g}{misfit}{error}>"
 
     def quality(self, true: ArrayLike) -> float:
-        """Return the quality Q against the true volume, see `volume_quality`."""
+        """Return the quality Q against the true volume, see `volume_quality`.
+
+        Parameters
+        ----------
+        true : (nx, ny, nz) or (voxels,) float
+
+        Returns
+        -------
+        float
+            From 0 to 1.
+        """
         return volume_quality(self.volume, true)
 
 
@@ -110,6 +120,10 @@ def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
     Parameters
     ----------
     found, true : arrays of the same shape
+
+    Returns
+    -------
+    float
 
     Raises
     ------
@@ -172,6 +186,10 @@ def reconstruct(
         this very matrix has made "discrepancy" is far too strong: take "half-sets" there.
     say : callable, optional
         Called with lines for the user: each strength that is tried, and what came of it.
+
+    Returns
+    -------
+    Reconstruction
 
     Warns
     -----

@@ -61,6 +61,10 @@ class VoxelBox:
             Lengths of its edges.
         position_mm, rotation_deg : (3,) float
 
+        Returns
+        -------
+        VoxelBox
+
         Raises
         ------
         LfmeshError
@@ -84,6 +88,10 @@ class VoxelBox:
         grid : VoxelBox, or a voxel grid
         position_mm, rotation_deg : (3,) float
             Of a voxel grid's own origin.
+
+        Returns
+        -------
+        VoxelBox
 
         Raises
         ------
@@ -121,12 +129,24 @@ class VoxelBox:
         return x, y, z
 
     def centres_mm(self) -> Array:
-        """Return the centres of all voxels, (nx, ny, nz, 3), world frame."""
+        """Return the centres of all voxels, (nx, ny, nz, 3), world frame.
+
+        Returns
+        -------
+        (nx, ny, nz, 3) float64
+            mm.
+        """
         own = np.stack(np.meshgrid(*self.axes_mm, indexing="ij"), axis=-1)
         return frames.points(self.to_world, own.reshape(-1, 3)).reshape(own.shape)
 
     def corners_mm(self) -> Array:
-        """Return the corners of the box, (8, 3), world frame."""
+        """Return the corners of the box, (8, 3), world frame.
+
+        Returns
+        -------
+        (8, 3) float64
+            mm.
+        """
         low = self.origin_mm - 0.5 * self.spacing_mm
         ends = np.stack([low, low + self.spacing_mm * self.shape])
         own = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -139,6 +159,11 @@ class VoxelBox:
         ----------
         p, d : (n, 3) float64
             Position, mm, and direction, world frame; the direction's length stays that in mm.
+
+        Returns
+        -------
+        p, d : (n, 3) float64
+            Position and direction.
         """
         inverse = frames.inverse(self.to_world)
         low = self.origin_mm - 0.5 * self.spacing_mm

@@ -49,6 +49,10 @@ class BackFace(Model):
         pitch_mm, thickness_mm : float
         front_depth_mm : float or None
             How deep the first face is cut into the plate; None where that face has a fault of its own.
+
+        Returns
+        -------
+        iterator of Fault
         """
         if self.cylinder_axis is not None and layout != "square":
             yield Fault(("back", "cylinder_axis"), self.cylinder_axis, 'cylinders need layout = "square"')

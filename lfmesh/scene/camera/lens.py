@@ -200,6 +200,11 @@ class Surface(Model):
         height_mm : float, mm
         azimuths : int
             In a quarter turn; one is enough for a surface of revolution.
+
+        Returns
+        -------
+        tuple of float
+            mm.
         """
         form = self.form
         if form is None:
@@ -216,6 +221,11 @@ class Surface(Model):
         Parameters
         ----------
         x_mm, y_mm : float
+
+        Returns
+        -------
+        float
+            mm.
         """
         form = self.form
         return self.sag_mm(math.hypot(x_mm, y_mm)) if form is None else form.sag_at_mm(self, x_mm, y_mm)
@@ -227,6 +237,15 @@ class Surface(Model):
 
         The standard form of ISO 10110-12: c r² / (1 + √(1 − (1 + k) c² r²)) + Σ A_j r^(2j+4) + Σ B_j r^(2j+3), with
         `terms_mm` and `odd_asphere_mm`.
+
+        Parameters
+        ----------
+        height_mm : float
+
+        Returns
+        -------
+        float
+            mm.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
         root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
@@ -535,11 +554,31 @@ class Lens(Model):
         return tuple(z)
 
     def element_of(self, number: int) -> int | None:
-        """Return which of `elements` surface `number` belongs to; None: to none."""
+        """Return which of `elements` surface `number` belongs to; None: to none.
+
+        Parameters
+        ----------
+        number : int
+            From 0, at the object's side.
+
+        Returns
+        -------
+        int or None
+        """
         return next((i for i, element in enumerate(self.elements) if number in element.surfaces), None)
 
     def is_pure_stop(self, number: int) -> bool:
-        """Return whether surface `number` only stops light: marked, flat, the same medium on both sides."""
+        """Return whether surface `number` only stops light: marked, flat, the same medium on both sides.
+
+        Parameters
+        ----------
+        number : int
+            From 0, at the object's side.
+
+        Returns
+        -------
+        bool
+        """
         surface = self.surfaces[number]
         before = self.media[number]
         bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
@@ -547,7 +586,18 @@ class Lens(Model):
         return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:
-        """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it."""
+        """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it.
+
+        Parameters
+        ----------
+        number : int
+            From 0, at the object's side.
+
+        Returns
+        -------
+        float or None
+            mm.
+        """
         surface = self.surfaces[number]
         if surface.stop and self.stop_semi_diameter_mm is not None:
             return self.stop_semi_diameter_mm
@@ -674,6 +724,17 @@ class Lens(Model):
         """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
 
         The smallest over all azimuths.
+
+        Parameters
+        ----------
+        number : int
+            From 0, at the object's side; not the last.
+        height_mm : float
+
+        Returns
+        -------
+        float
+            mm; negative where the surfaces cross.
         """
         front, back = self.surfaces[number], self.surfaces[number + 1]
         return (front.thickness_mm or 0.0) + gap_round_mm(front, back, height_mm)

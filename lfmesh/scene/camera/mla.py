@@ -130,7 +130,19 @@ class MicrolensArray(Model):
         return "sensor" if self.has_back else self.curved_side
 
     def profile_of(self, kind: int) -> tuple[float, tuple[float, ...]]:
-        """Return the conic constant and the even terms of a type of lenslet."""
+        """Return the conic constant and the even terms of a type of lenslet.
+
+        Parameters
+        ----------
+        kind : int
+            Of the lenslet, from 0.
+
+        Returns
+        -------
+        conic : float
+        terms_mm : tuple of float
+            Of r⁴, r⁶, ...
+        """
         conic = self.conic[kind if len(self.conic) > 1 else 0]
         return conic, self.asphere_mm[kind if len(self.asphere_mm) > 1 else 0]
 
@@ -149,6 +161,10 @@ class MicrolensArray(Model):
             What the user gives, over the radius.
         kind : int
             Type of the lenslet, whose conic constant and terms count.
+
+        Returns
+        -------
+        str or None
         """
         if kind < self.types and (self.profile_of(kind)[0] or any(self.profile_of(kind)[1])):
             return self._profile_fault(radius_mm, *self.profile_of(kind))

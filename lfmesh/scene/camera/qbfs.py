@@ -54,6 +54,10 @@ class Qbfs(Model):
             Its conic constant.
         semi_diameter_mm : float, optional
             Radius of the clear aperture; that of the polynomials if left out.
+
+        Returns
+        -------
+        EvenForm or None
         """
         reach = min(semi_diameter_mm or self.norm_radius_mm, self.norm_radius_mm)
         wanted = _WANTED * self.largest_error_mm

@@ -35,7 +35,16 @@ class Qcon(Model):
         return _even_terms(self.norm_radius_mm, self.coefficients_mm)
 
     def growth(self, height_mm: float) -> float:
-        """Return the largest term u⁴ Q_m(u²) at a height, of those that have a coefficient; 1 at the norm radius."""
+        """Return the largest term u⁴ Q_m(u²) at a height, of those that have a coefficient; 1 at the norm radius.
+
+        Parameters
+        ----------
+        height_mm : float
+
+        Returns
+        -------
+        float
+        """
         used = [m for m, coefficient in enumerate(self.coefficients_mm) if coefficient]
         try:
             u = height_mm / self.norm_radius_mm

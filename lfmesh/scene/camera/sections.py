@@ -53,7 +53,12 @@ class Form(Model):
         return surface.curvature_per_mm
 
     def in_words(self) -> str:
-        """Return its keys with their values."""
+        """Return its keys with their values.
+
+        Returns
+        -------
+        str
+        """
         return " and ".join(f"{key} = {value:g}" for key, value in self.model_dump().items())
 
 
@@ -73,16 +78,43 @@ class Biconic(Form):
         ----------
         surface, x_mm, y_mm
             As for `Form`.
+
+        Returns
+        -------
+        float
+            mm.
         """
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
         return biconic_sag_mm(c_x, self.conic_x, c_y, surface.conic, x_mm, y_mm)
 
     def reach_mm(self, surface: "Surface") -> float:
-        """Return the height at which the first of its conics turns back."""
+        """Return the height at which the first of its conics turns back.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+
+        Returns
+        -------
+        float
+            mm; infinite where none turns back.
+        """
         return min(super().reach_mm(surface), reach_of_conic_mm(self.radius_x_mm, self.conic_x))
 
     def curvature_x_per_mm(self, surface: "Surface") -> float:
-        """Return its own curvature."""
+        """Return its own curvature.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+
+        Returns
+        -------
+        float
+            1/mm.
+        """
         return curvature(self.radius_x_mm)
 
 
@@ -102,15 +134,42 @@ class Toroid(Form):
         ----------
         surface, x_mm, y_mm
             As for `Form`.
+
+        Returns
+        -------
+        float
+            mm.
         """
         return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
 
     def reach_mm(self, surface: "Surface") -> float:
-        """Return the height at which it turns back at some azimuth."""
+        """Return the height at which it turns back at some azimuth.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+
+        Returns
+        -------
+        float
+            mm; infinite where it does not.
+        """
         return _toroid_reach_mm(surface)
 
     def curvature_x_per_mm(self, surface: "Surface") -> float:
-        """Return that of its circle."""
+        """Return that of its circle.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+
+        Returns
+        -------
+        float
+            1/mm.
+        """
         return curvature(self.radius_x_mm)
 
 

@@ -51,11 +51,17 @@ class FirstOrder(Shown):
     ffl_mm: float
     """From the first vertex to the front focal point; negative where that lies before the lens."""
     front_principal_plane_z_mm: float
+    """z of the object-side principal plane."""
     rear_principal_plane_z_mm: float
+    """z of the image-side principal plane."""
     entrance_pupil_z_mm: float
+    """z of the image of the stop by what stands before it."""
     entrance_pupil_diameter_mm: float
+    """Diameter of the same."""
     exit_pupil_z_mm: float
+    """z of the image of the stop by what stands behind it in the lens."""
     exit_pupil_diameter_mm: float
+    """Diameter of the same."""
     kind: str
     """Of camera: "conventional"; "standard plenoptic" (1.0), whose lenslets image the pupil onto the sensor; "focused
     plenoptic, Keplerian" or "focused plenoptic, Galilean" (2.0), whose lenslets image the main image."""
@@ -138,7 +144,12 @@ class FirstOrder(Shown):
         return f"<FirstOrder: {lens}, {span}, {number or 'no'} warning{'' if number == 1 else 's'}>"
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return the report without its warnings: the name of every property, and its value with its unit."""
+        """Return the report without its warnings: the name of every property, and its value with its unit.
+
+        Returns
+        -------
+        list of (str, str)
+        """
         mla, standard = self.microlens_f_number is not None, self.kind == STANDARD
         width, height = self.field_of_view_mm
         rows = [
@@ -253,14 +264,24 @@ class FirstOrder(Shown):
         yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
 
     def lines(self) -> list[str]:
-        """Return the report, a line a property, warnings last."""
+        """Return the report, a line a property, warnings last.
+
+        Returns
+        -------
+        list of str
+        """
         return [f"{name:<23}{value}" for name, value in self.rows()] + [f"warning: {text}" for text in self.warnings]
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields by name, as plain values."""
+        """Return the fields by name, as plain values.
+
+        Returns
+        -------
+        dict
+        """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         names = ("by_wavelength", "focused", "lenslet_sections")
         nested = {name: tuple(asdict(at) for at in values[name]) for name in names}

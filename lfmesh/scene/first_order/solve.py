@@ -38,6 +38,14 @@ def solved(scene: Scene) -> Scene:
     sensor have their distances; `camera.object_medium` is the lens's own; `camera.air` is used up, and glasses name the
     air round them. All of it is paraxial, at the primary wavelength. A solved scene comes back as it is.
 
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    Scene
+
     Raises
     ------
     SceneError

@@ -65,7 +65,18 @@ class Sheet(Model):
                 yield Fault(("direction",), list(self.direction), "must lie in the sheet, square to normal")
 
     def irradiance_w_mm2(self, points_mm: Array) -> Array:
-        """Return the irradiance on a plane square to the light, in W/mm², at points (n, 3), mm."""
+        """Return the irradiance on a plane square to the light, in W/mm², at points (n, 3), mm.
+
+        Parameters
+        ----------
+        points_mm : (n, 3) float64
+            World frame.
+
+        Returns
+        -------
+        (n,) float64
+            W/mm².
+        """
         n, d = unit(self.normal), unit(self.direction)
         off = points_mm - np.array(self.point_mm)
         radius = 0.5 * self.thickness_mm
@@ -397,6 +408,10 @@ def displaced(scene: "Scene", frames: int = 1) -> "Scene":
     scene : Scene
     frames : int
         0 or more.
+
+    Returns
+    -------
+    Scene
 
     Raises
     ------

@@ -54,7 +54,12 @@ class Spectrum(Model):
             yield Fault(("name",), self.name, f"no illuminant has this name{near}; there are {', '.join(NAMED)}")
 
     def in_words(self) -> str:
-        """Return its name, file, temperature or range."""
+        """Return its name, file, temperature or range.
+
+        Returns
+        -------
+        str
+        """
         if self.blackbody_k is not None:
             return f"black body of {self.blackbody_k:g} K"
         if self.wavelengths_nm is not None:

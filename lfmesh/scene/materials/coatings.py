@@ -49,6 +49,10 @@ class MeasuredIndex(Model):
         Parameters
         ----------
         wavelength_nm : float
+
+        Returns
+        -------
+        complex
         """
         columns = (self.index, self.extinction or (0.0,) * len(self.index))
         n, k = (float(np.interp(wavelength_nm, self.wavelengths_nm, column)) for column in columns)
@@ -89,6 +93,10 @@ class Layer(Model):
         Parameters
         ----------
         wavelength_nm : float
+
+        Returns
+        -------
+        complex
 
         Raises
         ------

@@ -36,7 +36,12 @@ class Finish(Model):
         return self.kind != "polished" and (self.kind != "ground" or (self.roughness or 0.0) >= SMOOTHEST)
 
     def in_words(self) -> str:
-        """Describe the finish."""
+        """Describe the finish.
+
+        Returns
+        -------
+        str
+        """
         parameters = self.model_dump(exclude={"kind"}, exclude_none=True)
         return ", ".join([self.kind, *(f"{key} {value:g}" for key, value in parameters.items())])
 

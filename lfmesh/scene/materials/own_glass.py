@@ -127,6 +127,14 @@ class OwnGlass(Model):
     def index_at(self, wavelength_nm: float) -> float:
         """Return the refractive index at a wavelength, relative to air.
 
+        Parameters
+        ----------
+        wavelength_nm : float
+
+        Returns
+        -------
+        float
+
         Raises
         ------
         GlassError
@@ -135,7 +143,12 @@ class OwnGlass(Model):
         return _index(self, float(wavelength_nm))
 
     def in_words(self) -> str:
-        """Describe the glass, with nd and Vd where it reaches the visible."""
+        """Describe the glass, with nd and Vd where it reaches the visible.
+
+        Returns
+        -------
+        str
+        """
         where = f" {self.air.in_words()}" if self.air is not None else ""
         if self.name is not None:
             return glass_in_words(self.name) + where

@@ -20,11 +20,28 @@ class Air(Model):
     """Pressure, in kPa; 0 is vacuum."""
 
     def index_of(self, index: float, wavelength_nm: float) -> float:
-        """Return a catalogue's index of a glass relative to this air."""
+        """Return a catalogue's index of a glass relative to this air.
+
+        Parameters
+        ----------
+        index : float
+            Of the glass in the air that the catalogue is measured in.
+        wavelength_nm : float
+            In a vacuum.
+
+        Returns
+        -------
+        float
+        """
         return in_other_air(index, wavelength_nm, self.temperature_c, self.pressure_kpa)
 
     def in_words(self) -> str:
-        """Describe the air."""
+        """Describe the air.
+
+        Returns
+        -------
+        str
+        """
         return (
             f"in air of {self.temperature_c:g} °C and {self.pressure_kpa:g} kPa" if self.pressure_kpa else "in vacuum"
         )

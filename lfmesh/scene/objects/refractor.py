@@ -47,7 +47,12 @@ class BodyFile(Model):
     """Of a STEP file: how far a facet may lie off its surface, in mm. Omitted: 3e-4 of the largest body's diagonal."""
 
     def file_faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the mesh file's name and what is said of it."""
+        """Yield what is wrong with the mesh file's name and what is said of it.
+
+        Returns
+        -------
+        iterator of Fault
+        """
         file = str(self.file)
         ending = Path(file).suffix.lower()
         known = (*UNITS_MISSING, *NODE_ENDINGS)

@@ -49,7 +49,16 @@ class Tank(Model):
     """Rotations about x, then y, then z, in degrees."""
 
     def called(self, number: int) -> str:
-        """Return what the tank is called in reports, by its number in the scene."""
+        """Return what the tank is called in reports, by its number in the scene.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        str
+        """
         return self.name or f"tanks[{number}]"
 
     def faults(self) -> Iterator[Fault]:

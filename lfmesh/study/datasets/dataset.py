@@ -106,6 +106,10 @@ class Dataset:
         count, seed : int, optional
             In place of the file's.
 
+        Returns
+        -------
+        Dataset
+
         Raises
         ------
         LfmeshError
@@ -189,6 +193,16 @@ class Dataset:
         """Return what is drawn for an item, by its path; every path has random numbers of its own.
 
         Files are named as from the dataset file.
+
+        Parameters
+        ----------
+        number : int
+            Of the item, from 0.
+
+        Returns
+        -------
+        dict
+            Values by path, such as "camera.focus_mm".
         """
         return {
             draw.path: self._drawn(draw, found, number)
@@ -204,6 +218,15 @@ class Dataset:
     def scene(self, number: int) -> Scene:
         """Return the scene of an item, which has random numbers of its own.
 
+        Parameters
+        ----------
+        number : int
+            Of the item, from 0.
+
+        Returns
+        -------
+        Scene
+
         Raises
         ------
         SceneError
@@ -215,7 +238,17 @@ class Dataset:
         return self.base.changed(values)
 
     def camera_scene(self, scene: Scene) -> Scene:
-        """Return the camera of an item's scene by itself, at the origin, with the template's random numbers."""
+        """Return the camera of an item's scene by itself, at the origin, with the template's random numbers.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of an item, from `scene`.
+
+        Returns
+        -------
+        Scene
+        """
         return scene.camera_alone({"name": "", "camera.pose": {}, "transport.seed": self.base.transport.seed})
 
     @cached_property
@@ -233,7 +266,19 @@ class Dataset:
         return _sha256(facts)
 
     def item(self, number: int, threads: int = 0) -> Item:
-        """Return an item, ready to be made."""
+        """Return an item, ready to be made.
+
+        Parameters
+        ----------
+        number : int
+            From 0.
+        threads : int
+            That render it; 0: all processors.
+
+        Returns
+        -------
+        Item
+        """
         scene, parts = self.scene(number), self.file.parts
         camera = self._camera_digest(self.camera_scene(scene))[:16] if {"white", "camera"} & set(parts) else ""
         facts = {"dataset": self.digest, "item": number}
@@ -263,6 +308,11 @@ class Dataset:
             Only this share of the items, such as (1, 3); several may work in one folder.
         progress : callable, optional
 
+        Returns
+        -------
+        Made
+            The index of the items that are there, and what was warned of.
+
         Warns
         -----
         PictureWarning
@@ -279,7 +329,12 @@ class Dataset:
         return _Making(self, Path(folder), progress).complete(workers, shard)
 
     def summary(self) -> dict[str, Any]:
-        """Return the dataset as plain values, as its folder keeps it."""
+        """Return the dataset as plain values, as its folder keeps it.
+
+        Returns
+        -------
+        dict
+        """
         described = table(self.file)
         described.pop("count", None)
         return {"format": FORMAT, "program": program(), "digest": self.digest, "dataset": described}

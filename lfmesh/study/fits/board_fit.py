@@ -137,6 +137,13 @@ class BoardFit:
         ----------
         board : int
             Its number, from 0.
+
+        Returns
+        -------
+        moved : float
+            mm a mm.
+        error : float
+            Standard error of the distance at a known focus, mm.
         """
         focus = [each.parameter.path for each in self.estimates].index(FOCUS)
         z = len(self.estimates) + 6 * board + 2
@@ -162,6 +169,10 @@ def fit_boards(
         Pictures of checkerboards, or lists of corners; the camera is the same for all.
     also, orientation, samples, progress
         As for `lf.fit`; pictures of boards lie as the white image does.
+
+    Returns
+    -------
+    BoardFit
 
     Raises
     ------

@@ -181,6 +181,10 @@ def fit(
     progress : callable, optional
         Called with what is being done.
 
+    Returns
+    -------
+    Fit
+
     Warns
     -----
     PictureWarning

@@ -138,7 +138,12 @@ class Optimum(Shown):
         return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
 
     def lines(self) -> list[str]:
-        """Return the outcome for a terminal, a line each."""
+        """Return the outcome for a terminal, a line each.
+
+        Returns
+        -------
+        list of str
+        """
         lines = [f"merit {self.merit_before:.6g} before, {self.merit_after:.6g} after"]
         wide = max(len(each.goal.title) for each in (*self.terms, *self.constraints)) + 2
         lines.append(f"{'term':<{wide}}{'target':>12}{'before':>14}{'after':>14}{'of the merit':>14}")
@@ -166,7 +171,12 @@ class Optimum(Shown):
         return "\n".join(self.lines())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the outcome as plain values."""
+        """Return the outcome as plain values.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "merit_before": self.merit_before,
             "merit_after": self.merit_after,

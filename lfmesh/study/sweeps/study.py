@@ -128,6 +128,14 @@ class Study:
     def load(cls, path: str | Path) -> "Study":
         """Read a study file, its scene, and check every point.
 
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Study
+
         Raises
         ------
         LfmeshError
@@ -169,6 +177,10 @@ class Study:
             Only this share of the units, such as (1, 3); `merged` puts the shares together.
         progress : callable, optional
 
+        Returns
+        -------
+        Table
+
         Warns
         -----
         PictureWarning
@@ -185,11 +197,31 @@ class Study:
         return Run(self.plan, Path(folder), progress).complete(workers, dask, shard)
 
     def table(self, folder: str | Path) -> Table:
-        """Return the table of what is done in a folder."""
+        """Return the table of what is done in a folder.
+
+        Parameters
+        ----------
+        folder : str or Path
+
+        Returns
+        -------
+        Table
+        """
         return Run(self.plan, Path(folder)).table()
 
     def merge(self, folders: Sequence[str | Path], into: str | Path) -> Table:
         """Put the units of several folders of this study together, and write the table.
+
+        Parameters
+        ----------
+        folders : sequence of str or Path
+            Of shards of this study.
+        into : str or Path
+            Folder to write to.
+
+        Returns
+        -------
+        Table
 
         Raises
         ------

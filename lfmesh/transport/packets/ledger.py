@@ -45,13 +45,19 @@ class Ledger(Shown):
     """
 
     unit: str = "W"
+    """Of all energies."""
     emitted: float = 0.0
+    """Of the packets when they start."""
     sensor: float = 0.0
+    """Of packets that ended on the sensor."""
     absorbed: dict[str, float] = field(default_factory=dict)
     """By body: "stop", "lens[0] edge", "mount", "mla edge", "housing", "targets[0]", ..."""
     escaped: float = 0.0
+    """Gone to where nothing is."""
     roulette_added: float = 0.0
+    """Added to packets that survived Russian roulette."""
     roulette_removed: float = 0.0
+    """Of packets that it ended."""
     sampling_added: float = 0.0
     """Added by aimed sampling: at a scattering event, the weight of the child that is aimed at the pupil."""
     sampling_removed: float = 0.0
@@ -121,18 +127,38 @@ class Ledger(Shown):
         return sum(self.lost.values()) / self.emitted if self.emitted else 0.0
 
     def loss_in_words(self) -> str | None:
-        """Return the message of a warning about the lost energy; None if the loss is within `LOST_LIMIT`."""
+        """Return the message of a warning about the lost energy; None if the loss is within `LOST_LIMIT`.
+
+        Returns
+        -------
+        str or None
+        """
         return loss_in_words(sum(self.lost.values()), self.lost_in, self.emitted)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "Ledger":
-        """Return the ledger that `as_dict` was made from; fields that an older report lacks keep their defaults."""
+        """Return the ledger that `as_dict` was made from; fields that an older report lacks keep their defaults.
+
+        Parameters
+        ----------
+        values : dict
+            From `as_dict`, or the ledger in a run's report.
+
+        Returns
+        -------
+        Ledger
+        """
         own = {each.name: values[each.name] for each in fields(cls) if each.name in values}
         lamps = values.get("lamps")
         return cls(**own | {"lamps": None if lamps is None else cls.from_dict(lamps)})
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers for JSON, the derived ones included."""
+        """Return plain numbers for JSON, the derived ones included.
+
+        Returns
+        -------
+        dict
+        """
         return {
             **vars(self),
             "lamps": None if self.lamps is None else self.lamps.as_dict(),

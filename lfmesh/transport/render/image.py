@@ -130,7 +130,15 @@ class Image(Pictured):
         return error_of(self._estimate(self.hits), neighbours(self.scene))
 
     def errors_by_rows(self) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.int64]]]:
-        """Yield some rows, their `error`, and the number of pixels in each pool of neighbours."""
+        """Yield some rows, their `error`, and the number of pixels in each pool of neighbours.
+
+        Yields
+        ------
+        rows : slice
+        error : (rows, W, wavelengths) float64
+            W.
+        pooled : (rows, W, wavelengths) int64
+        """
         for rows, error, pooled in errors_by_rows(self._estimate(self.hits), neighbours(self.scene)):
             yield rows, error if self.certainty is None else self.certainty.error[rows], pooled
 
@@ -162,6 +170,10 @@ class Image(Pictured):
         Parameters
         ----------
         film : (H, W, wavelengths) float64, W
+
+        Returns
+        -------
+        Image
         """
         certainty = Certainty(self.error, self.upper + film)
         ledger = replace(self.ledger, untraced=self.ledger.untraced + float(film.sum()))

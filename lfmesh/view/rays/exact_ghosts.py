@@ -105,7 +105,17 @@ class ExactGhosts:
         return sum(row.error for row in self.ghosts)
 
     def lines(self, most: int = SHOWN) -> list[str]:
-        """Return the strongest ghosts for a terminal, a line each, and what all of them bring."""
+        """Return the strongest ghosts for a terminal, a line each, and what all of them bring.
+
+        Parameters
+        ----------
+        most : int
+            Ghosts to list.
+
+        Returns
+        -------
+        list of str
+        """
         lit = [row for row in self.ghosts if row.power > 0.0]
         lines = [f"{'ghost':<10}{'power/W':>11}{'error/W':>10}{'of image':>10}{'focus/mm':>11}"]
         for row in lit[:most]:
@@ -138,6 +148,10 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         In front of the lens.
     wavelengths_nm : sequence of float, optional
         Those of the scene if left out.
+
+    Returns
+    -------
+    ExactGhosts
 
     Raises
     ------

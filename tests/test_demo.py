@@ -11,12 +11,12 @@ from scipy import stats
 from scipy.spatial import ConvexHull
 
 import lfmesh
+import lfmesh as lf
 import lfmesh.waves.render
 from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.files.run import RAW, SCENE
 from lfmesh.scene import Scene
-from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.render import render
 
 SMALL = """
@@ -178,7 +178,7 @@ def without(scene: Scene, name: str) -> Scene:
     return scene.model_copy(update={"targets": tuple(t for t in scene.targets if t.name != name)})
 
 
-def upright(image: Image) -> np.ndarray:
+def upright(image: lf.Image) -> np.ndarray:
     """As somebody behind the camera sees it: row 0 on top (+y), columns to the right (+x)."""
     return image.mean[:, ::-1, 0]
 

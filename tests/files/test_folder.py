@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 import lfmesh
+import lfmesh as lf
 from lfmesh.errors import FileError
 from lfmesh.files import checkpoint, image_file, run
 from lfmesh.files.checkpoint import CHECKPOINT, Checkpoints
 from lfmesh.files.exports import export
 from lfmesh.files.folder import JOURNAL, MANIFEST, STAGING, manifest_of, recover, saved, staged
-from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.tally import Layout
 
-Build = Callable[..., Image]
+Build = Callable[..., lf.Image]
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
 
@@ -106,7 +106,7 @@ def textured(image_of: Build, tmp_path: Path) -> Build:
     """Build images of a scene that reads two files, one of which changes."""
     (tmp_path / "project").mkdir()
 
-    def build(contents: bytes, **changes: Any) -> Image:
+    def build(contents: bytes, **changes: Any) -> lf.Image:
         (tmp_path / "project" / "chart.png").write_bytes(contents)
         scene = image_of().scene.changed({"targets[0].material.texture": "chart.png"}).in_folder(tmp_path / "project")
         return image_of(scene, **changes)

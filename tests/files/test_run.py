@@ -13,16 +13,15 @@ import OpenEXR
 import PIL.Image
 import pytest
 
+import lfmesh as lf
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
 from lfmesh.transport.checks.order_check import OrderCheck
-from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.certainty import Certainty
-from lfmesh.transport.render.image import Image
 from lfmesh.view.request import subject_of
 
-Build = Callable[..., Image]
+Build = Callable[..., lf.Image]
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
@@ -191,7 +190,7 @@ def test_the_report_holds_the_airy_disks(image_of: Build, scene: Scene, tmp_path
 def test_a_report_of_before_losses_were_booked_by_body_opens(image_of: Build) -> None:
     older = image_of().ledger.as_dict()
     del older["lost_in"]
-    assert Ledger.from_dict(older).lost_in == {}
+    assert lf.Ledger.from_dict(older).lost_in == {}
 
 
 def test_a_new_run_replaces_the_old_one_and_leaves_other_files(image_of: Build, scene: Scene, tmp_path: Path) -> None:

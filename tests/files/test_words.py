@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.errors import in_order
 from lfmesh.files import words
 from lfmesh.scene import Lens, Scene, first_order
@@ -13,13 +14,11 @@ from lfmesh.scene.advice import doubtful
 from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.checks.order_check import OrderCheck
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
 
-Build = Callable[..., Image]
+Build = Callable[..., lf.Image]
 
 
-def text(image: Image) -> str:
+def text(image: lf.Image) -> str:
     image.warnings = in_order([*found(image), *doubtful(image.scene, first_order(image.scene))])
     return "\n".join(words.summary(image))
 
@@ -88,7 +87,7 @@ def test_a_black_picture_says_that_the_light_ended_on_the_stop(image_of: Build, 
         scene.changed({"transport.method": "forward"}),
         mean=np.zeros((60, 80, 1)),
         stderr=np.zeros((60, 80, 1)),
-        ledger=Ledger(emitted=1.0, absorbed={"stop": 0.997, "mount": 0.002}, escaped=0.001),
+        ledger=lf.Ledger(emitted=1.0, absorbed={"stop": 0.997, "mount": 0.002}, escaped=0.001),
     )
     lines = text(image)
     assert "The picture is black" in lines
@@ -97,16 +96,16 @@ def test_a_black_picture_says_that_the_light_ended_on_the_stop(image_of: Build, 
 
 def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of: Build) -> None:
     black = np.zeros((60, 80, 1))
-    ledger = Ledger(emitted=4.0, absorbed={"stop": 3.0, "targets[0]": 1.0}, reached_target=1.0, lit=0.0)
+    ledger = lf.Ledger(emitted=4.0, absorbed={"stop": 3.0, "targets[0]": 1.0}, reached_target=1.0, lit=0.0)
     lines = text(image_of(mean=black, stderr=black, ledger=ledger))
     assert "75 % ended on the stop, 25 % ended on targets[0]" in lines
     assert "25 % of the paths reached a target, but no light reaches it there" in lines
-    nowhere = Ledger(emitted=4.0, escaped=4.0)
+    nowhere = lf.Ledger(emitted=4.0, escaped=4.0)
     assert "None of them reached a target" in text(image_of(mean=black, stderr=black, ledger=nowhere))
 
 
 def test_a_picture_from_within_a_target_says_that_its_inside_is_black(image_of: Build) -> None:
-    ledger = Ledger(emitted=1.0, escaped=0.1, absorbed={"targets[0]": 0.75, "stop": 0.15})
+    ledger = lf.Ledger(emitted=1.0, escaped=0.1, absorbed={"targets[0]": 0.75, "stop": 0.15})
     said = text(image_of(mean=np.zeros((60, 80, 1)), stderr=np.zeros((60, 80, 1)), ledger=ledger))
     assert "75 % of them met a target from its black side" in said
     assert "None of them reached a target" not in said
@@ -118,19 +117,19 @@ def test_a_well_lit_picture_does_not_speak_of_losses(image_of: Build) -> None:
 
 def test_roulette_is_no_place_where_light_goes(image_of: Build) -> None:
     black = np.zeros((60, 80, 1))
-    ledger = Ledger(emitted=1.0, absorbed={"stop": 1.0}, roulette_added=5.0, roulette_removed=5.0)
+    ledger = lf.Ledger(emitted=1.0, absorbed={"stop": 1.0}, roulette_added=5.0, roulette_removed=5.0)
     assert "100 % ended on the stop" in text(image_of(mean=black, stderr=black, ledger=ledger))
 
 
 def test_no_light_at_all_is_said(image_of: Build, scene: Scene) -> None:
     black = np.zeros((60, 80, 1))
     forward = scene.changed({"transport.method": "forward"})
-    assert "have no power" in text(image_of(forward, mean=black, stderr=black, ledger=Ledger()))
+    assert "have no power" in text(image_of(forward, mean=black, stderr=black, ledger=lf.Ledger()))
 
 
 def test_where_only_particles_shine_their_light_is_accounted_for(image_of: Build) -> None:
     """In the adjoint method as well, whose paths from the sensor are then not traced at all."""
-    ledger, few = Ledger(unit="m² sr", lamps=Ledger(emitted=4.0, sensor=1.0)), np.zeros((60, 80, 1))
+    ledger, few = lf.Ledger(unit="m² sr", lamps=lf.Ledger(emitted=4.0, sensor=1.0)), np.zeros((60, 80, 1))
     few[7, 9] = 1.0
     image = image_of(mean=few, stderr=0.1 * few, ledger=ledger)
     assert "Only particles shine: 25 % of their light came to the sensor." in text(image)
@@ -147,7 +146,9 @@ def test_an_interrupted_run_says_how_far_it_came(image_of: Build) -> None:
 
 def test_leaks_are_reported(image_of: Build) -> None:
     lost_in = {f"targets[{i}]": 1e-4 * (i + 1) for i in range(4)} | {"mla": 2e-6, "lens[0]": 1e-6}
-    ledger = Ledger(emitted=2.0, absorbed={"stop": 1.9}, lost={"contradiction": sum(lost_in.values())}, lost_in=lost_in)
+    ledger = lf.Ledger(
+        emitted=2.0, absorbed={"stop": 1.9}, lost={"contradiction": sum(lost_in.values())}, lost_in=lost_in
+    )
     lines = text(image_of(ledger=ledger))
     assert (
         "Warning: 5.0e-04 of the energy was lost by the tracer: 2.0e-04 in targets[3], 1.5e-04 in targets[2], 1.0e-04"
@@ -173,7 +174,7 @@ def test_the_airy_disks_are_said_and_warned_of_above_one_sample(image_of: Build,
 
 @pytest.mark.parametrize(("lost", "said"), [(0.99e-7, False), (1.01e-7, True)])
 def test_a_loss_above_one_part_in_ten_million_is_said(image_of: Build, lost: float, said: bool) -> None:
-    ledger = Ledger(emitted=1.0, escaped=1.0 - lost, lost={"miss": lost}, lost_in={"mla": lost})
+    ledger = lf.Ledger(emitted=1.0, escaped=1.0 - lost, lost={"miss": lost}, lost_in={"mla": lost})
     assert (
         "Warning: 1.0e-07 of the energy was lost by the tracer: 1.0e-07 in mla" in text(image_of(ledger=ledger))
     ) == said

@@ -18,7 +18,7 @@ import lfmesh as lf
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.scene.objects.targets import Sphere
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from tests.instances import instances
 from tests.renders import of_world
 from tests.validation.test_every_path_once import GLOW, MIRROR, SCREEN, WHITE, accepted, folder, scene, sheet
@@ -105,7 +105,7 @@ def test_many_small_emitters_beside_a_huge_one_count_as_much() -> None:
         expected += own
     assert own < 0.11 * expected
     given = patch([], [*small, huge])
-    found, lone = irradiances(given, 32), powers(by_chance(build(given)), range(32))
+    found, lone = irradiances(given, 32), powers(by_chance(lf.build(given)), range(32))
     assert stats.sem(found) / found.mean() < 0.5 * stats.sem(lone) / lone.mean()
     assert stats.sem(found) < 0.015 * expected
     assert_means(found[:, None], np.array([expected]), 1e-3)
@@ -127,7 +127,7 @@ def test_an_emitter_that_stands_on_the_surface_has_a_finite_variance() -> None:
     wide = {"camera.sensor.pixels": (12, 12)}
     given = patch([], [wall]).changed(wide)
     lit, alone, glow = (
-        powers(build(one), range(24))
+        powers(lf.build(one), range(24))
         for one in (
             given, given.changed({"targets[0].material.reflectance": 0.0}), patch([], radiance=1.0).changed(wide)
         )
@@ -143,8 +143,8 @@ def test_an_emitter_that_stands_on_the_surface_has_a_finite_variance() -> None:
 def test_a_furnace_that_lights_itself_shows_no_walls(reflectance: float) -> None:
     """Walls that emit L and reflect ρ have the radiance L / (1 − ρ), less what leaves by the hole, see `furnace`."""
     seeds = range(24)
-    walls = powers(build(furnace(reflectance, 1.0).changed({"transport.samples": 384})), seeds)
-    black = powers(build(furnace(0.0, 1.0).changed({"transport.samples": 384})), seeds)
+    walls = powers(lf.build(furnace(reflectance, 1.0).changed({"transport.samples": 384})), seeds)
+    black = powers(lf.build(furnace(0.0, 1.0).changed({"transport.samples": 384})), seeds)
     ratio = walls / black * (1.0 - reflectance)
     lack = 0.002 * reflectance / (1.0 - reflectance)
     assert stats.sem(ratio) < 1e-3
@@ -157,7 +157,7 @@ COMPARISONS = 8
 
 def assert_chance_agrees(given: lf.Scene, closer: float = 1.0) -> None:
     """Compare with scattered packets alone: Welch's t-test; and the errors of the two."""
-    world = build(given)
+    world = lf.build(given)
     found, lone = powers(world, range(SEEDS)), powers(by_chance(world), range(SEEDS, 2 * SEEDS))
     assert len(world.tables.objects.emitters.until)
     assert stats.ttest_ind(found, lone, equal_var=False).pvalue > LEVEL / COMPARISONS, (found, lone)

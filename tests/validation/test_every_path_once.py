@@ -19,7 +19,7 @@ import lfmesh as lf
 from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from tests.instances import instances
 
 LEVEL = 1e-3
@@ -281,7 +281,7 @@ def test_light_that_comes_in_many_ways_counts_once(split: str, folder: Path) -> 
 def test_to_count_a_lamps_light_twice_would_be_seen(folder: Path) -> None:
     """Were all light of the lamps traced from them, and not what met glass alone, the scene above would show it."""
     given = scene(folder, MANY_WAYS, TWO_LAMPS, samples=2048 * REPLICATES)
-    world = build(given)
+    world = lf.build(given)
     whole = parts_of(world)
     *of_pixels, of_lamps = whole
     assert [part.options.adjoint for part in whole] == [True, True, True, False]

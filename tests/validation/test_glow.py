@@ -18,7 +18,7 @@ from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from tests.cameras import camera_without_array
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ WAYS: dict[str, dict[str, Any]] = {
 def test_light_of_media_counts_once_by_whatever_way_it_is_found(name: str) -> None:
     """Against scattered packets alone: z-tests of the whole light at 3.5 sigma, a level of 0.002 for four scenes."""
     transport = {"samples": 192, "replicates": 16, "seed": 4}
-    world = build(lf.Scene(camera=camera_without_array(pixels=8), transport=transport, **WAYS[name]))  # type: ignore[arg-type]
+    world = lf.build(lf.Scene(camera=camera_without_array(pixels=8), transport=transport, **WAYS[name]))  # type: ignore[arg-type]
     images = [Renderer(each).image() for each in (world, by_chance(world))]
     (a, sigma_a), (b, sigma_b) = ((im.mean.sum(), np.sqrt((im.stderr**2).sum())) for im in images)
     assert sigma_a < 1.1 * sigma_b

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d.plotter import View
@@ -56,12 +57,12 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def world(scene: Scene) -> World:
-    return build(scene)
+    return lf.build(scene)
 
 
 @pytest.fixture(scope="session")
 def conventional() -> World:
-    return build(loads(CONVENTIONAL))
+    return lf.build(loads(CONVENTIONAL))
 
 
 @pytest.fixture

@@ -13,12 +13,11 @@ import pytest
 import trimesh
 
 import lfmesh
+import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.files import run as runs
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World
 from lfmesh.view import show
 from lfmesh.view.rays import launch
@@ -34,9 +33,9 @@ QUICK = ["--size", "320x200", "--count", "6"]
 FETCHES = re.compile(r"""(?:src|href|url|import|fetch)["']?\s*[=(:,]\s*["'`]?\s*(?:https?:)?//""", re.IGNORECASE)
 
 
-def image_of(scene: Scene, power: np.ndarray) -> Image:
-    ledger = Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0}, packets=1, events=1)
-    return Image(power, 0.01 * power, scene, ledger, 1.0, 8, 64.0, "mesh engine")
+def image_of(scene: Scene, power: np.ndarray) -> lf.Image:
+    ledger = lf.Ledger(unit="m² sr", emitted=1.0, absorbed={"stop": 1.0}, packets=1, events=1)
+    return lf.Image(power, 0.01 * power, scene, ledger, 1.0, 8, 64.0, "mesh engine")
 
 
 @pytest.mark.drawing

@@ -26,7 +26,7 @@ from lfmesh.transport.aims.pupil import opening_from, real_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from tests.instances import instances
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def test_the_opening_holds_what_real_rays_pass_and_little_more() -> None:
 def test_a_point_by_itself_sees_the_lens() -> None:
     """The table ends at the widest of the points that it is made for, which must not fall beyond it by rounding."""
     places = np.random.default_rng(5).uniform((-5.0, -5.0, -90.0), (5.0, 5.0, -50.0), (150, 3))
-    lens = build(scene(None)).tables.lens
+    lens = lf.build(scene(None)).tables.lens
     dark = []
     for place in places:
         seen = viewpoints(float(lens.box_low[2]), 3.5, place[None], to_sensor=True)

@@ -9,7 +9,6 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.scene.light.spectra import curve_of
 from lfmesh.transport.checks.lamp_lines import lamp_lines
-from lfmesh.transport.world import build
 from tests.cameras import as_text, camera_without_array
 
 DOWNLIGHT = "IESNA:LM-63-1995\nTILT=NONE\n1 1000 2 2 1 1 2 0 0 0\n0.5 1 40\n0 90\n0\n7 7\n"
@@ -28,7 +27,7 @@ def scene(folder: Path, height_mm: float, **sensor: object) -> lf.Scene:
 
 
 def lines_of(scene: lf.Scene) -> list[str]:
-    return lamp_lines(scene, build(scene).targets)
+    return lamp_lines(scene, lf.build(scene).targets)
 
 
 def test_a_profile_is_described_in_watts_and_in_the_units_of_its_file(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from lfmesh.transport import engine
 from lfmesh.transport.lights.emitting_facets import density_at, emitting_point
 from lfmesh.transport.tables.emitting_facets import MOST_PIECES, emitter_table
 from lfmesh.transport.tables.tables import ObjectTables
-from lfmesh.transport.world import build
 
 Array = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ def scene(targets: list[dict[str, Any]], lights: list[dict[str, Any]], **transpo
 
 @pytest.fixture(scope="module")
 def objects() -> ObjectTables:
-    return build(scene([SCREEN, *SHINING], [])).tables.objects
+    return lf.build(scene([SCREEN, *SHINING], [])).tables.objects
 
 
 @kernel

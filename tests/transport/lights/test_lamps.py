@@ -17,7 +17,6 @@ from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.sources.lamp_rays import emitted
 from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT
 from lfmesh.transport.tables.tables import ObjectTables
-from lfmesh.transport.world import build
 
 Array = NDArray[np.float64]
 
@@ -74,7 +73,7 @@ def tables_of(light: dict[str, Any], folder: Path) -> ObjectTables:
     ball = {"shape": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": [0.0, 0.0, -60.0]}
     scene = lf.Scene(camera={"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": [4, 4], "pixel_mm": 0.1}},
                      targets=[ball], lights=[light])  # fmt: skip
-    return build(scene.in_folder(folder)).tables.objects
+    return lf.build(scene.in_folder(folder)).tables.objects
 
 
 @kernel

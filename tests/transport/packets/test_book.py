@@ -5,15 +5,15 @@ from dataclasses import fields
 
 import numpy as np
 
+import lfmesh as lf
 from lfmesh.transport.packets.book import ABSORBED, FIXED, LOST, LOST_IN, Book
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import EVENT_OF_STATUS, PACKET, Event, Status, put
+from lfmesh.transport.packets.packet import EVENT_OF_STATUS, PACKET, Event, put
 
 BOOK = Book.of_bodies(2, ["chart", "ball"], ["the air before the lens", "lens[0]", "the air behind the lens"])
 
 
 def test_every_slot_adds_to_a_field_of_the_ledger() -> None:
-    known = {field.name for field in fields(Ledger)}
+    known = {field.name for field in fields(lf.Ledger)}
     assert {slot.account for slot in BOOK.slots} <= known
     assert len({(slot.name, slot.account) for slot in FIXED}) == len(FIXED)
 
@@ -40,8 +40,8 @@ def test_bodies_of_one_name_share_a_line() -> None:
 
 
 def test_every_status_has_the_event_of_its_name() -> None:
-    for status in Status:
-        if status is not Status.ROULETTE:
+    for status in lf.Status:
+        if status is not lf.Status.ROULETTE:
             assert Event(EVENT_OF_STATUS[status]).name == status.name
 
 

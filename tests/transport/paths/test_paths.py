@@ -33,7 +33,7 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from tests.cameras import biconvex
 
 INDEX = 1.8
@@ -98,7 +98,7 @@ def world_of(camera: dict[str, Any], folder: Path) -> World:
         ],
         transport={"split": "roulette", "weight_cutoff": 0.0, "threads": 1},
     )
-    return build(scene.in_folder(folder))
+    return lf.build(scene.in_folder(folder))
 
 
 def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:

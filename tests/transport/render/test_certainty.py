@@ -9,7 +9,6 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render import certainty
 from lfmesh.transport.render.certainty import Estimate
 
@@ -180,7 +179,7 @@ def test_errors_of_parts_add_by_their_squares() -> None:
 def test_an_image_says_its_error_and_its_bound() -> None:
     scene = lf.load("assets/scenes/first_light.toml").changed({"camera.sensor.pixels": (6, 4)})
     mean = np.zeros((4, 6, 1))
-    image = lf.Image(mean, mean.copy(), scene, Ledger(), 1.0, 8, 32.0, "by hand")
+    image = lf.Image(mean, mean.copy(), scene, lf.Ledger(), 1.0, 8, 32.0, "by hand")
     assert image.error.shape == mean.shape
     with pytest.raises(LfmeshError, match="image without hits"):
         _ = image.upper

@@ -14,7 +14,6 @@ import lfmesh as lf
 from lfmesh import provenance
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.render.on_cluster import render_on_cluster
-from lfmesh.transport.render.progress import Progress
 from tests.cameras import close_up_camera
 
 PLANE = {
@@ -43,7 +42,7 @@ def cluster() -> Iterator[Any]:
 
 
 def test_a_cluster_has_the_same_bits(cluster: Any, scene: lf.Scene) -> None:
-    reports: list[Progress] = []
+    reports: list[lf.Progress] = []
     image = render_on_cluster(scene, cluster.scheduler_address, progress=reports.append)
     whole = lf.render(scene)
     for name in ("mean", "stderr", "hits"):
@@ -65,7 +64,7 @@ def test_a_worker_that_dies_costs_its_pieces_alone(cluster: Any, scene: lf.Scene
     killed = []
     longer = scene.changed({"transport.replicates": 6, "transport.samples": 6 * 256})
 
-    def kill_one(_: Progress) -> None:
+    def kill_one(_: lf.Progress) -> None:
         if not killed:
             with Client(cluster) as client:
                 killed.append(next(iter(client.run(os.getpid).values())))

@@ -15,7 +15,6 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.transport.render.parts import parts_of
-from lfmesh.transport.world import build
 from tests.cameras import SQUARE_ARRAY, biconvex
 from tests.renders import by_seed
 
@@ -75,7 +74,7 @@ def test_the_parts_make_the_picture_of_the_mesh_engine(changes: dict[str, Any], 
         glass = {"file": (tmp_path / "ball.stl").as_posix(), "units": "mm", "index": 2.0}
         changes = {"targets": [PLANE, {"refractor": glass, "position_mm": (0.3, 0.2, -50.0)}]}
     given = scene(**changes)
-    assert len(parts_of(build(given))) == 3
+    assert len(parts_of(lf.build(given))) == 3
     apart = replicates(given)
     whole = replicates(given.changed({"transport.engine": "mesh", "transport.weight_cutoff": 0.1}))
     image_path = squares(lf.render(given.changed({"transport.split": "transmit"})))
@@ -128,14 +127,14 @@ def lamp_behind_glass(tmp_path_factory: pytest.TempPathFactory) -> lf.Scene:
 
 
 def test_lamps_have_a_part_where_their_light_meets_glass_and_targets_scatter_it(lamp_behind_glass: lf.Scene) -> None:
-    assert [part.options.adjoint for part in parts_of(build(lamp_behind_glass))] == [True, True, True, False]
+    assert [part.options.adjoint for part in parts_of(lf.build(lamp_behind_glass))] == [True, True, True, False]
     for changes in (
         {"lights": []},
         {"targets": [PAINTED]},
         {"targets[0].material.reflectance": 0.0},
         {"transport.method": "forward"},
     ):
-        others = parts_of(build(lamp_behind_glass.changed(changes)))
+        others = parts_of(lf.build(lamp_behind_glass.changed(changes)))
         assert [part.options.adjoint for part in others] in ([True, True, True], [False])
 
 

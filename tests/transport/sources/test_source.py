@@ -17,7 +17,7 @@ from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.lines import FIRST
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 
 KEY = run_key(7)
 PIXELS, SAMPLES = 36, 5
@@ -33,7 +33,7 @@ def world() -> World:
             "material": {"reflectance": 0.5, "radiance_w_m2_sr": 2.0}}  # fmt: skip
     lamp = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1e-3}
     camera = {"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": [6, 6], "pixel_mm": 0.1}}
-    return build(lf.Scene(camera=camera, targets=[wall], lights=[lamp]))
+    return lf.build(lf.Scene(camera=camera, targets=[wall], lights=[lamp]))
 
 
 def pixels() -> Source:
@@ -120,7 +120,7 @@ def test_a_ray_carries_its_weight_and_meets_nothing_near_its_start(world: World)
 
 def test_nothing_starts_where_nothing_shines() -> None:
     camera = {"focus_mm": 60.0, "lens": LENS, "sensor": {"pixels": [6, 6], "pixel_mm": 0.1}}
-    dark = build(lf.Scene(camera=camera, targets=[]))
+    dark = lf.build(lf.Scene(camera=camera, targets=[]))
     assert started(workspace(dark, "lights"), lights(), range(150)) == ([], 0.0)
 
 
@@ -130,7 +130,7 @@ def test_no_ray_through_the_array_is_rouletted_by_more_than_a_lenslets_weight() 
     camera = {"focus_mm": 60.0, "lens": LENS, "mla": {"count": (12, 12), "pitch_mm": 0.125, "focal_length_mm": 0.5,
               "index": 1.5, "thickness_mm": 0.3}, "sensor": sensor}  # fmt: skip
     wall = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0.0, 0.0, -60.0]}
-    world = build(lf.Scene(camera=camera, targets=[wall]))
+    world = lf.build(lf.Scene(camera=camera, targets=[wall]))
     samples = 16
     aim = world.aim._replace(exit=world.aim.exit._replace(wide_share=0.5))
     tables = world.tables._replace(aim=aim)

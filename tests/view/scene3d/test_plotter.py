@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+import lfmesh as lf
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import loads
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d import pick
@@ -159,7 +160,7 @@ LARGE = (
 
 
 def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(views: Callable[..., View]) -> None:
-    world = build(loads(LARGE))
+    world = lf.build(loads(LARGE))
     of = world.tables.mla.lenslets
     assert of.lattice.columns * of.lattice.rows > MOST_LENSLETS
     near = (2.0, -1.0)
@@ -188,7 +189,7 @@ def test_a_large_array_is_a_plate_with_real_lenslets_where_they_are_looked_at(vi
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
 def test_drawn_lenslets_are_those_of_the_whole_mesh(layout: str, form: str) -> None:
     text = SCENE.replace("count = [12, 10]", f'layout = "{layout}"\n{form}\ncount = [12, 10]')
-    world = build(loads(text.replace("focal_length_mm = 3.0", "focal_length_mm = [3.0, 2.5]")))
+    world = lf.build(loads(text.replace("focal_length_mm = 3.0", "focal_length_mm = [3.0, 2.5]")))
     of = world.tables.mla.lenslets
     drawn = caps(of, *all_cells(of.lattice))
     to_array = motion(world, "world", "array")

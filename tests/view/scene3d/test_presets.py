@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.overlay import in_words
 from lfmesh.view.scene3d.parts import round_length
@@ -71,7 +72,7 @@ def test_a_preset_shows_its_part_between_the_clipping_planes(
 @pytest.mark.parametrize("large", ["width_mm = 20000.0, height_mm = 20000.0", "width_mm = 30.0, height_mm = 30.0"])
 def test_neither_walls_nor_far_lamps_make_the_camera_invisible(large: str) -> None:
     wall = SCENE.replace('{ kind = "box", size_mm = [30.0, 20.0, 2.0] }', f'{{ kind = "plane", {large} }}')
-    world = build(loads(wall.replace("[0.0, -40.0, -120.0]", "[0.0, -9e6, -120.0]")))
+    world = lf.build(loads(wall.replace("[0.0, -40.0, -120.0]", "[0.0, -9e6, -120.0]")))
     seen = viewpoint(world, "whole", ASPECT)
     lens = np.asarray(world.mesh("lens[0]").vertices)
     height = np.ptp(in_picture(seen, lens)[:, 1]) / 2.0
@@ -84,7 +85,7 @@ def test_y_is_up_and_x_to_the_right_seen_from_behind_the_camera(
     scene: Scene, preset: str, pose: dict[str, Any]
 ) -> None:
     """From before it, x is to the left; from beside, the sensor is right of the objects. All in the camera's frame."""
-    world = build(scene.changed({"camera.pose": pose}))
+    world = lf.build(scene.changed({"camera.pose": pose}))
     frame = motion(world, "camera", "world")
     seen = viewpoint(world, preset, ASPECT)
     ends = np.concatenate([frames.directions(frame, np.eye(3)), np.zeros((1, 3))]) + seen.focus

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.transport.packets.packet import Status
 from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
@@ -66,8 +66,8 @@ def test_colours_follow_what_they_stand_for(split_rays: Rays) -> None:
     rgb, legend = ray_colours(split_rays, lines.path, lines.vertex, "status")
     names = dict(legend.entries)
     for status in np.unique(split_rays.status[lines.path]):
-        colour = OF_STATUS[Status(status)]
-        assert names[Status(status).name.lower()] == colour
+        colour = OF_STATUS[lf.Status(status)]
+        assert names[lf.Status(status).name.lower()] == colour
         wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
         assert (rgb[split_rays.status[lines.path] == status] == wanted).all()
 

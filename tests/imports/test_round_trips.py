@@ -17,6 +17,7 @@ from lfmesh.scene.camera.lens import FileChoices
 from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredIndex
 from lfmesh.scene.materials.own_glass import OwnGlass
 from tests.imports.dialects import WRITTEN
+from tests.instances import instances
 
 SEMI = 4.0
 SENSOR_MM = 70.0
@@ -155,6 +156,28 @@ def examine(seed: int, ending: str, path: Any) -> None:
     assert len(rays) > 5
     np.testing.assert_array_equal(rays, same)
     np.testing.assert_allclose(there, at, atol=SAME_RAYS_MM)
+
+
+@pytest.mark.parametrize("ending", instances(READ, long=[".zmx", ".len"]))
+def test_the_lenses_have_all_that_a_dialect_has(ending: str) -> None:
+    lenses = [random_lens(seed, ending) for seed in range(8)]
+    surfaces = [surface for lens in lenses for surface in lens.surfaces]
+    keys = {"conic": "conic", "even": "asphere_mm", "odd": "odd_asphere_mm"}
+    for kind in SHAPES[ending]:
+        empty = [(), None, 0.0]
+        if kind == "sphere":
+            assert any(not surface.terms_mm and not surface.conic for surface in surfaces)
+        elif kind == "long":
+            assert any(len(surface.asphere_mm) == 12 for surface in surfaces)
+        else:
+            assert any(getattr(surface, keys.get(kind, kind)) not in empty for surface in surfaces), kind
+    assert any(math.isinf(surface.radius_mm) for surface in surfaces)
+    assert {surface.medium for surface in surfaces} == {
+        None,
+        *(lf.Surface(semi_diameter_mm=1.0, **each).medium for each in (*GLASSES, OWN[ending])),
+    }
+    assert any(lens.elements for lens in lenses) == (ending not in ON_AXIS)
+    assert any(lens.coatings for lens in lenses) == (ending in COATED)
 
 
 @pytest.mark.parametrize("ending", READ)

@@ -46,7 +46,11 @@ _REFUSED = {
     **dict.fromkeys(["ELX", "ELY"], "elliptical apertures are not supported"),
     **dict.fromkeys(["ADX", "ADY"], "decentred apertures are not supported"),
     **dict.fromkeys(["NSS", "ENS"], "non-sequential groups are not supported"),
-    **dict.fromkeys(["BEN", "GLB"], "folded and global axes are not supported"),
+    "BEN": "an axis that bends at a mirror is not supported",
+    "GLB": "surfaces placed from an earlier one than that before them are not supported",
+    **dict.fromkeys(
+        ["INS", "DEL", "COP", "SCA", "FLI"], "commands that edit the lens are not run; save what they make"
+    ),
 }
 
 MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
@@ -204,8 +208,12 @@ class _Reader:
             place = found[1]
             if found[2] or place == "S":
                 raise ValueError("commands for several surfaces are not supported")
-            number_of = {"O": 0, "I": len(self.made.surfaces) - 1}.get(place)
-            return self.made.surfaces[int(place) if number_of is None else number_of], words[1:]
+            last = len(self.made.surfaces) - 1
+            number_of = {"O": 0, "I": last}.get(place)
+            number_of = int(place) if number_of is None else number_of
+            if number_of > last:
+                raise ValueError(f"there is no surface {number_of}")
+            return self.made.surfaces[number_of], words[1:]
         if not self.made.surfaces:
             raise ValueError("it stands before the first surface")
         return self.made.surfaces[-1], words

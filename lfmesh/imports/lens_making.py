@@ -8,6 +8,7 @@ a size open.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     media = _media(prescription, report, glasses or {})
     made = _merged(prescription, media, report)
     report.raise_refusals()
-    if not made.kept:
+    bends = [here != before for before, here in pairwise([None, *made.media])]
+    if not any(bends) and all(surface.focal_length is None for surface in made.kept):
         raise SceneError(f"{report.path}: holds no lens: all of its surfaces have the same medium on both sides")
     stop = _stop_of(made.kept)
     unit = prescription.unit_mm
@@ -253,7 +255,7 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
     inner = prescription.surfaces[1:-1]
     for surface in inner:
         if surface.focal_length is not None and not surface.focal_length * surface.focal_length > 0:
-            report.refuse(surface.line, surface.text, "a paraxial lens without its focal length, PARM 1")
+            report.refuse(surface.line, surface.text, "a paraxial lens without a focal length other than 0")
     stops = [surface for surface in prescription.surfaces if surface.stop]
     usable = [surface for surface in inner if surface.stop]
     for surface in stops:

@@ -47,6 +47,12 @@ _LABELS = ("surface", "surf", "number", "no", "id")
 """Columns that number the surfaces, and may name the object, the stop and the image."""
 _WITHOUT_EFFECT = ("", "comment", "name", "description")
 _TYPES = ("", "standard", "sphere", "spherical", "conic", "asphere", "evenasphere", "evenasph", "plane", "stop")
+_ENDS = ("obj", "object", "sto", "ima", "image")
+"""Types that are no shapes but places: they count as the row's label."""
+_MILLIMETRES = re.compile(r"(1/)?mm(\W*\d*)")
+"""Units of lengths, curvatures and coefficients; others are refused."""
+_UNIT = re.compile(r"(.+?)\s*[\[(]([^\])]*)[\])]\s*")
+"""Name of a column with its unit behind it."""
 _AIR = ("", "air", "vacuum")
 _FLAT = ("", "inf", "infinity", "plano", "flat")
 _DELIMITERS = ";\t,"
@@ -93,6 +99,8 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
         if delimiter != ",":
             values = {column: cell.replace(",", ".") for column, cell in values.items()}
         label = values.get("label", "").lower()
+        if _plain(values.get("type", "")) in _ENDS:
+            label = _plain(values.pop("type"))
         try:
             if label.startswith(("ima", "img")):
                 report.add(at, line, Verdict.TAKEN, "the image")
@@ -101,7 +109,9 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
             object_given |= is_object
             if not is_object and "thickness" not in values and at != filled[-1][0]:
                 raise ValueError("it has no thickness")
-            made.surfaces.append(_surface(at, line, values))
+            surface = _surface(at, line, values)
+            surface.stop = surface.stop or label.startswith(("sto", "*"))
+            made.surfaces.append(surface)
             report.add(at, line, Verdict.TAKEN)
         except ValueError as error:
             report.refuse(at, line, str(error))
@@ -116,12 +126,22 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
     return lens_of(made, report, choices.substitutes), report
 
 
+def _plain(name: str) -> str:
+    """Return a name by which columns and types go: small letters and digits alone."""
+    return "".join(sign for sign in name.lower() if sign.isalnum())
+
+
 def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[str]:
     """Return what each column is; "" of one that is left out."""
     at, line = header
     columns = []
     for name in next(csv.reader([line], delimiter=delimiter)):
-        plain = "".join(sign for sign in name.lower() if sign.isalnum())
+        plain = _plain(name)
+        if (with_unit := _UNIT.fullmatch(name)) and plain not in _COLUMNS and not _TERM.fullmatch(plain):
+            plain, unit = _plain(with_unit[1]), with_unit[2].strip().lower()
+            is_length = plain in _COLUMNS or _TERM.fullmatch(plain)
+            if is_length and unit and not _MILLIMETRES.fullmatch(unit):
+                raise SceneError(f"{report.path}: line {at}: column {name.strip()}: lengths must be in mm")
         power = int(found[1]) if (found := _TERM.fullmatch(plain)) else None
         if plain in _COLUMNS:
             columns.append(_COLUMNS[plain])
@@ -144,7 +164,7 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
     if "thickness" not in columns or not {"radius", "curvature"} & set(columns):
         raise SceneError(
             f"{report.path}: line {at}: no prescription: its first line must name columns, a radius or curvature and "
-            "a thickness among them"
+            f"a thickness among them, in English; it is {line.strip()[:60]!r}"
         )
     return columns
 
@@ -152,7 +172,7 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
 def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
     """Return the surface of a row."""
     surface = FileSurface(at, line)
-    kind = "".join(sign for sign in values.get("type", "").lower() if sign.isalnum())
+    kind = _plain(values.get("type", ""))
     if kind not in _TYPES:
         raise ValueError(f"surfaces of type {values['type']} are not read from tables")
     for column, cell in values.items():
@@ -173,7 +193,7 @@ def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
     surface.conic = number(values.get("conic", "0"))
     surface.asphere = [number(values.get(f"a{power}", "0")) for power in _POWERS]
     marked = values.get("stop", "").lower() not in ("", "0", "no", "false", "-")
-    surface.stop = marked or kind == "stop" or values.get("label", "").lower().startswith(("sto", "*"))
+    surface.stop = marked or kind == "stop"
     _fill(surface, values)
     return surface
 

@@ -38,7 +38,7 @@ _MOVES = ("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ")
 _NUMBERED = re.compile(r"(WV|WW|SNO|AS|CBK|ELMDF)(\d+)")
 
 _WITHOUT_EFFECT = command_names(
-    "DES SNO WW TCE DRW AMO CBK WRS ZRF NOT TIT MCO ERR IGNR IMS ANS MCN PFM LDP BDI BDD VX PF ELMDF"
+    "DES SNO WW TCE DRW AMO CBK WRS ZRF NOT TIT MCO ERR IGNR IMS ANS MCN PFM LDP BDI BDD VX PF ELMDF LMN LME"
 )
 """Names, notes, weights, temperatures, drawing."""
 
@@ -47,7 +47,7 @@ _REFUSED = {
     **dict.fromkeys(["GC", "GCS"], "surfaces placed from others than the one before them are"),
     **dict.fromkeys(["DOE", "GRX", "GOR", "GSP", "HOR", "HV1", "HV2"], "gratings are"),
     **dict.fromkeys(["GRD", "GDT", "GIN"], "gradient indices are"),
-    **dict.fromkeys(["LMO", "NSS"], "groups of surfaces are"),
+    "NSS": "groups of surfaces without an order are",
     **dict.fromkeys(["ATP", "AX1", "AX2", "AY1", "AY2", "AAC", "APN"], "apertures that are not round are"),
     **dict.fromkeys(["PK", "APK"], "pickups, whose values the file does not hold, are"),
 }
@@ -156,8 +156,9 @@ class _Reader:
             y, x, low, up = numbers([words[1], words[2], words[6], words[7]])
             self.made.fields.append(self._field_point(x, y, up, -low))
             self._add(Verdict.TAKEN)
-        elif command == "CFG":
-            self._add(Verdict.APPROXIMATED, "further configurations are not read; the surfaces are taken as they stand")
+        elif command in ("CFG", "LEN"):
+            what = "configurations" if command == "CFG" else "lenses"
+            self._add(Verdict.APPROXIMATED, f"further {what} are not read; the surfaces are taken as they stand")
         else:
             self._add(Verdict.WITHOUT_EFFECT)
 
@@ -414,6 +415,11 @@ class _Reader:
     def _on_ast(self, _: list[str]) -> None:
         self._surface.stop = True
         self._add(Verdict.TAKEN)
+
+    def _on_lmo(self, words: list[str]) -> None:
+        if words[0].upper() not in ("ELE", "EGR"):
+            raise ValueError(f"{_REFUSED['NSS']} not supported")
+        self._add(Verdict.WITHOUT_EFFECT)
 
     def _on_pfl(self, words: list[str]) -> None:
         self._surface.focal_length = number(words[0])

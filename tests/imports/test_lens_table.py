@@ -79,6 +79,9 @@ REFUSED = {
     "radius;thickness\nx;2": "line 2: x;2: 'x' is no number",
     "radius;thickness;glass\n50;2;NO-SUCH\n;40;": "NO-SUCH",
     "radius;thickness\n": "holds no lens",
+    "radius;thickness;ne;sa\n50;2;1.5;5\n-50;40;;5": "all of its surfaces have the same medium on both sides",
+    "Radius [in];thickness;n\n50;2;1.5\n-50;40;": "column Radius [in]: lengths must be in mm",
+    "Radius;Dicke;n\n50;2;1.5\n-50;40;": "it is 'Radius;Dicke;n'",
 }
 
 
@@ -94,6 +97,22 @@ def test_what_is_no_prescription_is_refused_in_one_line(lines: str) -> None:
         read(FILE, lines.splitlines())
     assert REFUSED[lines] in str(refusal.value)
     assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_ends_may_be_named_by_their_type_and_columns_have_units() -> None:
+    plain = ["radius;thickness;n;diameter;A4", "50;4;1.5;16;1e-6", "-50;45;;14;"]
+    named = [
+        "#,Type,Radius [mm],Thickness (mm),Index,Diameter [mm],A4 (mm^-3)",
+        "0,OBJ,Infinity,Infinity,,0,",
+        "1,Standard,50,4,1.5,16,1e-6",
+        "2,STO,-50,45,,14,",
+        "3,IMA,Infinity,0,,5,",
+    ]
+    lens, report = read(FILE, named)
+    assert [surface.stop for surface in lens.surfaces] == [False, True]
+    first, second = read(FILE, plain)[0].surfaces
+    assert lens.surfaces == (first.model_copy(update={"stop": False}), second.model_copy(update={"stop": True}))
+    assert not report.of(Verdict.UNKNOWN)
 
 
 def test_a_scene_takes_a_table_and_unknown_endings_are_named(tmp_path: Path) -> None:

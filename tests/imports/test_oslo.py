@@ -96,6 +96,8 @@ def test_the_beam_of_a_near_object_has_its_radius_at_the_first_surface():
         ("AP CHK 6.0", "AP CHK -6.0", "AP CHK -6.0: it must be 0, for the size that rays fill, or above"),
         ("AP CHK 6.0", "GTO 9", "GTO 9: there is no such surface; the last one is 1"),
         ("ANG 5.0", "ANG 90.0", "ANG 90.0: it must be below 90 degrees"),
+        ("AST", "LMO NSS", "LMO NSS: groups of surfaces without an order are not supported"),
+        ("RD 60.0", "PFL 0", "surface 4: a paraxial lens without a focal length other than 0"),
         ("ANG 5.0", "WV5 0.5", "WV5 0.5: there are 3 wavelengths before it"),
         ("CC -0.5;", "PK CV 1 -1.0;", "pickups, whose values the file does not hold, are not supported"),
         ("RD 20.0", "RD twenty", "'twenty' is no number"),
@@ -220,9 +222,11 @@ def test_points_of_the_field_are_shares_of_its_edge():
 
 
 def test_other_configurations_and_a_missing_aperture_are_said():
-    _, report = read(FILE, (LENS.replace("EBR 4.0\n", "") + "CFG NEW\nTH 1 2 8\nEND\n").splitlines())
+    more = "CFG NEW\nTH 1 2 8\nEND\nLEN NEW again 1 2\n"
+    _, report = read(FILE, (LENS.replace("EBR 4.0\n", "").replace("AST", "AST; LMO ELE") + more).splitlines())
     assert [line.how for line in report.of(Verdict.APPROXIMATED)] == [
         "further configurations are not read; the surfaces are taken as they stand",
+        "further lenses are not read; the surfaces are taken as they stand",
         "no aperture in the file: OSLO's own is taken, EBR 1",
     ]
 

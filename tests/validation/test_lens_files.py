@@ -39,8 +39,8 @@ REFUSED = {
     "codev/tests/CODV_65988.seq": "diffractive surfaces are not supported",
     "codev/tests/achroMangin.seq": MIRRORS,
     "codev/tests/achroMangin_ok.seq": MIRRORS,
-    "codev/tests/dar_test.seq": "nothing but a stop",
-    "codev/tests/dec_rev_tilt_test.seq": "nothing but a stop",
+    "codev/tests/dar_test.seq": "holds no lens",
+    "codev/tests/dec_rev_tilt_test.seq": "holds no lens",
     "codev/tests/dec_test.seq": TILTS,
     "codev/tests/dec_tilt_test.seq": TILTS,
     "codev/tests/folded_lenses.seq": MIRRORS,
@@ -108,17 +108,19 @@ def test_focal_lengths_are_those_of_ray_optics(name):
     assert paraxial.bfl_mm == pytest.approx(truth.bfl_mm, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", IN_SCOPE)
-def test_real_rays_are_those_of_ray_optics(name):
-    """From a plane 100 mm before its first surface to the image plane, on the axis and at the widest field."""
+def farthest_mm(path, rays):
+    """Largest distance in the image plane between rays here and in ray-optics, on the axis and at two fields.
+
+    They start in a plane 100 mm before the first surface; `rays` of each field.
+    """
     from rayoptics.raytr.trace import trace
     from rayoptics.raytr.traceerror import TraceError
 
-    truth = truth_of(name)
+    truth = truth_of(path)
     sequence = truth.model.seq_model
     sequence.gaps[0].thi = START_MM
     sequence.update_model()
-    lens, report = read_lens_file(SAMPLES / name)
+    lens, report = read_lens_file(SAMPLES / path)
     image_mm = next(float(note.split()[1]) for note in report.notes if note.startswith("image: "))
     before_mm = START_MM + truth.track_mm - sum(s.thickness_mm or 0.0 for s in lens.surfaces) - image_mm
     scene = lf.solved(
@@ -132,7 +134,7 @@ def test_real_rays_are_those_of_ray_optics(name):
     pupil_mm, diameter = Paraxial.of(lens, truth.wavelength_nm).entrance_pupil(lens.aperture_mm(lens.stop_index) or 1.0)
     origins, directions, landed = [], [], []
     for field_deg in (0.0, 2.0, 5.0):
-        for _ in range(40):
+        for _ in range(rays):
             aim = 0.45 * diameter * draw.uniform(-0.7, 0.7, 2)
             direction = np.array([0.0, np.tan(np.radians(field_deg)), 1.0])
             start = np.array([*aim, 0.0]) - direction * (before_mm + pupil_mm)
@@ -146,9 +148,14 @@ def test_real_rays_are_those_of_ray_optics(name):
             landed.append(ray[0][-1][0])
     paths = lf.trace(world, np.array(origins), np.array(directions), truth.wavelength_nm, split="transmit")
     here = np.isin(paths.body, ["sensor", "beside the sensor"])
-    assert here.sum() > 60
+    assert here.sum() > 1.5 * rays
     difference = paths.position[here, :2] - np.array(landed)[paths.source[here], :2]
-    assert np.abs(difference).max() < 1e-6
+    return np.abs(difference).max()
+
+
+@pytest.mark.parametrize("name", IN_SCOPE)
+def test_real_rays_are_those_of_ray_optics(name):
+    assert farthest_mm(name, 40) < 1e-6
 
 
 @pytest.mark.parametrize("ending", [".zmx", ".seq"])
@@ -162,6 +169,7 @@ def test_ray_optics_reads_what_is_written(tmp_path, name, ending):
     assert truth.wavelength_nm == pytest.approx(587.5618)
     assert truth.efl_mm == pytest.approx(paraxial.efl_mm, rel=1e-6)
     assert truth.bfl_mm == pytest.approx(paraxial.bfl_mm, rel=1e-6)
+    assert farthest_mm(path, 10) < 1e-8
 
 
 @pytest.mark.parametrize("name", REFUSED)

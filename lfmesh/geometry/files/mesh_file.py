@@ -366,30 +366,35 @@ def _colour(material: Any, pictures: dict[int, Texture], alpha: bool) -> tuple[T
 
 _FACET_OF_VERTEX_ZERO = re.compile(r"^[ \t]*f[ \t](?:.*[ \t])?0(?:[/ \t].*)?$", re.MULTILINE)
 _MATERIAL_FILE = re.compile(r"^[ \t]*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
+_USED, _DEFINED = (re.compile(rf"^[ \t]*{key}[ \t]+(.+?)\s*$", re.MULTILINE) for key in ("usemtl", "newmtl"))
 _PICTURE_FILE = re.compile(r"^[ \t]*map_Kd[ \t]+(.+?)\s*$", re.MULTILINE)
 
 
 def _check_obj(path: Path) -> None:
-    """Raise what trimesh passes over, a corner numbered 0 or a missing picture; warn of a missing material file."""
+    """Raise what trimesh passes over, a corner numbered 0 or a missing picture; warn of missing materials."""
     text = read_text(path, errors="replace")
     if zero := _FACET_OF_VERTEX_ZERO.search(text):
         line = text.count("\n", 0, zero.start()) + 1
         raise MeshError(f"{path}: line {line}: a facet names vertex 0; OBJ counts from 1 (or back from -1)")
+    missing, defined = [], set[str]()
     for name in _MATERIAL_FILE.findall(text):
         library = path.parent / name
         _check_inside(path, name, "material file")
         if not library.is_file():
-            warnings.warn(
-                f"{path}: its material file {name} is not there: its facets have the material that the scene gives",
-                LensFileWarning,
-                stacklevel=2,
-            )
+            missing.append(f"its material file {name} is not there")
             continue
-        for value in _PICTURE_FILE.findall(read_text(library, errors="replace")):
+        materials = read_text(library, errors="replace")
+        defined.update(_DEFINED.findall(materials))
+        for value in _PICTURE_FILE.findall(materials):
             picture = _picture_name(value)
             _check_inside(path, (Path(name).parent / picture).as_posix(), "picture")
             if not (library.parent / picture).is_file():
                 raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
+    if not missing and _MATERIAL_FILE.search(text):
+        missing = [f"its material {name[:60]} is not defined" for name in sorted(set(_USED.findall(text)) - defined)]
+    for what in missing:
+        said = f"{path}: {what}: its facets have the material that the scene gives"
+        warnings.warn(said, LensFileWarning, stacklevel=2)
 
 
 def _check_inside(path: Path, name: str, kind: str) -> None:

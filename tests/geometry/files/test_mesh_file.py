@@ -143,6 +143,19 @@ def test_obj_without_its_material_file_has_the_material_of_the_scene_and_says_so
     assert (piece.material, piece.picture) == (bare.material, bare.picture)
 
 
+@pytest.mark.parametrize("materials", ["", "newmtl blue\nKd 0 0 1\n"])
+def test_obj_with_an_undefined_material_has_the_material_of_the_scene_and_says_so(tmp_path, materials):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (tmp_path / "bare.obj").write_text(text)
+    (tmp_path / "t.mtl").write_text(materials)
+    (tmp_path / "t.obj").write_text(f"mtllib t.mtl\nusemtl red\n{text}")
+    (bare,) = load_mesh(tmp_path / "bare.obj", "mm")
+    with pytest.warns(LensFileWarning, match="its material red is not defined: its facets have the material that"):
+        (piece,) = load_mesh(tmp_path / "t.obj", "mm")
+    np.testing.assert_array_equal(piece.factor, bare.factor)
+    assert (piece.material, piece.picture) == (bare.material, bare.picture)
+
+
 def test_node_transforms_are_applied_down_the_tree(tmp_path):
     quarter_turn = [[0, -1, 0, 3], [1, 0, 0, 4], [0, 0, 1, 5], [0, 0, 0, 1]]
     (piece,) = load_mesh(save_gltf(tmp_path / "t.gltf", matrix=quarter_turn))

@@ -164,12 +164,12 @@ def vignetted(**transport: Any) -> Scene:
 
 def test_light_that_turns_past_a_rim_at_the_stop_is_in_the_picture() -> None:
     """Pixels aim at all of the stop, not at the part of it that is open to rays that do not turn."""
-    runs = ((6400, "adjoint"), (32_000, "forward"))
+    runs = ((204_800, "adjoint"), (204_800, "forward"))
     adjoint, forward = (lf.render(vignetted(samples=n, method=m, replicates=16)) for n, m in runs)
     error = np.hypot(adjoint.error, forward.error)
     assert passes(float((np.abs(adjoint.mean - forward.mean) / error).max()), 6, 16)
-    # Without the rims' light at the edge: half of what there is.
-    assert error[0, 0, 0] < 0.1 * forward.mean[0, 0, 0]
+    # An aim at the open part of the stop finds some seven tenths of the light there.
+    assert error[0, 0, 0] < 0.04 * forward.mean[0, 0, 0]
 
 
 @pytest.mark.parametrize(

@@ -49,6 +49,11 @@ def psf(
     loaded = load(scene)
     if band is not None and wavelengths_nm is not None:
         raise LfmeshError(f"--band {band}: leave --wavelengths-nm out, or the band")
+    if band is not None and band not in loaded.channel_names:
+        known = (
+            f"must be one of {', '.join(loaded.channel_names)}" if loaded.channel_names else "the scene has no bands"
+        )
+        raise LfmeshError(f"--band {band}: {known}")
     # What is wrong with the folder is said before the waves are followed.
     prepare(out)
     with status() as report:

@@ -38,7 +38,7 @@ def demo(
 def check(scene: SceneFile, /) -> int:
     """Check a scene file and print its first-order optics and where its targets stand, with warnings in plain words.
 
-    Loads every mesh and picture, and traces nothing.
+    Loads every mesh and picture, and traces nothing but a few rays of particles that are to be pictured by waves.
 
     Exits with 0 if the scene can be rendered, whatever the warnings, and with 2 if it cannot.
     """
@@ -68,6 +68,10 @@ def check(scene: SceneFile, /) -> int:
         lines += placement.lines()
     # What a render would refuse.
     world = build(loaded)
+    if world.particles and loaded.transport.diffraction != "none":
+        from lfmesh.waves.particles import refuse_particles
+
+        refuse_particles(world)
     known = "\n".join(lines)
     warn_caller(each for each in foreseen(world) if str(each) not in known)
     lines += lamp_lines(loaded, world.targets)

@@ -351,7 +351,10 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    diffracting = with_diffraction(scene, mla, wavelengths_nm)
+    diffracting, stopped = (
+        with_diffraction(scene, mla, wavelengths_nm),
+        with_diffracting_stop(scene, lens, wavelengths_nm),
+    )
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 
@@ -364,12 +367,12 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
             boxes.append(all_before(lens))
         shapes = shapes_in_camera(targets, np.concatenate(boxes), moves)
         exact = bool(shape.analytic.all())
-        camera = Camera(clear(lens), clear(diffracting), sensor, seen_moves)
+        camera = Camera(clear(stopped), clear(diffracting), sensor, seen_moves)
         return proven_aim(scene, report, camera, shapes, analytic=exact)
 
     polarised = polarisation_tables(scene, wavelengths_nm, moves, book)
     tables = Tables(
-        lens=with_diffracting_stop(scene, lens, wavelengths_nm),
+        lens=stopped,
         mla=diffracting,
         sensor=sensor,
         objects=objects,

@@ -5,7 +5,9 @@ within a resolved length of the camera, so that a grid of them has more points t
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,8 @@ from lfmesh.scene.media.phase import IsotropicPhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.world import World
-from lfmesh.waves.point_spread import NoLightError, point_spread
+from lfmesh.waves.point_spread import point_spread, refuse_point
+from lfmesh.waves.refused import NoLightError
 
 Array = NDArray[np.float64]
 
@@ -41,32 +44,72 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
         Bands, particles that scatter unevenly, too many of them, or what `lf.point_spread` refuses.
     """
     scene = world.scene
-    _refuse(world)
+    refuse_particles(world)
     columns, rows = scene.camera.sensor.pixels
     film = np.zeros((rows, columns, scene.channels))
-    into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     done, all_of_them, began = 0, _spreads(world), time.perf_counter()
+    for each in _particles(world):
+        # Power over all directions, of which an even share goes each way.
+        for channel, power in enumerate(each.power_w):
+            with each.named():
+                film[:, :, channel] += (
+                    power / (4.0 * np.pi) * point_spread(scene, each.point_mm, scene.wavelengths_nm[channel]).mean
+                )
+            done += 1
+            if progress is not None:
+                progress(Progress(done, all_of_them, time.perf_counter() - began, 0, 0, STAGE))
+    return film
+
+
+def refuse_particles(world: World) -> None:
+    """Refuse particles that cannot be pictured by waves, before any of their waves are followed.
+
+    Parameters
+    ----------
+    world : World
+
+    Raises
+    ------
+    LfmeshError
+        As from `particle_film`. Of each particle a few hundred rays are traced; that its grids must be finer than the
+        first two is not foreseen.
+    """
+    _refuse(world)
+    for each in _particles(world):
+        with each.named():
+            refuse_point(world.scene, each.point_mm, world.scene.wavelengths_nm)
+
+
+class _Particle(NamedTuple):
+    """A particle of a world: number of its entry, its own number, place in world and camera, power of each channel."""
+
+    entry: int
+    number: int
+    place_mm: Array
+    point_mm: Array
+    power_w: Array
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Name the particle in what is refused of it; one of which no light comes is dark."""
+        try:
+            yield
+        except NoLightError:
+            pass
+        except LfmeshError as error:
+            where = ", ".join(f"{x:g}" for x in self.place_mm)
+            raise LfmeshError(
+                f"particles[{self.entry}], number {self.number} at ({where}) mm: {error}; or picture particles by "
+                'rays: transport.diffraction = "none"'
+            ) from None
+
+
+def _particles(world: World) -> Iterator[_Particle]:
+    into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     for table in world.particles:
         points = zip(table.points, frames.points(into_camera, table.points), table.strength, strict=True)
         for number, (there, point, strength) in enumerate(points):
-            # Power over all directions, of which an even share goes each way.
-            for channel, power in enumerate(strength * table.scale):
-                try:
-                    spread = point_spread(scene, point, scene.wavelengths_nm[channel])
-                except NoLightError:
-                    pass
-                except LfmeshError as error:
-                    where = ", ".join(f"{x:g}" for x in there)
-                    raise LfmeshError(
-                        f"particles[{table.entry}], number {number} at ({where}) mm: {error}; or picture particles by "
-                        'rays: transport.diffraction = "none"'
-                    ) from None
-                else:
-                    film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
-                done += 1
-                if progress is not None:
-                    progress(Progress(done, all_of_them, time.perf_counter() - began, 0, 0, STAGE))
-    return film
+            yield _Particle(table.entry, number, there, point, strength * table.scale)
 
 
 def _spreads(world: World) -> int:

@@ -14,21 +14,18 @@ import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
-from lfmesh.scene.quantities import LARGEST
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.interfaces import refused_in_order
+from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.trace import at_wavelength, trace
+from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World, build
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
-from lfmesh.waves.bundle import LensRays, pupil_grid
 from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
 from lfmesh.waves.pupil_waves import PupilWaves, pupil_waves
+from lfmesh.waves.refused import NoLightError, refuse_hidden, refuse_scene, refuse_values
 
 Array = NDArray[np.float64]
 
@@ -41,17 +38,8 @@ FINER = 1.25
 FIRST_BAND, FIRST_RINGS = 1.5, 30.0
 """Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
 
-TRIALS = 16
-"""Rays on a diameter of the stop that look for targets before the point."""
-
-OFF_POINT = 1e-6
-"""Of the way to the lens: these rays start this far before the point, so that it may lie on a target."""
-
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
-
-MOST_PARTS = 50_000_000
-"""Parts of pixels in a picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,18 +190,8 @@ def point_spread(
         wavelengths_nm, weights = _lines_of_band(scene, wavelengths_nm)
     nm = tuple(_numbers("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = _shares(nm, _numbers("weights", [1.0] * len(nm) if weights is None else weights).tolist())
-    _refuse_values(scene, point, window, oversample, tolerance)
-    _refuse_scene(scene)
-    camera = solved_camera(scene)
-    world = build(camera.scene.camera_alone())
-    if scene.targets:
-        _refuse_hidden(camera, world, point, nm[len(nm) // 2])
-    pupils = [pupil_waves(world, camera, point, wavelength) for wavelength in nm]
-    pixels = _pixels(camera, world, pupils[len(nm) // 2], (window, oversample))
-    each = [
-        _Monochrome(camera, world, point, wavelength, pupil, pixels).converged(tolerance)
-        for wavelength, pupil in zip(nm, pupils, strict=True)
-    ]
+    refuse_values(scene, point, window, oversample, tolerance)
+    each = [one.converged(tolerance) for one in _monochromes(scene, point, nm, (window, oversample))]
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise NoLightError(
@@ -232,8 +210,42 @@ def point_spread(
     )
 
 
-class NoLightError(LfmeshError):
-    """No light of a point falls on the sensor."""
+def refuse_point(scene: Scene, point: Array, wavelengths_nm: tuple[float, ...]) -> None:
+    """Refuse a point of which `point_spread` is known to be refused before its waves are followed.
+
+    Parameters
+    ----------
+    scene : Scene
+    point : (3,) float64, mm
+        Camera frame.
+    wavelengths_nm : tuple of float
+
+    Raises
+    ------
+    LfmeshError
+        As from `point_spread`; a grid that it needs beyond the second one is not foreseen.
+    """
+    refuse_values(scene, point, None, 1, TOLERANCE)
+    for one in _monochromes(scene, point, wavelengths_nm, (None, 1)):
+        one.refuse_wide()
+
+
+def _monochromes(
+    scene: Scene, point: Array, wavelengths_nm: tuple[float, ...], asked: tuple[int | None, int]
+) -> "list[_Monochrome]":
+    """Return the point spreads of some wavelengths that are to be computed, of a window and parts of pixels."""
+    refuse_scene(scene)
+    camera = solved_camera(scene)
+    world = build(camera.scene.camera_alone())
+    middle = len(wavelengths_nm) // 2
+    if scene.targets:
+        refuse_hidden(camera, world, point, wavelengths_nm[middle])
+    pupils = [pupil_waves(world, camera, point, wavelength) for wavelength in wavelengths_nm]
+    pixels = _pixels(camera, world, pupils[middle], asked)
+    return [
+        _Monochrome(camera, world, point, wavelength, pupil, pixels)
+        for wavelength, pupil in zip(wavelengths_nm, pupils, strict=True)
+    ]
 
 
 class _Monochrome:
@@ -276,6 +288,10 @@ class _Monochrome:
             change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
             first = finer
         return replace(first, change=change)
+
+    def refuse_wide(self) -> None:
+        """Refuse light for which the second grid, which each spread needs, has too many places."""
+        self._grid(FINER)
 
     def _grid(self, fineness: float) -> Grid:
         """Return a grid that is finer and wider than the first one by a factor.
@@ -439,69 +455,3 @@ def _numbers(name: str, given: object) -> Array:
     if numbers.ndim != 1:
         raise LfmeshError(f"{name} = {given!r}: must be a number, or a list of numbers")
     return numbers
-
-
-def _refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
-    whole = {"window": 1 if window is None else window, "oversample": oversample}
-    for name, number in whole.items():
-        if not isinstance(number, int | np.integer):
-            raise LfmeshError(f"{name} = {number!r}: must be a whole number")
-    if not isinstance(tolerance, float | int):
-        raise LfmeshError(f"tolerance = {tolerance!r}: must be a number between 0 and 1")
-    if point.shape != (3,) or not np.isfinite(point).all() or not point[2] < 0.0:
-        raise LfmeshError(
-            f"point_mm = {point.tolist()}: give x, y and z in the camera frame, finite, with z below 0, before the lens"
-        )
-    if -point[2] > LARGEST:
-        raise LfmeshError(f"point_mm = {point.tolist()}: z must be {-LARGEST:g} or more")
-    if window is not None and not 1 <= window <= 100_000:
-        raise LfmeshError(f"window = {window}: must be 1 pixel or more, up to 100,000")
-    if not 1 <= oversample <= 64:
-        raise LfmeshError(f"oversample = {oversample}: must be from 1 to 64 parts of a pixel's side")
-    sides = [min(window or side, side) * oversample for side in scene.camera.sensor.pixels]
-    if math.prod(sides) > MOST_PARTS:
-        raise LfmeshError(
-            f"window = {window}, oversample = {oversample}: a picture of {sides[0]} × {sides[1]}; {MOST_PARTS:,} parts "
-            "of pixels are possible"
-        )
-    if not 0.0 < tolerance < 1.0:
-        raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
-
-
-def _refuse_scene(scene: Scene) -> None:
-    """Refuse what coherent waves are not taken through."""
-    if scene.media or scene.tanks:
-        name = "media" if scene.media else "tanks"
-        raise LfmeshError(f"{name}: a point spread is taken through air to the camera; leave them out")
-    body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
-    if body is not None:
-        raise LfmeshError(
-            f"targets[{body}] is a body of glass: a point spread is taken through air to the camera; leave it out"
-        )
-    if scene.camera.polariser_deg is not None:
-        raise LfmeshError(
-            f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; leave it out"
-        )
-    rough = refused_in_order(scene)
-    if rough is not None:
-        raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")
-
-
-def _refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
-    """Refuse a point of whose light a part, or all, meets a target on its way to the lens."""
-    rays = LensRays(world, -float(point[2]), 0.0)
-    bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
-    entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])
-    whole = build(camera.scene, aimed=False)
-    out = at_wavelength(whole, wavelength_nm).frames[CAMERA_FRAME, WORLD_FRAME]
-    ahead = frames.directions(out, entry - point)
-    found = trace(whole, frames.points(out, point[None, :]) + OFF_POINT * ahead, ahead, wavelength_nm, "transmit")
-    names = [target.name or f"targets[{i}]" for i, target in enumerate(camera.scene.targets)]
-    hiding = [body for body in found.body if body in names]
-    if len(hiding) == len(entry) > 0:
-        raise NoLightError(f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point or leave the target out")
-    if hiding:
-        raise LfmeshError(
-            f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(entry)} places of the "
-            "pupil; move the point or leave the target out"
-        )

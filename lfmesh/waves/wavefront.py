@@ -3,8 +3,9 @@
 Rays of one object point run through the lens by the order of its surfaces. The optical path of each, from the object
 point (or from a plane square to a parallel bundle) over all faces to the reference sphere, is compared with that of the
 chief ray. The sphere is centred where the chief ray meets the image plane, and passes through the point where that ray
-crosses the plane of the exit pupil, as in OpticStudio and CODE V (tests/validation/test_published_wavefronts.py); its
-radius matters little (W. T. Welford, Aberrations of Optical Systems, 1986, chapter 7). Optical path lengths are those of the glasses relative to air, waves those of the wavelength in air.
+crosses the plane of the exit pupil, as in OpticStudio (in CODE V, where it crosses the axis); its radius matters little
+(W. T. Welford, Aberrations of Optical Systems, 1986, chapter 7). Optical path lengths are those of the glasses relative
+to air, waves those of the wavelength in air.
 """
 
 import math
@@ -243,7 +244,7 @@ def path_differences(
 
 
 def _sphere_radius_mm(rays: LensRays, traced: Traced, centre: Array) -> float:
-    """Return the radius of the sphere about a point through the first ray in the exit pupil; below 0 if that is behind."""
+    """Return the radius of the sphere about a point, by the first ray in the exit pupil; below 0 if that is behind."""
     facts = solved_camera(rays.world.scene).report
     pupil_z = facts.exit_pupil_z_mm
     if not math.isfinite(pupil_z):

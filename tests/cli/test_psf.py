@@ -55,4 +55,4 @@ def test_a_band_is_taken_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main([*point, "--wavelengths-nm", "500"]) == 2
     assert "leave --wavelengths-nm out" in " ".join(capsys.readouterr().err.split())
     assert main(point) == 2
-    assert "the scene has no bands" in " ".join(capsys.readouterr().err.split())
+    assert "--band red: the scene has no bands" in " ".join(capsys.readouterr().err.split())

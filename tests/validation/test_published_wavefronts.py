@@ -1,4 +1,4 @@
-"""Optical path differences and Zernike coefficients against listings of OpticStudio and CODE V, to their printed digits.
+"""Path differences and Zernike coefficients against listings of OpticStudio and CODE V, to their printed digits.
 
 OpticStudio 25.1.1 and 20.3.2: Zernike Standard Coefficients of a biconvex singlet, with the tests of ZOSPy
 (github.com/MREYE-LUMC/ZOSPy, tests/data/reference, test_zernike_standard_coefficients of the simple, the decentered and
@@ -124,7 +124,7 @@ def test_fans_of_a_cooke_triplet_are_those_that_opticstudio_lists(
     slope = math.tan(math.radians(degrees))
     rays = LensRays(lf.build(triplet), math.inf, TRIPLET_IMAGE_MM)
     through = -5.0 * np.vstack([[0.0, 0.0], np.asarray(pupil)])
-    entry = through + [0.0, slope * lf.first_order(triplet).entrance_pupil_z_mm]
+    entry = through + np.array([0.0, slope * lf.first_order(triplet).entrance_pupil_z_mm])
     # The chief ray's place in the image plane.
     chief = rays.traced([0.0, slope], entry[:1], wavelength_nm)
     on = (TRIPLET_IMAGE_MM - chief.position[0, 2]) / chief.direction[0, 2]

@@ -1,11 +1,13 @@
 """Particles with diffraction: their light is that of their point spreads, and no ray adds to it."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.files.words import account
 from lfmesh.scene.literals import percent
 from lfmesh.transport.render.progress import Progress
@@ -90,6 +92,36 @@ def test_particles_behind_a_target_are_dark_and_one_that_is_half_hidden_is_named
     words = r"particles\[0\], number 0 at \(.*, -2000\) mm: .* hides it from .* places of the pupil"
     with pytest.raises(lf.LfmeshError, match=words):
         lf.render(scene(particles=[one], targets=[half]))
+
+
+def two_at(*z_mm: float) -> lf.Scene:
+    """Particles on the axis before a lens of f/2.5."""
+    one = POINT | {"bounds": {"kind": "box", "size_mm": (1e-3, 1e-3, 1e-3)}, "count": 1}
+    particles = [one | {"position_mm": (0.0, 0.0, z)} for z in z_mm]
+    return scene(particles=particles, **{"camera.lens.surfaces[0].semi_diameter_mm": 10.0})
+
+
+def test_a_particle_too_wide_for_waves_is_named_before_the_first_spread(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a render and by `lfmesh check`, which leaves those alone that can be pictured."""
+
+    def never(*_: object, **__: object) -> None:
+        pytest.fail("the waves were followed")
+
+    monkeypatch.setattr("lfmesh.waves.particles.point_spread", never)
+    far, words = two_at(-FAR, -200.0), r"particles\[1\], number 0 at \(.*, -200\) mm: .* places on a side"
+    with pytest.raises(lf.LfmeshError, match=words) as error:
+        lf.render(far)
+    assert "\n" not in str(error.value)
+    file = tmp_path / "scene.toml"
+    file.write_text(far.dump_toml())
+    assert main(["check", str(file)]) == 2
+    assert "particles[1], number 0" in " ".join(capsys.readouterr().err.split())
+    file.write_text(two_at(-FAR, -1.02 * FAR).dump_toml())
+    assert main(["check", str(file)]) == 0
+    file.write_text(far.changed({"transport.diffraction": "none"}).dump_toml())
+    assert main(["check", str(file)]) == 0
 
 
 def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None:

@@ -167,9 +167,10 @@ def proven_aim(
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key]
-    plain = camera._replace(mla=undiffracted(camera.mla))
+    plain = camera._replace(lens=camera.lens._replace(aperture=None), mla=undiffracted(camera.mla))
     found = aim_table(scene, report, plain, shapes, analytic=analytic)
-    aim, proof = proven(found.aim, found.through, found.seen, found.near) if found.fits else (found.aim, None)
+    through = found.through._replace(stop=camera.lens.aperture)
+    aim, proof = proven(found.aim, through, found.seen, found.near) if found.fits else (found.aim, None)
     if camera.mla.apertures is not None:
         aim, proof = _diffracted(aim, proof, found.through._replace(mla=camera.mla))
     with _access:

@@ -103,13 +103,17 @@ class CoverPlate(NamedTuple):
 
 @by_address
 class CameraTables(NamedTuple):
-    """Tables of the camera that rays from the stop go through; the sensor is where it appears to be."""
+    """Tables of the camera that rays from the stop go through; the sensor is where it appears to be.
+
+    The lens's own tables know nothing of diffraction at the stop: `stop` are the apertures of one that diffracts.
+    """
 
     lens: LensTables
     mla: MlaTables
     sensor: SensorTables
     frames: Array
     cover: CoverPlate | None = None
+    stop: Any = None
 
 
 def reach_of(through: CameraTables, random: np.random.Generator) -> float:
@@ -178,10 +182,15 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
         own, changes = descendant(key, number), np.zeros((len(x_), 2))
-        _follow_both_ways(
-            x_, y_, tx_, ty_, z, start, space, pose, colour, camera, route, empty_bundle(), book, own,
-            one_way, other_way,
-        )  # fmt: skip
+        ways = [(tx_, ty_, one_way)]
+        if through.stop is not None:
+            # On the other side of the stop the same rays have another direction.
+            ways.append((*_turned_at_stop(through.stop, lens, space, colour, (tx_, ty_), random), one_way.copy()))
+        for across, up, landed in ways:
+            _follow_both_ways(
+                x_, y_, across, up, z, start, space, pose, colour, camera, route, empty_bundle(), book, own,
+                landed, other_way,
+            )  # fmt: skip
         _find_kicks(through.mla.apertures, colour, own, changes)
         kick[mine] = changes
         if through.cover is not None:
@@ -192,6 +201,19 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
     found = np.flatnonzero(lands & (throughput > 0.0))
     return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found], kick[found]), found
+
+
+def _turned_at_stop(
+    stop: Any, lens: LensTables, space: int, colour: int, slopes: tuple[Array, Array], random: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return slopes, (n,) each, after a change of direction at the stop; as they were where there is none such."""
+    kicks, given = np.zeros((len(slopes[0]), 2)), np.array(slopes)
+    _find_kicks(stop, colour, np.uint64(random.integers(1 << 63)), kicks)
+    index = float(lens.media.indices[lens.medium[space], colour])
+    cosines = given / np.sqrt(1.0 + (given**2).sum(axis=0)) + kicks.T / index
+    left = 1.0 - (cosines**2).sum(axis=0)
+    turned = np.where(left > 0.0, cosines / np.sqrt(np.where(left > 0.0, left, 1.0)), given)
+    return turned[0].copy(), turned[1].copy()
 
 
 def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:

@@ -1,0 +1,99 @@
+"""Refusals of a point spread before its waves are followed: values out of range, scenes, and points that are hidden."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.solved_camera import SolvedCamera
+from lfmesh.scene import Scene
+from lfmesh.scene.quantities import LARGEST
+from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.interfaces import refused_in_order
+from lfmesh.transport.trace import at_wavelength, trace
+from lfmesh.transport.world import World, build
+from lfmesh.waves.bundle import LensRays, pupil_grid
+
+Array = NDArray[np.float64]
+
+TRIALS = 16
+"""Rays on a diameter of the stop that look for targets before the point."""
+
+OFF_POINT = 1e-6
+"""Of the way to the lens: these rays start this far before the point, so that it may lie on a target."""
+
+MOST_PARTS = 50_000_000
+"""Parts of pixels in a picture."""
+
+
+class NoLightError(LfmeshError):
+    """No light of a point falls on the sensor."""
+
+
+def refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
+    """Refuse values out of range."""
+    whole = {"window": 1 if window is None else window, "oversample": oversample}
+    for name, number in whole.items():
+        if not isinstance(number, int | np.integer):
+            raise LfmeshError(f"{name} = {number!r}: must be a whole number")
+    if not isinstance(tolerance, float | int):
+        raise LfmeshError(f"tolerance = {tolerance!r}: must be a number between 0 and 1")
+    if point.shape != (3,) or not np.isfinite(point).all() or not point[2] < 0.0:
+        raise LfmeshError(
+            f"point_mm = {point.tolist()}: give x, y and z in the camera frame, finite, with z below 0, before the lens"
+        )
+    if -point[2] > LARGEST:
+        raise LfmeshError(f"point_mm = {point.tolist()}: z must be {-LARGEST:g} or more")
+    if window is not None and not 1 <= window <= 100_000:
+        raise LfmeshError(f"window = {window}: must be 1 pixel or more, up to 100,000")
+    if not 1 <= oversample <= 64:
+        raise LfmeshError(f"oversample = {oversample}: must be from 1 to 64 parts of a pixel's side")
+    sides = [min(window or side, side) * oversample for side in scene.camera.sensor.pixels]
+    if math.prod(sides) > MOST_PARTS:
+        raise LfmeshError(
+            f"window = {window}, oversample = {oversample}: a picture of {sides[0]} × {sides[1]}; {MOST_PARTS:,} parts "
+            "of pixels are possible"
+        )
+    if not 0.0 < tolerance < 1.0:
+        raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
+
+
+def refuse_scene(scene: Scene) -> None:
+    """Refuse what coherent waves are not taken through."""
+    if scene.media or scene.tanks:
+        name = "media" if scene.media else "tanks"
+        raise LfmeshError(f"{name}: a point spread is taken through air to the camera; leave them out")
+    body = next((i for i, target in enumerate(scene.targets) if target.refractor is not None), None)
+    if body is not None:
+        raise LfmeshError(
+            f"targets[{body}] is a body of glass: a point spread is taken through air to the camera; leave it out"
+        )
+    if scene.camera.polariser_deg is not None:
+        raise LfmeshError(
+            f"camera.polariser_deg = {scene.camera.polariser_deg:g}: a point spread has no polarisation; leave it out"
+        )
+    rough = refused_in_order(scene)
+    if rough is not None:
+        raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")
+
+
+def refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
+    """Refuse a point of whose light a part, or all, meets a target on its way to the lens."""
+    rays = LensRays(world, -float(point[2]), 0.0)
+    bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
+    entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])
+    whole = build(camera.scene, aimed=False)
+    out = at_wavelength(whole, wavelength_nm).frames[CAMERA_FRAME, WORLD_FRAME]
+    ahead = frames.directions(out, entry - point)
+    found = trace(whole, frames.points(out, point[None, :]) + OFF_POINT * ahead, ahead, wavelength_nm, "transmit")
+    names = [target.name or f"targets[{i}]" for i, target in enumerate(camera.scene.targets)]
+    hiding = [body for body in found.body if body in names]
+    if len(hiding) == len(entry) > 0:
+        raise NoLightError(f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point or leave the target out")
+    if hiding:
+        raise LfmeshError(
+            f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(entry)} places of the "
+            "pupil; move the point or leave the target out"
+        )

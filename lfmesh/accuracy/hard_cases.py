@@ -48,6 +48,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     meshes.trapped_light,
     lenses.cemented_triplet,
     lenses.thin_lenses_at_every_angle,
+    lenses.flat_port_in_water,
     lenses.gap_10_um,
     lenses.gap_1_um,
     lenses.gap_100_nm,

@@ -18,13 +18,13 @@ def array_of(draft: Draft) -> Tables | None:
 @feature(cameras=0.08, scenes=0.08)
 def under_water(draft: Draft, dice: Dice) -> bool | None:
     """A flat port before the lens and a medium beyond it, in which the plane in focus appears where it was."""
-    medium, glass = dice.between(1.1, 1.6), dice.between(1.4, 1.9)
+    medium, glass = dice.between(1.1, 1.35), dice.between(1.4, 1.9)
     thickness, gap = (rounded(draft.focal_mm * dice.log_between(0.02, 0.3)) for _ in range(2))
     apparent = draft.focus_mm - gap - thickness / glass
     if apparent < 0.5 * draft.focus_mm:
         return False
     draft.focus_mm = rounded(medium * apparent)
-    draft.camera |= {"focus_mm": draft.focus_mm, "object_medium": {"index": medium}}
+    draft.camera.update({"focus_mm": draft.focus_mm, "object_medium": {"index": medium}})
     draft.tables["targets"][0]["position_mm"] = [0.0, 0.0, -draft.focus_mm]
     draft.surfaces[:0] = [{"thickness_mm": thickness, "index": glass}, {"thickness_mm": gap}]
     draft.groups = [[number + 2 for number in group] for group in draft.groups]

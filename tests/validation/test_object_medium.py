@@ -146,6 +146,19 @@ def test_a_black_body_in_water_is_as_bright_as_in_air(method: str) -> None:
     assert abs(ratio - passed) < 4.0 * error + 4e-4
 
 
+def test_a_lamp_in_water_lights_the_same_picture_in_both_methods() -> None:
+    """The forward method follows watts, which know no n²: it is the truth for what lamps bring to pixels."""
+    lamp = {"kind": "point", "position_mm": [14.0, 9.0, -6.0], "power_w": 1.0}
+    lit = {"targets[0].material": {"reflectance": 0.7}, "lights": [lamp]}
+    sums = [
+        np.array([image.mean.sum() for image in by_seed(behind_a_stop(GLASS, method).changed(IN_WATER | lit), seeds)])
+        for method, seeds in (("adjoint", range(8)), ("forward", range(100, 124)))
+    ]
+    error = np.hypot(*(stats.sem(each) for each in sums))
+    assert error < 0.02 * sums[0].mean()
+    assert abs(sums[1].mean() - sums[0].mean()) < 4.0 * error
+
+
 def lit_in_water(**settings: Any) -> lf.Scene:
     """A matt chart and a ball of glass in water, lit by a lamp there."""
     chart = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0.0, 0.0, -60.0],

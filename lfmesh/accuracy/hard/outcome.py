@@ -12,6 +12,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.accuracy.hard.truth import Array, Bundle, Interface, at_plane, through
+from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import Camera, Lens, MicrolensArray, Refractor, Scene, Sensor, Surface, Target
 from lfmesh.scene.objects.refractor import FacetLevel
 from lfmesh.transport.render.image import Image
@@ -315,7 +316,8 @@ def through_lens(
         Tolerance of the weights.
     """
     paths = trace(world or build(scene), origins, directions, split="transmit")
-    true = through(faces_of(scene), origins, directions)
+    outside = refractive_index(scene.camera.lens.media[0], scene.primary_nm)
+    true = through(faces_of(scene), origins, directions, outside)
     return on_sensor(
         paths, at_plane(true.p, true.d, sensor_z(scene)), true.weight, tolerance,
         stopped=cut(scene, true), relative=relative,

@@ -86,11 +86,11 @@ def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
     objects at half the vergence: its own stand round the plane in focus.
     """
     principal_z, focus = facts.front_principal_plane_z_mm, facts.object_distance_mm
-    in_focus = 1.0 / (focus + principal_z)
-    if facts.efl_mm > 0.0 and not 1.0 / (FAR * facts.efl_mm) < in_focus < 1.0 / facts.efl_mm:
-        in_focus = 1.0 / (FAR * facts.efl_mm)
+    in_focus, focal = 1.0 / (focus + principal_z), facts.object_index * facts.efl_mm
+    if focal > 0.0 and not 1.0 / (FAR * focal) < in_focus < 1.0 / focal:
+        in_focus = 1.0 / (FAR * focal)
         focus = 1.0 / in_focus - principal_z
-    near = 1.0 / ((1.0 - NEARER) * in_focus + NEARER / facts.efl_mm) - principal_z
+    near = 1.0 / ((1.0 - NEARER) * in_focus + NEARER / focal) - principal_z
     far = 2.0 / in_focus - principal_z
     if abs(principal_z) < focus and 0.0 < near < focus < far:
         return near, far
@@ -102,7 +102,7 @@ def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> f
     facts, lens = camera.report, camera.scene.camera.lens
     pupil_z, pupil_radius = facts.entrance_pupil_z_mm, 0.5 * facts.entrance_pupil_diameter_mm
     # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
-    front_focus = facts.efl_mm - facts.front_principal_plane_z_mm
+    front_focus = -facts.ffl_mm
     if not math.isfinite(pupil_z) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
         return 0.0
     ring = pupil_radius * np.sqrt((np.arange(FAN) + 0.5) / FAN)

@@ -68,7 +68,7 @@ class RayModel:
     Attributes
     ----------
     efl_mm : float
-        Focal length of the main lens.
+        Focal length of the main lens, on the side of the image.
     front_principal_z_mm, rear_principal_z_mm : float
     array_z_mm : float
         The lenslets' front principal points.
@@ -84,6 +84,8 @@ class RayModel:
         From where first-order optics images a point of the axis to where the rays of the full aperture come closest
         together, along z: what spherical aberration does to the focus. The second is divided by the object's distance
         from the front principal plane and added.
+    object_index : float
+        Refractive index of the medium before the lens, in which objects have their distances.
     """
 
     efl_mm: float
@@ -97,6 +99,7 @@ class RayModel:
     f_number: float
     focus_shift_mm: float = 0.0
     focus_shift_mm2: float = 0.0
+    object_index: float = 1.0
 
     @classmethod
     def of(cls, scene: Scene) -> "RayModel":
@@ -140,6 +143,7 @@ class RayModel:
             f_number=facts.working_f_number,
             focus_shift_mm=shift,
             focus_shift_mm2=slope,
+            object_index=facts.object_index,
         )
 
     @property
@@ -172,7 +176,7 @@ class RayModel:
     @property
     def nearest_mm(self) -> float:
         """Distance of the front focal point before the first vertex; nearer objects have no real image."""
-        return self.efl_mm - self.front_principal_z_mm
+        return self.object_index * self.efl_mm - self.front_principal_z_mm
 
     def image_excess_mm(self, distance_mm: float) -> float:
         """Return ε, how far behind the array an object this far before the first vertex is imaged most sharply.
@@ -242,7 +246,7 @@ class RayModel:
             # What aberrations add depends on the vergence by so little that every round settles two digits more.
             for _ in range(ROUNDS):
                 image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
-                vergence = 1.0 / self.efl_mm - 1.0 / image
+                vergence = (1.0 / self.efl_mm - 1.0 / image) / self.object_index
             return _alike(shift_mm, 1.0 / (vergence + 0.0) - self.front_principal_z_mm)
 
     def object_scale(self, distance_mm: float) -> float:
@@ -261,11 +265,11 @@ class RayModel:
         """
         enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
         from_principal = distance_mm + self.front_principal_z_mm
-        return enlarged * from_principal / self._image_mm(1.0 / from_principal)
+        return enlarged * from_principal / (self.object_index * self._image_mm(1.0 / from_principal))
 
     def _image_mm(self, vergence: float) -> float:
         """Return the distance of a paraxial image from the rear principal plane; vergence: 1/object distance, 1/mm."""
-        return 1.0 / (1.0 / self.efl_mm - vergence)
+        return 1.0 / (1.0 / self.efl_mm - self.object_index * vergence)
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,15 @@ class MediumList:
         return Media(indices, Absorption(per_mm, slot))
 
     def table_of_objects(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
-        """Return the media of object space at some wavelengths; parameters as for `table`."""
+        """Return the media of object space at some wavelengths.
+
+        Parameters
+        ----------
+        wavelengths_nm : tuple of float
+        book : Book or None
+        within : iterable of int
+            As for `table`.
+        """
         media = self.table(wavelengths_nm, book, within)
         media.indices[AIR] = media.indices[self.before_lens]
         return media

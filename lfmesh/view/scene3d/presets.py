@@ -176,7 +176,8 @@ def _in_field(world: World, target: TargetMesh) -> Array:
     if 0.0 < distance < np.inf:
         half = 0.5 * FIELDS * widest * (-z[:, None] / distance) + max(world.lens_shape.rims)
     else:
-        slope = 0.5 * np.array(world.scene.camera.sensor.size_mm) / abs(world.first_order.efl_mm)
+        focal = world.first_order.object_index * world.first_order.efl_mm
+        slope = 0.5 * np.array(world.scene.camera.sensor.size_mm) / abs(focal)
         half = FIELDS * slope * -z[:, None] + max(world.lens_shape.rims)
     points[:, :2] = np.clip(points[:, :2], -half, half)
     return _box(points.min(axis=0), points.max(axis=0))

@@ -131,3 +131,19 @@ def test_infinity_has_a_shift(model: RayModel) -> None:
 def test_a_conventional_camera_has_no_model(camera: Callable[..., Scene]) -> None:
     with pytest.raises(lf.LfmeshError, match="records no light field"):
         RayModel.of(camera().changed({"camera.mla": None}))
+
+
+def test_distances_in_water_are_those_of_the_report(camera: Callable[..., Scene]) -> None:
+    """The plane in focus, the ends of the refocus range, and the size of what is in focus."""
+    again = {"camera.mla.distance_mm": None, "camera.sensor.distance_mm": None}
+    scene = camera().changed(again | {"camera.object_medium": {"index": 1.333}})
+    facts, real = first_order(scene), RayModel.of(scene)
+    assert facts.object_index == 1.333
+    model = real.paraxial
+    assert model.nearest_mm == pytest.approx(-facts.ffl_mm, rel=1e-12)
+    assert model.distance_mm(0.0) == pytest.approx(facts.object_distance_mm, rel=1e-12)
+    assert model.refocus_range_mm == pytest.approx((facts.near_mm, facts.far_mm), rel=1e-12)
+    assert model.object_scale(facts.object_distance_mm) == pytest.approx(1.0 / abs(facts.magnification), rel=1e-12)
+    for distance in (300.0, 800.0, 5000.0):
+        assert real.distance_mm(real.shift_mm(distance)) == pytest.approx(distance, rel=1e-9)
+    assert 0.0 < abs(real.focus_shift_mm) < 0.1 * facts.efl_mm

@@ -37,15 +37,19 @@ def optimise(
     make_folder(out)
     with status() as say:
         found = best_of(problem, say)
-    with defer_interrupt():
-        paths = write_optimum(found, out)
-    for line in found.lines():
-        print(line)
-    if not found.complete:
-        say_note("stopped; the best camera so far is written")
-    if found.violated:
-        say_note(f"the best camera found does not keep all limits: {'; '.join(found.violated)}")
-    list_files(paths)
+    try:
+        # What is found is written and told to the end, whatever comes meanwhile.
+        with defer_interrupt():
+            paths = write_optimum(found, out)
+            for line in found.lines():
+                print(line)
+            if not found.complete:
+                say_note("stopped; the best camera so far is written")
+            if found.violated:
+                say_note(f"the best camera found does not keep all limits: {'; '.join(found.violated)}")
+            list_files(paths)
+    except KeyboardInterrupt:
+        return code_of_last()
     if not found.complete:
         return code_of_last()
     return 1 if found.violated else 0

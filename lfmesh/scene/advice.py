@@ -317,6 +317,15 @@ def _coverage(scene: Scene) -> Iterator[str]:
             yield f"the sensor is {pixels:.4g} mm {side}, the array {lenslets:.4g} mm: outer ones go unseen"
         elif lenslets < 0.9 * pixels:
             yield f"the array is {lenslets:.4g} mm {side}, the sensor {pixels:.4g} mm: outer pixels stay dark"
+    for axis in (0, 1):
+        shift = mla.pose.shift_mm[axis] - sensor.pose.shift_mm[axis]
+        lenslets, pixels = mla.size_mm[axis], sensor.size_mm[axis]
+        covered = min(0.5 * pixels, shift + 0.5 * lenslets) - max(-0.5 * pixels, shift - 0.5 * lenslets)
+        if covered < 0.9 * min(lenslets, pixels):
+            yield (
+                f"the array stands {abs(shift):.4g} mm beside the sensor along {'xy'[axis]}: of {pixels:.4g} mm it "
+                f"covers {max(covered, 0.0):.4g} mm, and the other pixels see no lenslets"
+            )
 
 
 def _targets(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

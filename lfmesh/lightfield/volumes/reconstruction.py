@@ -176,8 +176,10 @@ def reconstruct(
         Factor of each step, 0 to 2; 1 if left out. Of "mart" and "sart" only.
     noise : float or like `image`, optional
         Standard error σ of the pixels, W, of "tikhonov" and "tv": that of an Image if left out, else the same for all,
-        and not known. Pixels with 0 or NaN count as the median one. Where it is known, what the matrix's own standard
-        errors make of a first volume is added by squares.
+        and not known. Pixels with 0 or NaN count as the median one. Few samples that found little light by chance seem
+        to be certain of the dark: no pixel has less than a quarter of the noise, root of the mean square, of those that
+        a first volume shows about as bright, of an Image no less than that noise. Where the noise is known, what the
+        matrix's own standard errors make of this volume is added by squares.
     strength : float, "half-sets" or "discrepancy", optional
         Of "tikhonov" and "tv": λ over that at which data and penalty weigh the same, by the sums of their diagonals.
         "half-sets", taken if left out: the one with which two halves of the pixels predict each other best.
@@ -221,10 +223,12 @@ def reconstruct(
     unit = level / scale
     rows, b = rows / scale, b / level
     if method in REGULARISED:
+        # That of an Image is estimated from few samples of each pixel.
+        certain = regularised.CERTAIN
         if noise is None and isinstance(image, Image):
-            noise = image.error
+            noise, certain = image.error, 1.0
         sigma = None if noise is None else _noise(noise, b, matrix) / level
-        task = _Task(matrix, rows, b, seen, shape, method, unit, say or (lambda _: None))
+        task = _Task(matrix, rows, b, seen, shape, method, unit, certain, say or (lambda _: None))
         found = task.solved(sigma, "half-sets" if strength is None else strength)
         warn_caller(found.warnings)
         return replace(found, warnings=(*warned, *found.warnings))
@@ -286,18 +290,22 @@ class _Task:
     shape: tuple[int, ...]
     method: str
     unit: float
+    certain: float
     say: Callable[[str], None]
 
     def solved(self, noise: Array | None, strength: float | str) -> Reconstruction:
         """Return the volume, for noise of the pixels that is known or not."""
         if noise is None and strength == "discrepancy":
             raise LfmeshError('strength = "discrepancy": needs noise, the standard error of the pixels')
-        problem = self._problem(np.ones(len(self.b)) if noise is None else noise)
-        if noise is not None and isinstance(self.matrix, ProjectionMatrix):
+        # Pixels that weigh the same: by errors of their own those that chance left dark would decide.
+        problem = self._problem(np.full(len(self.b), 1.0 if noise is None else np.sqrt(np.mean(noise**2))))
+        if noise is not None:
             first = self._whole(problem.path(1.0))
-            variance = regularised.noise_of_matrix(self.matrix, first * self.unit)
-            level = float(np.abs(self.matrix.matrix.data).max()) * self.unit
-            problem = self._problem(np.sqrt(noise**2 + variance / level**2))
+            variance = regularised.not_too_certain(noise**2, self.rows @ first, self.certain)
+            if isinstance(self.matrix, ProjectionMatrix):
+                level = float(np.abs(self.matrix.matrix.data).max()) * self.unit
+                variance = variance + regularised.noise_of_matrix(self.matrix, first * self.unit) / level**2
+            problem = self._problem(np.sqrt(variance))
         tried = np.zeros((0, 2))
         if isinstance(strength, str):
             choose = {

@@ -33,6 +33,11 @@ LARGEST = 1e6
 SIGMAS = 3.0
 """Standard errors by which chance may explain something."""
 
+POOL = 100
+"""Pixels that count as equally bright."""
+
+CERTAIN = 0.25
+"""Least standard error of a pixel, of noise that is given, over that of pixels equally bright."""
 
 WORSE = 2
 """Strengths in a row that predict worse than the best one, after which the path ends."""
@@ -356,6 +361,27 @@ def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
 def chance(count: int) -> float:
     """Return how far noise may bring a mean of squares, over its variance, from 1."""
     return SIGMAS * float(np.sqrt(2.0 / count))
+
+
+def not_too_certain(variance: Array, shown: Array, certain: float) -> Array:
+    """Return the variance of pixels, none below a share of the mean of those that a volume shows about as bright.
+
+    The error of a pixel that is estimated from its own samples is small where these found little light by chance: its
+    weight would hold that place dark.
+
+    Parameters
+    ----------
+    variance : (pixels,) float64
+    shown : (pixels,) float64
+        What a volume shows them.
+    certain : float
+        Least standard error over the root of that mean.
+    """
+    groups = max(1, len(shown) // POOL)
+    group = np.empty(len(shown), np.int64)
+    group[np.argsort(shown, kind="stable")] = np.arange(len(shown)) * groups // len(shown)
+    mean = np.bincount(group, variance, groups) / np.bincount(group, minlength=groups)
+    return np.maximum(variance, certain**2 * mean[group])
 
 
 def noise_of_matrix(matrix: "ProjectionMatrix", x: Array) -> Array:

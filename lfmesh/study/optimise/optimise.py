@@ -274,13 +274,19 @@ def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
     progress : callable, optional
     """
     began = time.perf_counter()
-    design, search = problem.design, Search(problem, progress)
-    complete = True
+    search = Search(problem, progress)
+    complete = False
     try:
         search.run()
+        complete = True
+        return _optimum(problem, search, began, complete=complete)
     except KeyboardInterrupt:
-        complete = False
-    first, best = search.first, search.best
+        # One that comes after the search costs nothing of what it found either.
+        return _optimum(problem, search, began, complete=complete)
+
+
+def _optimum(problem: Problem, search: Search, began: float, *, complete: bool) -> Optimum:
+    design, first, best = problem.design, search.first, search.best
     return Optimum(
         scene=problem.scene_at(best.place),
         first=problem.scene,

@@ -411,6 +411,38 @@ def test_images_have_the_shape_of_the_rectangle_of_pixels_or_stand_in_a_row(meth
         lf.reconstruct(scattered, b.reshape(3, 4), method)
 
 
+class FewHits(lf.Image):
+    """An image whose errors are estimated from the few hits of each pixel: none where there were none."""
+
+    def __init__(self, hits):
+        self.hits_found = hits
+
+    mean = property(lambda self: self.hits_found)
+    error = property(lambda self: np.where(self.hits_found > 0, np.sqrt(self.hits_found), 1e-12))
+
+
+@pytest.mark.parametrize(("noise_is", "least"), [("of the image", 0.9), ("given", 0.6)])
+def test_pixels_that_few_samples_left_dark_make_no_dark_volume(noise_is, least):
+    """Poisson counts of 3 a pixel in the mean, and errors by the counts themselves: most of the light comes back.
+
+    Weights by counts lose 1 of 3 at least; dark pixels that are certain of it, all light.
+    """
+    full = line(30, 1.5)
+    true = 1.0 + np.sin(np.arange(30) / 4.0) ** 2
+    given = matrix_of(full, (30, 1, 1))
+    unit = 3.0 / (full @ true).mean()
+    shares = []
+    for seed in range(6):
+        image = FewHits(np.random.default_rng(seed).poisson(unit * (full @ true)).astype(np.float64))
+        options = {"noise": image.error} if noise_is == "given" else {}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            found = lf.reconstruct(given, image.mean if options else image, "tikhonov", strength=0.03, **options)
+        shares.append(found.volume.sum() / unit / true.sum())
+    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
+    assert np.mean(shares) > least - 3.7 * error, shares
+
+
 def test_noise_has_the_shape_of_the_image():
     full, _, b = system(12, 4, 1)
     whole = matrix_of(full, (2, 2, 1), sensor_pixels=(4, 3))

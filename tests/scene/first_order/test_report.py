@@ -223,6 +223,8 @@ WARNED = [
     ({"targets[0].position_mm": (0.0, 0.0, -4000.0)}, "targets[0] stands at 4000 mm, out of the range"),
     ({"camera.sensor.pixels": (100, 240)}, "outer ones go unseen"),
     ({"camera.sensor.pixels": (320, 480)}, "outer pixels stay dark"),
+    ({"camera.mla.pose.shift_mm[0]": 5.0}, "the array stands 5 mm beside the sensor along x"),
+    ({"camera.sensor.pose.shift_mm[1]": -5.0}, "the array stands 5 mm beside the sensor along y"),
     ({"camera.sensor.pixel_mm": 0.08, "camera.sensor.pixels": (48, 36)}, "too few to tell directions"),
     ({"targets": ()}, "no targets"),
     ({"lights": ()}, "nothing shines"),

@@ -1,9 +1,13 @@
 """Design files: what they hold, what is refused in one line, and what `lfmesh optimise` writes."""
 
 import html
+import importlib
 import json
 import math
+import os
 import re
+import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -237,6 +241,41 @@ def test_ctrl_c_writes_the_best_camera_so_far(
     assert lf.load(tmp_path / "best" / "optimised.toml").camera.lens.surfaces[0].radius_mm == 44.0
     assert not json.loads((tmp_path / "best" / "optimum.json").read_text())["complete"]
     assert "best camera so far" in capsys.readouterr().err
+
+
+def interrupted_once(usual: Callable[..., Any], *, after: bool) -> Callable[..., Any]:
+    """Return a function that a signal comes in once, before or after its work."""
+    left = [True]
+
+    def cut(*given: Any) -> Any:
+        if after:
+            found = usual(*given)
+        if left.pop() if left else False:
+            os.kill(os.getpid(), signal.SIGINT)
+        return found if after else usual(*given)
+
+    return cut
+
+
+@pytest.mark.parametrize("where", ["optimise._differences", "design_files.write_files"])
+def test_ctrl_c_after_the_search_loses_nothing_and_is_told_nothing_wrong(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """While the best camera is looked at again, and when its files are written."""
+    module, name = where.split(".")
+    place = importlib.import_module(f"lfmesh.study.optimise.{module}")
+    monkeypatch.setattr(place, name, interrupted_once(getattr(place, name), after=module == "design_files"))
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["optimise", str(write_design(tmp_path)), "-o", str(tmp_path / "best")]) in (0, 130)
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    told = capsys.readouterr()
+    assert "nothing was written" not in told.err
+    written = {path.name for path in (tmp_path / "best").iterdir()}
+    assert written == {"optimised.toml", "optimum.json", "optimum.txt", "report.html"}
+    assert all(name in told.out for name in written)
+    assert json.loads((tmp_path / "best" / "optimum.json").read_text())["complete"]
 
 
 def test_constraints_and_terms_of_the_same_figure_are_told_apart() -> None:

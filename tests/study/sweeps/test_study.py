@@ -27,7 +27,7 @@ from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
 from lfmesh.study.sweeps.pool import Result, in_pool
 from lfmesh.study.sweeps.study_folder import logged
-from lfmesh.study.sweeps.unit import FORMAT, Unit, run_unit
+from lfmesh.study.sweeps.unit import FORMAT, Unit, run_unit, unpacked
 from tests.study.studies import PLANE, SHIFT, shifted, small_scene
 
 ROOT = Path(lf.__file__).parents[1]
@@ -250,6 +250,22 @@ def test_a_unit_that_another_program_computed_is_named_and_computed_again(tmp_pa
     assert f"sources others, here {own['sources']}" in reason
     assert Counter(events(tmp_path, "done"))[2, 0] == 2
     assert (tmp_path / "table.csv").read_text() == table
+
+
+def test_units_of_another_processor_are_taken_with_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a folder that goes on elsewhere, and of outcomes that workers of a cluster send."""
+    study = shifted(3, ("chief_rays",))
+    with monkeypatch.context() as patch:
+        patch.setattr(sealed, "processor", lambda: "another")
+        study.run(tmp_path, workers=0)
+        ((unit, path),) = units(study, 1, tmp_path / "reference" / "batch000.npz")
+        content, reason = pool.computed(unit, path)
+    assert not reason
+    with pytest.warns(sealed.ProcessorWarning, match="another kind of processor .another, here "):
+        study.run(tmp_path, workers=0)
+    assert content is not None
+    with pytest.warns(sealed.ProcessorWarning, match="another kind of processor .another, here "):
+        unpacked(content, unit.study, unit.point, unit.batch, unit.metrics)
 
 
 def test_an_edited_unit_is_named_and_computed_again(tmp_path: Path, table: str) -> None:

@@ -7,14 +7,11 @@ from typing import Any
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
 from lfmesh.view.rays.exact_ghosts import exact_of
-from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing
 from lfmesh.view.show import NO_DISPLAY, Outputs, Seen, check_output, draw_seen, look
-
-GHOST_RAYS, GHOST_CUTOFF = 500, 1e-4
-"""Rays of each launch, and the cutoff of their weight, where ghosts are asked for and neither is given."""
 
 
 def run(

@@ -27,10 +27,11 @@ from lfmesh.files.colour import spectral_srgb
 from lfmesh.files.whole import write_whole
 from lfmesh.templates import filled
 from lfmesh.view.figure_file import PICTURES, checked_kind, encoded_figure, inline_svg
+from lfmesh.view.style import FIELD_COLOURS, GREY, INK, PAPER
 from lfmesh.waves.wavefront import ACROSS as WAVEFRONT_ACROSS
 
-SHEET_IN = (14.0, 14.4)
-LIGHT_FIELD_IN = 4.2
+SHEET_IN = (14.0, 15.6)
+LIGHT_FIELD_IN = 5.0
 """Height of the part on the light field."""
 
 WHAT = "a lens sheet"
@@ -39,10 +40,11 @@ ENDINGS = (*PICTURES, ".html")
 TEMPLATE = Path(__file__).parent / "templates" / "lens_sheet.html"
 
 DEPTH_COLOURS = ("#8c1f1f", "#c46a1b", "#222222", "#2a7f8c", "#1f3a8c")
+DEPTH_LINES = (":", "--", "-", "-.", (0, (5, 1, 1, 1, 1, 1)))
 """From the nearest plane to the farthest."""
 
-FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
-INK, GREY = "#222222", "#666666"
+WIDEST, NARROWEST = 2.2, 0.7
+"""Widths of the lines of the first and the last wavelength: where they coincide, both are seen."""
 
 UM = 1e3
 """Micrometres in a millimetre."""
@@ -50,27 +52,23 @@ UM = 1e3
 DARKEST = 0.75
 """Lines of light wavelengths are drawn this much darker than they look, to be seen on paper."""
 
-DEFINITION_COLUMNS, WIDE_COLUMNS = 80, 128
+DEFINITION_COLUMNS, WIDE_COLUMNS = 66, 116
 """Characters on a line of the definitions of the light field, and of the lens."""
 
 DARKEST_SPREAD = 1e-3
 """Of a point spread, over its peak: black."""
 
 STYLE: Any = {
-    "font.family": ["DejaVu Sans", "sans-serif"],
-    "font.size": 7.0,
-    "axes.titlesize": 7.5,
-    "axes.labelsize": 7.0,
+    **PAPER,
+    "font.size": 8.5,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.5,
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.9,
-    "legend.fontsize": 6.5,
-    "legend.frameon": False,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "lfmesh",
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
+    "legend.fontsize": 8.0,
+    "legend.frameon": True,
+    "legend.framealpha": 0.8,
+    "legend.edgecolor": "none",
 }
 
 
@@ -140,8 +138,8 @@ def sheet_of(analysis: LensAnalysis) -> Figure:
 
 def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     grid = GridSpec(
-        5, 6, figure, left=0.045, right=0.975, top=0.92, bottom=0.04, wspace=0.42, hspace=0.36,
-        height_ratios=(1.0, 1.15, 1.15, 1.15, 1.3),
+        5, 6, figure, left=0.045, right=0.975, top=0.92, bottom=0.04, wspace=0.46, hspace=0.4,
+        height_ratios=(1.0, 1.15, 1.15, 1.15, 1.5),
     )  # fmt: skip
     _header(figure, analysis)
     _fans(figure, grid, analysis)
@@ -167,13 +165,14 @@ def _light_field_part(figure: Any, light_field: LightFieldAnalysis) -> None:
         for number, each in enumerate(light_field.photographs):
             at = "infinity" if math.isinf(each.distance_mm) else f"{each.distance_mm:.4g} mm"
             colour = DEPTH_COLOURS[number % len(DEPTH_COLOURS)]
-            axes.plot(light_field.frequencies_per_mm, each.mtf[k], color=colour, label=at)
+            line = DEPTH_LINES[number % len(DEPTH_LINES)]
+            axes.plot(light_field.frequencies_per_mm, each.mtf[k], color=colour, linestyle=line, label=at)
         axes.set_xlim(0.0, light_field.frequencies_per_mm[-1])
         axes.set_ylim(0.0, 1.0)
         axes.grid(visible=True, linewidth=0.3)
         axes.set_title(f"MTF of photographs, {part}")
         axes.set_xlabel("line pairs a mm, on the array")
-        if light_field.photographs:
+        if light_field.photographs and k == len(light_field.parts) - 1:
             axes.legend(loc="upper right", title="plane")
     _definitions(figure.add_subplot(grid[0, 4:]), light_field.definitions, DEFINITION_COLUMNS)
 
@@ -185,29 +184,29 @@ def _crosstalk(axes: Axes, light_field: LightFieldAnalysis) -> None:
         bars = axes.bar(
             place + 0.4 * side - 0.2, 100.0 * np.array(shares), 0.38, label=f"{word} others", color=FIELD_COLOURS[side]
         )
-        axes.bar_label(bars, fmt="%.1f", fontsize=6.0)
-    axes.set_xticks(place, [f"{each.height_mm:.2f} mm" for each in light_field.crosstalk])
+        axes.bar_label(bars, fmt="%.2g", fontsize=8.0)
+    axes.set_xticks(place, [f"{each.height_mm:.2f}" for each in light_field.crosstalk])
     axes.margins(y=0.3)
     axes.legend(loc="upper left")
     axes.set_title("micro-image cross-talk")
-    axes.set_xlabel("lenslet from axis")
+    axes.set_xlabel("lenslet from axis, mm")
     axes.set_ylabel("%")
 
 
 def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
     facts = analysis.first_order
     at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.5g} mm"
-    figure.text(0.045, 0.97, analysis.name, fontsize=13, fontweight="bold")
+    figure.text(0.045, 0.97, analysis.name, fontsize=15, fontweight="bold")
     figure.text(
         0.045, 0.952,
         f"f = {facts.efl_mm:.3f} mm   f/{facts.working_f_number:.2f} at work   object at {at}   "
         f"image plane z = {analysis.image_z_mm:.3f} mm   Airy radius {UM * analysis.airy_radius_mm:.2f} µm",
-        fontsize=8.5, color=GREY,
+        fontsize=10, color=GREY,
     )  # fmt: skip
     for k, wavelength in enumerate(analysis.wavelengths_nm):
         figure.text(
-            0.985 - 0.075 * (len(analysis.wavelengths_nm) - 1 - k), 0.952, f"— {wavelength:.1f} nm",
-            color=_colours(analysis)[k], ha="right", fontsize=8.5, fontweight="bold",
+            0.985 - 0.085 * (len(analysis.wavelengths_nm) - 1 - k), 0.952, f"— {wavelength:.1f} nm",
+            color=_colours(analysis)[k], ha="right", fontsize=10, fontweight="bold",
         )  # fmt: skip
 
 
@@ -215,6 +214,12 @@ def _colours(analysis: LensAnalysis) -> list[tuple[float, float, float]]:
     """Return the colour of each wavelength's lines."""
     shown = DARKEST * spectral_srgb(np.array(analysis.wavelengths_nm, dtype=np.float64))
     return [(float(r), float(g), float(b)) for r, g, b in shown]
+
+
+def _lines(analysis: LensAnalysis) -> list[dict[str, Any]]:
+    """Return the look of each wavelength's lines, the first the widest, below the others."""
+    widths = np.linspace(WIDEST, NARROWEST, len(analysis.wavelengths_nm)) if len(analysis.wavelengths_nm) > 1 else [0.9]
+    return [{"color": colour, "linewidth": width} for colour, width in zip(_colours(analysis), widths, strict=True)]
 
 
 def _field_names(analysis: LensAnalysis) -> list[str]:
@@ -240,9 +245,9 @@ def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
         for side, words in enumerate(("tangential", "sagittal")):
             axes = figure.add_subplot(grid[0, 2 * f + side])
             _cross(axes)
-            for fan, colour in zip(fans, _colours(analysis), strict=True):
+            for fan, look in zip(fans, _lines(analysis), strict=True):
                 values = fan.sagittal_mm if side else fan.tangential_mm
-                axes.plot(fan.pupil, UM * values, color=colour)
+                axes.plot(fan.pupil, UM * values, **look)
             axes.set_xlim(-1.0, 1.0)
             axes.set_ylim(-1.05 * UM * largest or -1.0, 1.05 * UM * largest or 1.0)
             axes.set_title(f"{words} fan, {name}")
@@ -253,9 +258,12 @@ def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
 def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
     reach = UM * max(max(spot.geo_mm for spot in analysis.spots), analysis.airy_radius_mm)
     for axes, name, spot in zip(places, _field_names(analysis), analysis.spots, strict=True):
-        for wavelength, colour in zip(analysis.wavelengths_nm, _colours(analysis), strict=True):
-            mine = spot.wavelength_nm == wavelength
-            axes.plot(*(UM * spot.place_mm[mine]).T, ".", color=colour, markersize=0.9, rasterized=True)
+        # In an order by chance, so that no wavelength covers another.
+        order = np.random.default_rng(0).permutation(len(spot.place_mm))
+        which = np.searchsorted(np.sort(analysis.wavelengths_nm), spot.wavelength_nm[order])
+        colours = np.array(_colours(analysis))[np.argsort(analysis.wavelengths_nm)][which]
+        x, y = UM * spot.place_mm[order].T
+        axes.scatter(x, y, s=1.2, c=colours, linewidths=0.0, rasterized=True)
         axes.add_patch(Circle((0.0, 0.0), UM * analysis.airy_radius_mm, fill=False, color=INK, linewidth=0.7, zorder=3))
         axes.set_xlim(-1.05 * reach, 1.05 * reach)
         axes.set_ylim(-1.05 * reach, 1.05 * reach)
@@ -276,12 +284,12 @@ def _path_fans(places: list[Axes], analysis: LensAnalysis) -> None:
             _say_why(axes, waves)
             continue
         _cross(axes)
-        for fan, colour in zip(waves.fans, _colours(analysis), strict=True):
-            axes.plot(fan.pupil, fan.tangential_waves, color=colour)
-            axes.plot(fan.pupil, fan.sagittal_waves, color=colour, linestyle="--")
+        for fan, look in zip(waves.fans, _lines(analysis), strict=True):
+            axes.plot(fan.pupil, fan.tangential_waves, **look)
+            axes.plot(fan.pupil, fan.sagittal_waves, **look, linestyle="--")
         axes.set_xlim(-1.0, 1.0)
         axes.set_ylim(-1.05 * largest or -1.0, 1.05 * largest or 1.0)
-        axes.set_xlabel("stop radius   tangential —, sagittal - -")
+        axes.set_xlabel("stop radius; tang. —, sag. - -")
         axes.set_ylabel("waves")
 
 
@@ -316,7 +324,7 @@ def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
             vmax=0.0, extent=(-UM * reach, UM * reach, -UM * reach, UM * reach),
         )  # fmt: skip
         axes.add_patch(Circle((0.0, 0.0), UM * analysis.airy_radius_mm, fill=False, color="white", linewidth=0.7))
-        axes.set_xlabel(f"µm   largest {spread.max():.3f} of light in phase")
+        axes.set_xlabel(f"µm; peak {spread.max():.3f} of light in phase")
 
 
 def _say_why(axes: Axes, reason: str) -> None:
@@ -327,8 +335,8 @@ def _say_why(axes: Axes, reason: str) -> None:
 
 def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:
     _cross(axes)
-    for foci, colour in zip(analysis.zone_foci_mm, _colours(analysis), strict=True):
-        axes.plot(foci, analysis.zones, color=colour)
+    for foci, look in zip(analysis.zone_foci_mm, _lines(analysis), strict=True):
+        axes.plot(foci, analysis.zones, **look)
     axes.set_ylim(0.0, 1.0)
     axes.set_title("longitudinal aberration, axis")
     axes.set_xlabel("focus from image plane, mm")
@@ -338,9 +346,9 @@ def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:
 def _foci(axes: Axes, analysis: LensAnalysis) -> None:
     _cross(axes)
     curves = analysis.curves
-    for w, colour in enumerate(_colours(analysis)):
-        axes.plot(curves.tangential_mm[w], curves.height_mm, color=colour)
-        axes.plot(curves.sagittal_mm[w], curves.height_mm, color=colour, linestyle="--")
+    for w, look in enumerate(_lines(analysis)):
+        axes.plot(curves.tangential_mm[w], curves.height_mm, **look)
+        axes.plot(curves.sagittal_mm[w], curves.height_mm, **look, linestyle="--")
     axes.set_ylim(0.0, curves.height_mm[-1])
     axes.set_title("foci: tangential —, sagittal - -")
     axes.set_xlabel("from image plane, mm")
@@ -362,8 +370,10 @@ def _distortion(axes: Axes, analysis: LensAnalysis) -> None:
 def _lateral(axes: Axes, analysis: LensAnalysis) -> None:
     _cross(axes)
     curves = analysis.curves
-    for values, colour in zip(curves.lateral_mm, _colours(analysis), strict=True):
-        axes.plot(UM * values, curves.height_mm, color=colour)
+    for values, look in zip(curves.lateral_mm, _lines(analysis), strict=True):
+        axes.plot(UM * values, curves.height_mm, **look)
+    if len(analysis.wavelengths_nm) == 1:
+        axes.text(0.05, 0.9, "none of one wavelength", transform=axes.transAxes)
     axes.set_ylim(0.0, curves.height_mm[-1])
     axes.set_title("lateral colour")
     axes.set_xlabel("chief ray from primary, µm")
@@ -389,13 +399,16 @@ def _mtf(axes: Axes, analysis: LensAnalysis, field: int) -> None:
         if not isinstance(waves, str):
             axes.plot(
                 frequencies, waves.mtf(frequencies, tangential=side == 0), color=colour, linestyle=style,
-                linewidth=1.4, label=words,
+                linewidth=1.6, label=f"{words}, waves",
             )  # fmt: skip
-        axes.plot(frequencies, analysis.mtf[field, side], color=colour, linestyle=style, linewidth=0.5, label="by rays")
+        axes.plot(
+            frequencies, analysis.mtf[field, side], color=colour, linestyle=style, linewidth=0.6, label=f"{words}, rays"
+        )
     axes.set_xlim(0.0, frequencies[-1])
     axes.set_ylim(0.0, 1.0)
     axes.grid(visible=True, linewidth=0.3)
-    axes.legend(loc="upper right", ncols=1)
+    if field == 0:
+        axes.legend(loc="upper right")
     axes.set_title(f"MTF, {_field_names(analysis)[field]}")
     axes.set_xlabel("line pairs a mm")
 
@@ -403,4 +416,4 @@ def _mtf(axes: Axes, analysis: LensAnalysis, field: int) -> None:
 def _definitions(axes: Axes, definitions: Sequence[str], columns: int) -> None:
     axes.set_axis_off()
     lines = [line for each in definitions for line in textwrap.wrap(each, columns, subsequent_indent="    ")]
-    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=6.3, linespacing=1.3, transform=axes.transAxes)
+    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.0, linespacing=1.3, transform=axes.transAxes)

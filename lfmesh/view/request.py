@@ -15,9 +15,10 @@ from lfmesh.files import run as runs
 from lfmesh.files.folder import recover
 from lfmesh.files.preview import displayed
 from lfmesh.geometry import frame as frames
+from lfmesh.geometry.array.lattice import centre
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene, load
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays.launch_line import launch
@@ -152,16 +153,24 @@ def launched(
         given = first_look(world)
         split = split or "transmit"
     number = count if count is not None else COUNT if specs else FIRST_COUNT
-    rays = together(
-        [
-            launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff)
-            for spec in given
-        ]
-    )
+    parts = [
+        launch(world, spec, number, wavelength_nm=wavelength_nm, split=split, weight_cutoff=weight_cutoff)
+        for spec in given
+    ]
+    rays = together(parts)
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    return Launched(rays, (words,), pixels_on_array(rays))
+    hidden = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := hidden_by(part))]
+    return Launched(rays, (words, *hidden), pixels_on_array(rays))
+
+
+def hidden_by(rays: Rays) -> str:
+    """Return, in words, which targets keep all rays of field points from the lens; nothing, where some get there."""
+    if rays.field is None or not (rays.status == Status.TARGET).all() or (np.diff(rays.offsets) > 2).any():
+        return ""
+    names = " and ".join(rays.surfaces[number] for number in np.unique(rays.end))
+    return f"no ray reaches the lens, {names} stands in the way"
 
 
 def first_look(world: World) -> list[str]:
@@ -247,3 +256,20 @@ def pixels_on_array(rays: Rays) -> tuple[float, float]:
     to_camera = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME]
     at = frames.points(world.tables.frames[CAMERA_FRAME, MLA_FRAME], frames.points(to_camera, [[x, y, 0.0]]))[0]
     return float(at[0]), float(at[1])
+
+
+def middle_pixel(world: World) -> tuple[int, int]:
+    """Return row and column of the sensor's middle pixel; with an array, in the middle of a micro-image next to it.
+
+    The corner of four lenslets, which stands before the middle of an array of even numbers, lies in the dark.
+    """
+    columns, rows = world.scene.camera.sensor.pixels
+    pitch_px = world.first_order.micro_image_pitch_px
+    if pitch_px is None:
+        return rows // 2, columns // 2
+    tables, lattice = world.tables, world.tables.mla.lenslets.lattice
+    chief = frames.points(
+        tables.frames[MLA_FRAME, SENSOR_FRAME], [[*centre(lattice, lattice.columns // 2, lattice.rows // 2), 0.0]]
+    )
+    x, y, _ = chief[0] * pitch_px / lattice.pitch
+    return round(y + 0.5 * (rows - 1)), round(x + 0.5 * (columns - 1))

@@ -29,6 +29,9 @@ WITH_INSET = ("whole", "side")
 INSET, INSET_PLACE = 0.3, (0.15, 0.04)
 """Size of the magnified array over that of the picture, and where its lower left corner stands in it."""
 
+LETTER = "A"
+"""Of the magnified array, there and where it stands in the picture."""
+
 NO_DISPLAY = (
     "there is no display for a window: write a picture with --screenshot out.png or a page with --html out.html, "
     "or open it with --browser"
@@ -251,15 +254,19 @@ def check_output(option: str, path: Path) -> None:
 
 def picture_of(view: View) -> PIL.Image.Image:
     """Return what a view shows; in a picture of the whole the array, too small there, stands magnified in a corner."""
+    if view.preset not in WITH_INSET or "array" not in view.presets:
+        return _shot(view)
+    view.overlay.mark(LETTER, view.array_edge)
     picture = _shot(view)
-    if view.preset in WITH_INSET and "array" in view.presets:
-        preset = view.preset
-        view.overlay.only_scale(True)
-        view.look("array")
-        close = _shot(view)
-        view.look(preset)
-        view.overlay.only_scale(False)
-        _paste(picture, close)
+    preset = view.preset
+    view.overlay.only_scale(True)
+    view.overlay.mark(f"{LETTER}: lenslets")
+    view.look("array")
+    close = _shot(view)
+    view.look(preset)
+    view.overlay.only_scale(False)
+    view.overlay.unmark()
+    _paste(picture, close)
     return picture
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -22,9 +23,9 @@ from lfmesh.transport.world import World
 from lfmesh.view import show
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
-from lfmesh.view.request import LaunchOptions, first_look, launched, subject_of, together
+from lfmesh.view.request import LaunchOptions, first_look, launched, middle_pixel, subject_of, together
 from lfmesh.view.scene3d.gl import MISSING, Probe
-from lfmesh.view.scene3d.plotter import Drawing
+from lfmesh.view.scene3d.plotter import Drawing, View
 from tests.processor_time import HANGS_S
 from tests.view.conftest import SCENE
 
@@ -238,6 +239,58 @@ def test_the_first_look_is_at_points_of_the_plane_in_focus_inside_the_field(worl
 def test_a_camera_focused_on_infinity_has_a_first_look_too() -> None:
     scene = loads(SCENE.replace("focus_mm = 200.0", "").replace("[camera.mla]", "[camera.mla]\ndistance_mm = 60.0"))
     assert all(spec.startswith("field ") for spec in first_look(lfmesh.build(scene)))
+
+
+def test_a_point_that_a_target_hides_is_named_with_the_target() -> None:
+    wall = """
+[[targets]]
+name = "wall"
+shape = { kind = "plane", width_mm = 20.0, height_mm = 20.0 }
+position_mm = [0.0, 20.0, -150.0]
+"""
+    world = build(loads(SCENE.replace("[[lights]]", wall + "[[lights]]")))
+    seen = launched(world, ["field 0,0,-199", "field 0,30,-199"], 8, split="transmit")
+    assert seen.caption[1:] == ("field 0,30,-199: no ray reaches the lens, wall stands in the way",)
+    assert seen.rays is not None
+    assert seen.rays.arrives.any()
+
+
+@pytest.mark.parametrize(
+    "replaced", [("", ""), ("count = [12, 10]", "count = [11, 9]"), ("pixels = [120", "pixels = [121")]
+)
+def test_the_middle_pixel_lies_in_the_light(replaced: tuple[str, str]) -> None:
+    world = build(loads(SCENE.replace(*replaced)))
+    row, column = middle_pixel(world)
+    columns, rows = world.scene.camera.sensor.pixels
+    assert abs(row - rows / 2) < 8
+    assert abs(column - columns / 2) < 8
+    lit = launch.from_pixel(world, row, column, 64, split="transmit")
+    pitch = lit.world.first_order.micro_image_pitch_px
+    assert pitch is not None
+    dark = launch.from_pixel(world, row + round(pitch / 2), column + round(pitch / 2), 64, split="transmit")
+    assert lit.arrives.mean() > 0.5
+    assert lit.end_power[lit.arrives].sum() > 2.0 * dark.end_power[dark.arrives].sum()
+
+
+def test_without_an_array_the_middle_pixel_is_that_of_the_sensor(conventional: World) -> None:
+    assert middle_pixel(conventional) == (50, 60)
+
+
+@pytest.mark.drawing
+def test_the_magnified_array_has_a_letter_there_and_where_it_stands(world: World, views: Callable[..., View]) -> None:
+    view = views(world)
+    written: list[tuple[str, bool]] = []
+    mark = view.overlay.mark
+
+    def noted(words: str, place_mm: Any = None) -> None:
+        written.append((words, place_mm is not None))
+        mark(words, place_mm)
+
+    view.overlay.mark = noted  # type: ignore[method-assign]
+    props = view.plotter.renderer.GetViewProps().GetNumberOfItems()
+    show.picture_of(view)
+    assert written == [("A", True), ("A: lenslets", False)]
+    assert view.plotter.renderer.GetViewProps().GetNumberOfItems() == props, "a letter is left behind"
 
 
 def test_several_launches_are_their_sum(world: World) -> None:

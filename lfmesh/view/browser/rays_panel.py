@@ -15,10 +15,10 @@ from lfmesh.view.pictures import figure_url
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_of
 from lfmesh.view.rays.filters import FilterError, parse
-from lfmesh.view.rays.ghosts import ghost_matrix
+from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.history import Step, history
 from lfmesh.view.rays.path_table import PathRow, PathTable, path_table, relative_error, short_form
-from lfmesh.view.request import FAR, pixels_on_array
+from lfmesh.view.request import FAR, hidden_by, middle_pixel, pixels_on_array
 from lfmesh.view.scene3d.colours import ColourBy
 from lfmesh.view.scene3d.describe import describe
 from lfmesh.view.scene3d.pick import PickedPart, PickedPixel, PickedRay, pick
@@ -97,6 +97,7 @@ class RaysPanel:
             ("pixel_rays", self._pixel_rays),
             ("area_rays", self._area_rays),
             ("marked_rays", self._marked_rays),
+            ("ghost_rays", self._ghost_rays),
         ):
             replies.on_call(name, answer)
         replies.on_change(["colour", "fade"], self._draw)
@@ -148,6 +149,11 @@ class RaysPanel:
             self._from_pixels(range(row, row + 1), range(column, column + 1))
         else:
             self._show(launch.as_in_run(world, self._count(), **self._options()), "as in a run")
+
+    def _ghost_rays(self, form: dict[str, Any]) -> None:
+        """Launch rays from where the form says, as many and with such settings as ghosts need, all of them kept."""
+        self._state.expression = ""
+        self._launch({**form, "count": GHOST_RAYS, "split": "both", "cutoff": GHOST_CUTOFF})
 
     def _pixel_rays(self, x: float, y: float) -> None:
         row, column = self._light_field.picture.pixel(x, y)
@@ -250,7 +256,8 @@ class RaysPanel:
             self._drawn = self._rays.keep(shown)
         self._view.show_rays(self._drawn, self._state.colour, fade=bool(self._state.fade))
         self._view.write([])
-        words = [*self._view.caption, self._whence] if self._rays is not None else ["No rays"]
+        hidden = hidden_by(self._rays) if self._rays is not None else ""
+        words = [*self._view.caption, self._whence, hidden] if self._rays is not None else ["No rays"]
         # The page says it beside the picture, not on it.
         self._view.overlay.write("", [], self._view.legend)
         words.append(self._view.scale)
@@ -343,7 +350,7 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
     launches.append(["run", "as in a run"])
     distance = world.first_order.object_distance_mm
     z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.first_order.efl_mm)
-    columns, rows = scene.camera.sensor.pixels
+    row, column = middle_pixel(world)
     known = [wavelength for _, wavelength in launch.wavelengths_of(world)]
     several = [ALL] if len(known) > 1 else []
     return {
@@ -353,8 +360,8 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
         "point_y": 0.0,
         "point_z": float(f"{z:.6g}"),
         "light": 0,
-        "row": rows // 2,
-        "column": columns // 2,
+        "row": row,
+        "column": column,
         "count": COUNT,
         "wavelengths": [*several, *known],
         "wavelength": [*several, *known][0],

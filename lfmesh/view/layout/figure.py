@@ -27,8 +27,6 @@ from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.layout.content import Bundle, Dimension, Layout, TargetSection, layout
 from lfmesh.view.layout.sections import in_section
 from lfmesh.view.layout.sheet import (
-    GREY,
-    INK,
     LARGE,
     NORMAL,
     ROW_IN,
@@ -41,6 +39,7 @@ from lfmesh.view.layout.sheet import (
 )
 from lfmesh.view.layout.title_block import title_block
 from lfmesh.view.rays.names import label
+from lfmesh.view.style import FIELD_COLOURS, GREY, INK, PAPER
 
 MARGIN_IN = 0.3
 HEADER_IN = 0.42
@@ -48,8 +47,7 @@ MAIN_IN = 3.75
 TITLE_BLOCK_IN = 0.86
 GAP_IN = 0.12
 
-FIELD_COLOURS = ("#1f4e8c", "#2a7f62", "#b4541a")
-LENSLET_COLOURS = ("#6f93c4", "#1f4e8c", "#6f93c4")
+LENSLET_COLOURS = ("#6f93c4", FIELD_COLOURS[0], "#6f93c4")
 GLASS, TARGET = "#8fb8de", "#d9d2c5"
 
 
@@ -63,14 +61,7 @@ FARTHER = 1.6
 """The object side is drawn as far as the refocus range goes, unless that is so many times what else there is."""
 
 
-STYLE: Any = {
-    "font.family": ["DejaVu Sans", "sans-serif"],
-    "svg.fonttype": "none",
-    "svg.hashsalt": "lfmesh",
-    "pdf.fonttype": 42,
-    "text.parse_math": False,
-    "path.simplify": False,
-}
+STYLE: Any = {**PAPER, "path.simplify": False}
 
 
 def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:

@@ -17,10 +17,9 @@ from matplotlib.text import Text
 
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.view.layout.content import Bundle, Dimension
+from lfmesh.view.style import GREY, INK, PALE
 
 SHEET_IN = (13.0, 9.4)
-
-INK, GREY, PALE = "#222222", "#666666", "#aaaaaa"
 
 SMALL, NORMAL, LARGE = 7.0, 8.0, 12.0
 """Sizes of text, points."""

@@ -7,7 +7,8 @@ import numpy as np
 from lfmesh.scene.first_order.lenslets import LensletSection
 from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 from lfmesh.view.layout.content import Layout
-from lfmesh.view.layout.sheet import GREY, LEAST_TEXT, Sheet, length_in_words
+from lfmesh.view.layout.sheet import LEAST_TEXT, Sheet, length_in_words
+from lfmesh.view.style import GREY
 
 
 def title_block(sheet: Sheet, drawn: Layout, x: float, y: float, width: float, height: float) -> None:

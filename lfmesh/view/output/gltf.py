@@ -58,6 +58,6 @@ def _rays(view: View) -> trimesh.path.Path3D:
     assert view.lines is not None
     assert view.ray_mesh is not None
     ends = METRES * view.lines.ends
-    rgb = np.asarray(view.ray_mesh.cell_data[view.ray_mesh.cell_data.keys()[0]])[:, :3]
+    rgb = np.asarray(view.ray_mesh.cell_data["rgba"])[:, :3]
     lines = [Line([2 * i, 2 * i + 1], color=[*colour, 255]) for i, colour in enumerate(rgb)]
     return trimesh.path.Path3D(entities=lines, vertices=ends.reshape(-1, 3), process=False)

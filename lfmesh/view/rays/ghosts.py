@@ -26,13 +26,14 @@ from lfmesh.view.rays.paths import Rays
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MINUS = "\N{MINUS SIGN}"
+GHOST_RAYS, GHOST_CUTOFF = 500, 1e-4
+"""Rays of a launch and their cutoff by which ghosts are well known, where nobody says."""
 
 DECADES = 6
 """Of power that the colours span below the strongest ghost."""
 
-LEAST_DECIMAL = 1e-3
-"""Percentages below it are written as powers of ten."""
+LEAST_SHOWN = 1e-3
+"""Percentages below it have no digits of their own; their colour tells them apart."""
 
 PRINTED = 16
 """Surfaces up to which the cells of the figure hold their numbers."""
@@ -156,7 +157,12 @@ class GhostMatrix:
                     j, i, in_cell(percent[i, j], off[i, j]), ha="center", va="center", fontsize=7.5,
                     linespacing=1.0, color="white" if dark else "black",
                 )  # fmt: skip
-        bar = figure.colorbar(image, ax=axes, pad=0.01, format=lambda value, _: f"{value:g}")
+        bar = figure.colorbar(
+            image,
+            ax=axes,
+            pad=0.01,
+            format=lambda value, _: np.format_float_positional(value, precision=3, fractional=False, trim="-"),
+        )
         bar.set_label("share of the power on the sensor / %")
         return figure
 
@@ -184,14 +190,20 @@ class GhostMatrix:
 
 
 def in_cell(percent: float, error: float) -> str:
-    """Return a share and its standard error in percent, for a cell of the figure; without one, where it has none."""
-    share = f"{percent:.2g}" if percent >= LEAST_DECIMAL else f"{percent:.0e}".replace("e-0", "e-")
+    """Return a share and its standard error in percent, as decimals, for a cell of the figure.
+
+    Parameters
+    ----------
+    percent : float
+    error : float
+        0 of a share that has none, which is given to two digits.
+    """
+    if percent < LEAST_SHOWN:
+        return f"< {LEAST_SHOWN:g}"
     if error <= 0.0:
-        return share.replace("-", MINUS)
+        return f"{percent:.2g}"
     digits = max(0, -math.floor(math.log10(error)))
-    if percent >= LEAST_DECIMAL:
-        share = f"{percent:.{digits}f}"
-    return f"{share}\n±{error:.1g}".replace("-", MINUS)
+    return f"{percent:.{digits}f}\n±{error:.{digits}f}"
 
 
 def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:

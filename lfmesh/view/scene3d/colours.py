@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import matplotlib as mpl
 import numpy as np
@@ -148,24 +148,21 @@ def default_colour(rays: "Rays | None") -> ColourBy:
     return "field" if 1 < len(_starts(rays)[0]) <= MOST_ENTRIES else "wavelength"
 
 
-def _starts(rays: "Rays") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the points that rays start from, (k, 3), and which of them each path starts from."""
-    starts = rays.position[rays.offsets[:-1]].round(9)
+def _starts(rays: "Rays") -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the points (x, y, z) or pixels (row, column) that rays start from, and which of them each path does."""
+    starts = rays.pixel if rays.from_sensor else rays.position[rays.offsets[:-1]].round(9)
     points, which = np.unique(starts, axis=0, return_inverse=True)
     return points, which.reshape(-1)
 
 
 def _by_field(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
-    """Colour by the point that rays start from; of many, the first ones."""
+    """Colour by the point or pixel that rays start from; more than the colours tell apart have one in common."""
     points, which = _starts(rays)
-    colours = [PATHS[i] if i < MOST_ENTRIES else OTHERS for i in range(len(points))]
-    entries = [
-        (", ".join(f"{value + 0.0:.4g}" for value in point) + " mm", PATHS[i])
-        for i, point in enumerate(points[:MOST_ENTRIES])
-    ]
+    kind, title, unit = ("pixels", "from row, column", "") if rays.from_sensor else ("points", "from x, y, z", " mm")
     if len(points) > MOST_ENTRIES:
-        entries.append((f"{len(points) - MOST_ENTRIES} other points", OTHERS))
-    return _bytes(colours)[which[paths]], Legend("from x, y, z", tuple(entries))
+        return _bytes(PATHS[:1])[np.zeros(len(paths), int)], Legend(title, ((f"{len(points):,} {kind}", PATHS[0]),))
+    labels = [", ".join(f"{value + 0:.4g}" for value in point) + unit for point in points]
+    return _bytes(PATHS)[which[paths]], Legend(title, tuple(zip(labels, PATHS, strict=False)))
 
 
 def _by_sequence(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:

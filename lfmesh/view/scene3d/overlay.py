@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
@@ -30,6 +31,7 @@ class Overlay:
         self._plotter = plotter
         self._texts: list[vtkTextActor] = []
         self._told: list[vtkTextActor] = []
+        self._mark = vtkTextActor()
         self._scale = plotter.window_size[1] / 1000.0
         self._bar, self.bar_text, self.bar_points = self._scale_bar()
         # Just before every picture: whoever has moved the camera.
@@ -65,6 +67,18 @@ class Overlay:
             text.SetVisibility(not on)
         self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
         (self._plotter.hide_axes if on else self._plotter.show_axes)()
+
+    def mark(self, words: str, place_mm: NDArray[np.float64] | None = None) -> None:
+        """Write words at a point of the scene, world frame, or large into the upper left corner; see `unmark`."""
+        self.unmark()
+        self._mark = self._text(words, 20 if place_mm is not None else 36, (0.015, 0.985), TEXT, top=True)
+        if place_mm is not None:
+            self._mark.GetPositionCoordinate().SetCoordinateSystemToWorld()
+            self._mark.GetPositionCoordinate().SetValue(*place_mm)
+
+    def unmark(self) -> None:
+        """Take away what `mark` has written."""
+        self._plotter.renderer.RemoveViewProp(self._mark)
 
     def tell(self, lines: list[str]) -> None:
         """Replace what stands at the bottom."""

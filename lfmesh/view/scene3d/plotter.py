@@ -8,7 +8,8 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkMapper, vtkProp
 
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.geometry import frame as frames
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d.colours import BACKGROUND, BACKGROUND_TOP, ColourBy, Legend, default_colour
 from lfmesh.view.scene3d.gl import expect_no_display
@@ -102,6 +103,13 @@ class View:
         length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 
+    @property
+    def array_edge(self) -> NDArray[np.float64]:
+        """(3,) middle of the array's lower edge, mm, world frame."""
+        tables = self.world.tables
+        edge = [[0.0, -tables.mla.lenslets.lattice.half_extent[1], 0.0]]
+        return np.asarray(frames.points(tables.frames[MLA_FRAME, WORLD_FRAME], edge)[0])
+
     def look(self, preset: str, aspect: float | None = None, angle_deg: float = ANGLE_DEG) -> None:
         """Move the eye to one of the `presets`.
 
@@ -162,7 +170,7 @@ class View:
             self.ray_mesh = mesh
             if mesh.n_cells:
                 self.ray_actor = self.plotter.add_mesh(
-                    mesh, scalars="rgba" if fade else "rgb", rgb=True, line_width=width, lighting=False,
+                    mesh, scalars="rgba", rgb=True, line_width=width, lighting=False,
                     name="rays", reset_camera=False, render=False, copy_mesh=False,
                 )  # fmt: skip
 

@@ -20,6 +20,12 @@ MOST_SEGMENTS = 20_000
 FAINTEST = 0.12
 """Opacity of the weakest rays where power sets it."""
 
+OPAQUE_SEGMENTS = 1000
+"""Drawn opaque. Opacity falls with the number of more, so that lens and array show through any cloud of rays."""
+
+LEAST_OPACITY = 0.08
+"""Of the strongest rays, however many there are."""
+
 
 @dataclass(frozen=True)
 class RayLines:
@@ -68,16 +74,15 @@ class RayLines:
     def coloured(self, by: ColourBy, *, fade: bool = False) -> tuple[pv.PolyData, Legend]:
         """Return the segments as lines, a cell each, with their legend.
 
-        The cells carry "rgb" (or "rgba" with `fade`: fainter with less power), "path" and "vertex" as above, "event" of
-        the vertex that they start from, and "paths", how many share them.
+        The cells carry "rgba" (fainter the more there are and, with `fade`, with less power), "path" and "vertex" as
+        above, "event" of the vertex that they start from, and "paths", how many share them.
         """
         rgb, legend = ray_colours(self.rays, self.path, self.vertex, by)
         lines = line_segments(self.ends)
+        opacity = np.full(len(self), max(LEAST_OPACITY, min(1.0, OPAQUE_SEGMENTS / max(1, len(self)))))
         if fade:
-            opacity = FAINTEST + (1.0 - FAINTEST) * power_share(self.rays.power[self.vertex])
-            lines.cell_data["rgba"] = np.column_stack([rgb, np.rint(255.0 * opacity).astype(np.uint8)])
-        else:
-            lines.cell_data["rgb"] = rgb
+            opacity *= FAINTEST + (1.0 - FAINTEST) * power_share(self.rays.power[self.vertex])
+        lines.cell_data["rgba"] = np.column_stack([rgb, np.rint(255.0 * opacity).astype(np.uint8)])
         lines.cell_data["path"] = self.path
         lines.cell_data["vertex"] = self.vertex
         lines.cell_data["event"] = self.rays.event[self.vertex]

@@ -125,7 +125,7 @@ def test_a_cut_uncovers_rays_that_glass_tinted(world: World, one_ray: Rays, view
     view.cut(True)
     bare = shot(view)[y, x]
     assert view.ray_mesh is not None
-    colour = view.ray_mesh.cell_data["rgb"][0].astype(int)
+    colour = view.ray_mesh.cell_data["rgba"][0, :3].astype(int)
     # The ray lies on the side that is taken away.
     assert middle[0] < 0.0
     assert np.abs(bare - colour).max() < np.abs(tinted - colour).max()

@@ -12,7 +12,7 @@ from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import together
 from lfmesh.view.scene3d.colours import OF_STATUS, default_colour, ray_colours
-from lfmesh.view.scene3d.ray_lines import ray_lines
+from lfmesh.view.scene3d.ray_lines import OPAQUE_SEGMENTS, ray_lines
 
 
 def segments_of(rays: Rays, path: int) -> set[tuple[bytes, bytes]]:
@@ -73,12 +73,36 @@ def test_colours_follow_what_they_stand_for(split_rays: Rays) -> None:
 
 
 def test_stronger_rays_are_drawn_less_faint(split_rays: Rays) -> None:
-    lines = ray_lines(split_rays, 10**6)
+    lines = ray_lines(split_rays, 500)
     mesh, _ = lines.coloured("wavelength", fade=True)
     opacity = mesh.cell_data["rgba"][:, 3].astype(int)
     order = np.argsort(split_rays.power[lines.vertex])
     assert (np.diff(opacity[order]) >= 0).all()
     assert opacity.max() == 255 > opacity.min() > 0
+
+
+def test_few_rays_are_opaque_and_a_cloud_of_them_lets_the_lens_show(split_rays: Rays) -> None:
+    counts, opacity = [], []
+    for most in (200, OPAQUE_SEGMENTS, 2 * OPAQUE_SEGMENTS, 10**6):
+        lines = ray_lines(split_rays, most)
+        shown = lines.coloured("wavelength")[0].cell_data["rgba"][:, 3]
+        assert len(set(shown)) == 1, "without `fade` all alike"
+        counts.append(len(lines))
+        opacity.append(int(shown[0]) / 255.0)
+    assert opacity[0] == opacity[1] == 1.0
+    # As many as are drawn opaque cover as much as any larger number does.
+    for count, each in zip(counts[2:], opacity[2:], strict=True):
+        assert count * each == pytest.approx(OPAQUE_SEGMENTS, rel=0.01)
+
+
+def test_a_pixel_is_one_entry_of_the_legend_wherever_on_it_rays_start(world: World) -> None:
+    rays = launch.from_pixel(world, 55, 65, 12, split="transmit")
+    _, legend = ray_lines(rays).coloured("field")
+    assert (legend.title, [label for label, _ in legend.entries]) == ("from row, column", ["55, 65"])
+    many = launch.from_pixels(world, range(54, 58), range(64, 68), 32, split="transmit")
+    mesh, legend = ray_lines(many).coloured("field")
+    assert [label for label, _ in legend.entries] == ["16 pixels"]
+    assert len(np.unique(np.asarray(mesh.cell_data["rgba"]), axis=0)) == 1
 
 
 def test_the_legend_of_paths_names_the_strongest_first(split_rays: Rays) -> None:
@@ -99,7 +123,7 @@ def test_with_one_wavelength_colours_tell_field_points_apart(world: World) -> No
     both = together([launch.from_field_point(world, point, 6, split="transmit") for point in points])
     assert default_colour(both) == "field"
     mesh, legend = ray_lines(both, 10**6).coloured("field")
-    colours = np.unique(np.asarray(mesh.cell_data["rgb"]), axis=0)
+    colours = np.unique(np.asarray(mesh.cell_data["rgba"])[:, :3], axis=0)
     assert len(colours) == 2
     assert [label for label, _ in legend.entries] == ["0, 0, -199 mm", "2, -8, -199 mm"]
     one = launch.from_field_point(world, points[0], 6, split="transmit")

@@ -248,7 +248,7 @@ name = "wall"
 shape = { kind = "plane", width_mm = 20.0, height_mm = 20.0 }
 position_mm = [0.0, 20.0, -150.0]
 """
-    world = build(loads(SCENE.replace("[[lights]]", wall + "[[lights]]")))
+    world = lf.build(loads(SCENE.replace("[[lights]]", wall + "[[lights]]")))
     seen = launched(world, ["field 0,0,-199", "field 0,30,-199"], 8, split="transmit")
     assert seen.caption[1:] == ("field 0,30,-199: no ray reaches the lens, wall stands in the way",)
     assert seen.rays is not None
@@ -259,7 +259,7 @@ position_mm = [0.0, 20.0, -150.0]
     "replaced", [("", ""), ("count = [12, 10]", "count = [11, 9]"), ("pixels = [120", "pixels = [121")]
 )
 def test_the_middle_pixel_lies_in_the_light(replaced: tuple[str, str]) -> None:
-    world = build(loads(SCENE.replace(*replaced)))
+    world = lf.build(loads(SCENE.replace(*replaced)))
     row, column = middle_pixel(world)
     columns, rows = world.scene.camera.sensor.pixels
     assert abs(row - rows / 2) < 8

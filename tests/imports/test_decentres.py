@@ -196,7 +196,7 @@ def test_decentres_that_no_lens_here_has_are_refused():
         codev.read(Path("lens.seq"), tilted.replace("ADE 3\n", "ADE 3\n  REV\n").splitlines())
     for lines, why in (
         ("  DAR\n  REV\n", r"line \d+: REV: a surface has one of DAR and REV, once"),
-        ("  BEN\n", r"line \d+: BEN: folded and global axes are not supported"),
+        ("  BEN\n", r"line \d+: BEN: an axis that bends at a mirror is not supported"),
         ("  RET S1\n", "RET with decentres of its own is not supported"),
         ("  RET S9\n", r"line \d+: RET S9"),
         ("  RET\n", r"line \d+: RET: it is cut short"),

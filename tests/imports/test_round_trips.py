@@ -122,8 +122,8 @@ def landing(lens: lf.Lens, shift_mm: float) -> tuple[np.ndarray, np.ndarray]:
     behind = SENSOR_MM + shift_mm - lens.vertices_mm[-1]
     camera = {"lens": lens, "sensor": {"pixels": (800, 800), "pixel_mm": 0.5, "distance_mm": behind}}
     draw = np.random.default_rng(1)
-    p = np.column_stack([draw.uniform(-1.5, 1.5, (40, 2)), np.full(40, -12.0 + shift_mm)])
-    d = np.column_stack([draw.uniform(-0.05, 0.05, (40, 2)), np.ones(40)])
+    p = np.column_stack([draw.uniform(-1.5, 1.5, (200, 2)), np.full(200, -12.0 + shift_mm)])
+    d = np.column_stack([draw.uniform(-0.05, 0.05, (200, 2)), np.ones(200)])
     world = lf.build(lf.Scene(camera=camera), aimed=False)
     paths = lf.trace(world, p, d, split="transmit", engine="sequential")
     landed = paths.status == lf.Status.SENSOR

@@ -79,4 +79,3 @@ def test_nothing_else_of_the_scene_shines_or_stands_before_the_camera(camera: Ca
     assert full != alone
     assert full.camera_alone() == alone
     assert white_scene(full) == white_scene(alone)
-    assert lf.analyse(full, across=8).lines() == lf.analyse(alone, across=8).lines()

@@ -112,7 +112,7 @@ def _write_template(name: str, scene: Path, out: Path | None) -> int:
 
 def _plan(loaded: "Study", workers: int | None) -> int:
     from lfmesh.files.words import duration
-    from lfmesh.study.sweeps.study import probe
+    from lfmesh.study.sweeps.probe import probe
 
     plan = loaded.plan
     for point in plan.points[:LISTED]:

@@ -4,7 +4,7 @@ import inspect
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,15 @@ from lfmesh.regular_file import read_bytes
 from lfmesh.scene import Scene
 from lfmesh.scene.model import Model
 from lfmesh.signatures import Function
-from lfmesh.study.metrics.metrics import columns_of, pictures_of
+from lfmesh.study.metrics.metrics import columns_of
 from lfmesh.study.sweeps.cluster import in_dask
-from lfmesh.study.sweeps.plan import Plan, Point, load_scenes, plan_of
+from lfmesh.study.sweeps.plan import Plan, load_scenes, plan_of
 from lfmesh.study.sweeps.pool import Result, here, in_pool
 from lfmesh.study.sweeps.sentences import beyond_limits
 from lfmesh.study.sweeps.study_file import StudyFile, read_study
 from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
 from lfmesh.study.sweeps.table import Table, table_of
-from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, run_unit, unpacked
+from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, unpacked
 
 TABLE, PAGE, TIMES, PARQUET = "table.csv", "report.html", "times.csv", "table.parquet"
 
@@ -451,74 +451,3 @@ class Run:
                 self.folder.log("unreadable", point=point, batch=batch, reason=str(error))
                 continue
             self.folder.keep(point, batch, read_bytes(source.unit_path(point, batch)))
-
-
-@dataclass(frozen=True)
-class Probe:
-    """Time and memory of a study, estimated from a short trace of the reference.
-
-    Attributes
-    ----------
-    points, units : int
-    workers : int
-    unit_seconds, seconds : float
-        Of one unit in one process, and of all.
-    bytes : float
-        Memory, of all processes.
-    """
-
-    points: int
-    units: int
-    workers: int
-    unit_seconds: float
-    seconds: float
-    bytes: float
-
-
-PROBE_SHARES = (1, 3)
-"""Replicates of the reference that are traced for a probe: the difference is the time of each more."""
-
-PROCESS_BYTES = 4e8
-"""Of a process that has traced something, without its films."""
-
-
-CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
-"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
-
-
-def probe(plan: Plan, workers: int | None = None) -> Probe:
-    """Estimate time and memory of a study from a short trace of its reference."""
-    workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
-    unit = _reference_unit(plan, max(1, cores() // workers))
-    reference_films(replace(unit, replicates=range(1)))
-    times, content = [], b""
-    for count in PROBE_SHARES:
-        began = time.perf_counter()
-        content = reference_films(replace(unit, replicates=range(count)))
-        times.append(time.perf_counter() - began)
-    # The metrics of so few replicates; the jackknife takes one estimate for each, and one more.
-    few = replace(unit, replicates=range(PROBE_SHARES[1]))
-    run_unit(few, content)
-    began = time.perf_counter()
-    run_unit(few, content)
-    compared = (time.perf_counter() - began) * (len(unit.replicates) + 1) / (PROBE_SHARES[1] + 1)
-    each = max(0.0, (times[1] - times[0]) / (PROBE_SHARES[1] - PROBE_SHARES[0]))
-    one = max(times[0] - each, 0.0) + each * len(unit.replicates) + compared
-    columns, rows = plan.base.camera.sensor.pixels
-    film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
-    # The camera's own films, the reference's, and what comparing them takes.
-    memory = workers * (PROCESS_BYTES + 4.0 * film)
-    seconds = one * sum(_cameras_of(plan, point) for point in plan.points) * plan.study.batches / workers
-    return Probe(len(plan.points), len(plan.units), workers, one, seconds, memory)
-
-
-def _cameras_of(plan: Plan, point: Point) -> int:
-    """Return how many cameras are traced at a point, by rule of thumb: a search and adjustments take several."""
-    adjustable = len(plan.study.compensators) if point.number else 0
-    adjusted = 1 + CAMERAS_ADJUSTED * adjustable
-    return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
-
-
-def _reference_unit(plan: Plan, threads: int) -> Unit:
-    reference = plan.camera_of(plan.points[0])
-    return Unit(plan.digest, 0, 0, reference, reference, plan.metrics, plan.replicates_of(0), threads)

@@ -50,7 +50,16 @@ class ZoomPositions:
             self._rows.append((at, words))
 
     def add_single(self, at: int, words: list[str], where: int) -> None:
-        """Enter a command whose word number `where` names the position that it speaks of."""
+        """Enter a command that speaks of one position.
+
+        Parameters
+        ----------
+        at : int
+            Line, from 1.
+        words : list of str
+        where : int
+            Number of the word that names the position, from 0.
+        """
         self._single.append((at, words, where))
 
     def commands(self, wanted: int | None) -> Iterator[Command]:

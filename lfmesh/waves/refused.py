@@ -33,7 +33,24 @@ class NoLightError(LfmeshError):
 
 
 def refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
-    """Refuse values out of range."""
+    """Refuse values out of range.
+
+    Parameters
+    ----------
+    scene : Scene
+    point : (3,) float64, mm, camera frame
+    window : int, optional
+        Pixels on a side of the picture.
+    oversample : int
+        Parts of a pixel's side.
+    tolerance : float
+        Share of the light by which the picture may still change.
+
+    Raises
+    ------
+    LfmeshError
+        One is.
+    """
     whole = {"window": 1 if window is None else window, "oversample": oversample}
     for name, number in whole.items():
         if not isinstance(number, int | np.integer):
@@ -80,7 +97,23 @@ def refuse_scene(scene: Scene) -> None:
 
 
 def refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
-    """Refuse a point of whose light a part, or all, meets a target on its way to the lens."""
+    """Refuse a point of whose light a part, or all, meets a target on its way to the lens.
+
+    Parameters
+    ----------
+    camera : SolvedCamera
+    world : World
+        Of the camera alone.
+    point : (3,) float64, mm, camera frame
+    wavelength_nm : float
+
+    Raises
+    ------
+    NoLightError
+        A target hides it whole.
+    LfmeshError
+        A target hides it in part.
+    """
     rays = LensRays(world, -float(point[2]), 0.0)
     bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
     entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])

@@ -79,7 +79,8 @@ class WaveFace:
         height, slope, inside = self._relief(self.lenslets, x, y)
         # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
         # waves within the grid's, keeps these out to the second order of the grid's step.
-        height = height - (_second_difference(height, 0) + _second_difference(height, 1)) / 24.0
+        clear = inside > 0.0
+        height = height - (_second_difference(height, clear, 0) + _second_difference(height, clear, 1)) / 24.0
         # What a place passes differs from direction to direction, which is followed to the first order: where light is
         # out of focus, its directions go with the places.
         steps = np.diag(light.spread)
@@ -136,7 +137,7 @@ class WaveFace:
         return sum(is_inside(lattice, *cell) for cell in cells)
 
     def _relief(self, lenslets: Lenslets, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return height and slope of the lenslets (camera frame) on an even grid, and the share on the array."""
+        """Return height and slope of the lenslets (camera frame) on an even grid, and the share that is clear."""
         xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
         turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
         own = turn @ np.stack([xs, ys]) + self.frame[:2, 3:]
@@ -211,9 +212,10 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
     return found
 
 
-def _second_difference(values: Array, axis: int) -> Array:
-    """Return the second difference on a grid in the order of transforms."""
-    return np.asarray(np.roll(values, 1, axis) + np.roll(values, -1, axis) - 2.0 * values)
+def _second_difference(values: Array, given: NDArray[np.bool_], axis: int) -> Array:
+    """Return the second difference on a grid in the order of transforms; 0 where a value of the three is not given."""
+    found = np.roll(values, 1, axis) + np.roll(values, -1, axis) - 2.0 * values
+    return np.where(given & np.roll(given, 1, axis) & np.roll(given, -1, axis), found, 0.0)
 
 
 def _refuse_tilt(move: Array, where: str, value: list[float], *, turn: bool = False) -> None:

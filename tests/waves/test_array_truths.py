@@ -142,6 +142,25 @@ def test_finer_grids_come_closer_to_fresnel(case: tuple[int, Place]) -> None:
     assert np.abs(found - truth).sum() < 0.004
 
 
+SHIFTED, BRIGHTER = 0.9589, 1.0439
+"""Brightest place of an evenly lit square at Fresnel number 3.5636, over its focal length, and the light there."""
+
+
+def peak_of_one_lenslet(distance: float) -> float:
+    """Return the peak of a lone lenslet, lit evenly by a wide lens, at a distance over the focal length."""
+    array, stop = 4250.0, 20.0
+    # Light converges on the lenslet: behind both, its focus is at FOCAL.
+    mla = {"focal_length_mm": 1.0 / (1.0 / FOCAL - 1.0 / (IMAGE - array))}
+    given = camera(array, FOCAL * distance, 1, mla).changed({"camera.lens.stop_semi_diameter_mm": stop})
+    return lf.point_spread(given, (0.0, 0.0, -FAR), WAVE_NM, tolerance=COARSE).peak_w_mm2
+
+
+def test_a_lone_lenslet_is_brightest_before_its_focus() -> None:
+    fresnel_number = PITCH**2 / (4.0 * WAVE * FOCAL)
+    assert fresnel_number == pytest.approx(3.5636, abs=1e-4)
+    assert peak_of_one_lenslet(SHIFTED) / peak_of_one_lenslet(1.0) == pytest.approx(BRIGHTER, abs=0.002)
+
+
 class Plane:
     """Grid of thin lenslets, over which light and phase are averaged cell by cell, so that borders may lie anywhere."""
 

@@ -26,8 +26,8 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
     box : float, mm
         Side of the square about each point that is averaged over, where it is not all of one cell.
     relief : (4, n) float64
-        Sag in mm, dz/dx, dz/dy, and share of the box that lies on the array, on no mask; sag and slopes are 0 beside
-        the array.
+        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; and its share. All are 0
+        where no part is clear.
     """
     half = 0.5 * box
     for i in range(len(x)):
@@ -43,15 +43,20 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
             px = x[i] + box * ((part % parts + 0.5) / parts - 0.5)
             py = y[i] + box * ((part // parts + 0.5) / parts - 0.5)
             _add(mla, px, py, 1.0 / (parts * parts), relief, i)
+        if relief[3, i] > 0.0:
+            for quantity in range(3):
+                relief[quantity, i] /= relief[3, i]
 
 
 @inlined
 def _add(mla: Lenslets, x: float, y: float, share: float, relief: Array, i: int) -> None:
-    """Add a share of the relief at a point."""
+    """Add a share of the relief at a point, if it is clear."""
     column, row = cell_of(mla.lattice, x, y)
     if not is_inside(mla.lattice, column, row):
         return
     cx, cy = centre(mla.lattice, column, row)
+    if not _is_clear(mla.clear_radius, x - cx, y - cy):
+        return
     curvature, ex, ey = shape_of(mla, column, row)
     dx, dy = x - cx - ex, y - cy - ey
     sag = face_sag(mla, column, row, curvature, dx, dy)
@@ -59,7 +64,7 @@ def _add(mla: Lenslets, x: float, y: float, share: float, relief: Array, i: int)
     relief[0, i] += share * sag
     relief[1, i] -= share * nx / nz
     relief[2, i] -= share * ny / nz
-    relief[3, i] += share if _is_clear(mla.clear_radius, x - cx, y - cy) else 0.0
+    relief[3, i] += share
 
 
 @inlined

@@ -63,9 +63,9 @@ class Reconstruction:
     strength : float
         Regularisation of "tikhonov" and "tv", of the others NaN, as are the rest of the numbers.
     tried : (n, 2) float64
-        Strengths that were tried, and the score of each over the number of pixels and the noise's variance: of
-        "half-sets" the squared difference of each half from what the other predicts, of "discrepancy" the squared
-        residual.
+        Strengths that were tried, and the score of each: `total_error` as it is to be expected, where that is what the
+        strength is chosen by; else over the number of pixels and the noise's variance, of "half-sets" the squared
+        difference of each half from what the other predicts, of "discrepancy" the squared residual.
     misfit : float
         Squared residual over the noise, by the number of pixels: 1 where noise explains it. NaN where no noise is
         known.
@@ -75,8 +75,9 @@ class Reconstruction:
     total_error : float
         Norm of the difference from the truth that is to be expected, all voxels together, in the unit of `volume`:
         noise, and what is not resolved. No image tells the latter. It is that of a truth which is, in voxels, as deep
-        along the worst-resolved axis as it is wide along another, the narrower of the two. NaN of a matrix without a
-        grid, for which only `error` is known, and where it cannot be told: an UnknownErrorWarning says why.
+        along the worst-resolved axis as it is wide along another, the narrower of the two. Where the volume is larger
+        than what such a truth and its noise lead to, the error grows as it does. NaN of a matrix without a grid, for
+        which only `error` is known, and where it cannot be told: an UnknownErrorWarning says why.
     """
 
     volume: Array
@@ -182,10 +183,11 @@ def reconstruct(
         matrix's own standard errors make of this volume is added by squares.
     strength : float, "half-sets" or "discrepancy", optional
         Of "tikhonov" and "tv": λ over that at which data and penalty weigh the same, by the sums of their diagonals.
-        "half-sets", taken if left out: the one with which two halves of the pixels predict each other best.
+        If left out, the one of which the least `total_error` is to be expected; of a matrix without a grid "half-sets".
+        "half-sets": the one with which two halves of the pixels predict each other best.
         "discrepancy": the largest one that leaves a squared residual of the noise's, which must be known; where none
         does, 3 standard deviations more are allowed. The matrix's own errors count as noise, so that for an image that
-        this very matrix has made "discrepancy" is far too strong: take "half-sets" there.
+        this very matrix has made "discrepancy" is far too strong.
     say : callable, optional
         Called with lines for the user: each strength that is tried, and what came of it.
 
@@ -229,7 +231,7 @@ def reconstruct(
             noise, certain = image.error, 1.0
         sigma = None if noise is None else _noise(noise, b, matrix) / level
         task = _Task(matrix, rows, b, seen, shape, method, unit, certain, say or (lambda _: None))
-        found = task.solved(sigma, "half-sets" if strength is None else strength)
+        found = task.solved(sigma, strength)
         warn_caller(found.warnings)
         return replace(found, warnings=(*warned, *found.warnings))
     solve = {"mart": _mart, "rl": _richardson_lucy, "sart": _sart, "nnls": _nnls}[method]
@@ -293,7 +295,7 @@ class _Task:
     certain: float
     say: Callable[[str], None]
 
-    def solved(self, noise: Array | None, strength: float | str) -> Reconstruction:
+    def solved(self, noise: Array | None, strength: float | str | None) -> Reconstruction:
         """Return the volume, for noise of the pixels that is known or not."""
         if noise is None and strength == "discrepancy":
             raise LfmeshError('strength = "discrepancy": needs noise, the standard error of the pixels')
@@ -306,22 +308,17 @@ class _Task:
                 level = float(np.abs(self.matrix.matrix.data).max()) * self.unit
                 variance = variance + regularised.noise_of_matrix(self.matrix, first * self.unit) / level**2
             problem = self._problem(np.sqrt(variance))
-        tried = np.zeros((0, 2))
-        if isinstance(strength, str):
-            choose = {
-                "half-sets": regularised.strength_by_halves,
-                "discrepancy": regularised.strength_by_discrepancy,
-            }[strength]
-            strength, tried = choose(problem, self.say)
+        strength, tried = self._chosen(problem, strength)
         x = problem.path(strength)
         halved = volume_error.Halved.of(problem, strength)
         error = volume_error.error_by_halves(halved)
         total = np.nan
         why = volume_error.why_unknown(problem, strength, x, halved[-1], is_noise_known=noise is not None)
         if isinstance(self.matrix, ProjectionMatrix) and not why:
-            coarse = np.nan_to_num(self.matrix.resolved_mm / self.matrix.grid.spacing_mm)
-            alike = volume_error.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
-            total = volume_error.whole_error(problem, strength, x, (each.reshape(-1)[self.seen] for each in alike))
+            trials = self._trials(problem, x)
+            total = trials.error(x, [each.path(strength) for each in trials.problems])
+            why = trials.why_no_better_than_dark(total)
+            total = np.nan if why else total
         misfit = problem.misfit(x) / len(problem.b)
         size = max(float(np.linalg.norm(x)), np.finfo(np.float64).tiny)
         unknown = f"; {why or 'without a grid it is not known what is not resolved'}"
@@ -334,6 +331,25 @@ class _Task:
             misfit if noise is not None else np.nan, self._whole(error).reshape(self.shape) * self.unit,
             total * self.unit,
         )  # fmt: skip
+
+    def _chosen(self, problem: regularised.Problem, strength: float | str | None) -> tuple[float, Array]:
+        """Return the strength that is given or chosen, and what was tried."""
+        if strength == "discrepancy":
+            return regularised.strength_by_discrepancy(problem, self.say)
+        if isinstance(strength, int | float | np.number):
+            return float(strength), np.zeros((0, 2))
+        by_halves = regularised.strength_by_halves(problem, self.say)
+        first = problem.path(by_halves[0])
+        if strength == "half-sets" or not isinstance(self.matrix, ProjectionMatrix) or not first.any():
+            return by_halves
+        best, tried = volume_error.strength_of_least_error(problem, self._trials(problem, first), self.say)
+        return best, tried * np.array([1.0, self.unit])
+
+    def _trials(self, problem: regularised.Problem, x: Array) -> volume_error.Trials:
+        """Return trials with volumes as deep as wide that have about the image of a volume."""
+        coarse = np.nan_to_num(self.matrix.resolved_mm / self.matrix.grid.spacing_mm)
+        alike = volume_error.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
+        return volume_error.Trials.of(problem, x, (each.reshape(-1)[self.seen] for each in alike))
 
     def _problem(self, noise: Array) -> regularised.Problem:
         lit = np.flatnonzero(np.diff(self.rows.indptr))

@@ -1,4 +1,4 @@
-"""Error of a regularised volume: by noise, by what is not resolved, and whether it can be told at all."""
+"""Error of a regularised volume: by noise, by what is not resolved, whether it can be told, and its least."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -6,7 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lfmesh.lightfield.volumes.regularised import SIGMAS, STEP, Array, Problem, chance, halves
+from lfmesh.lightfield.volumes.regularised import (
+    SIGMAS,
+    STEP,
+    WEAKEST,
+    WORSE,
+    Array,
+    Problem,
+    Say,
+    chance,
+    halves,
+    steps_to,
+)
+
+TINY = float(np.finfo(np.float64).tiny)
 
 HALVINGS = 2
 """Ways to halve the pixels."""
@@ -62,7 +75,7 @@ class Prediction(NamedTuple):
         even, off = [], []
         for part, other, x in zip(parts, reversed(parts), reversed(volumes), strict=True):
             sums, seen = (np.asarray(each.rows.sum(axis=1)).ravel() for each in (part, other))
-            level = max(float(seen @ other.b), 0.0) / max(float(seen @ seen), np.finfo(np.float64).tiny)
+            level = max(float(seen @ other.b), 0.0) / max(float(seen @ seen), TINY)
             even.append((level if len(x) > 1 else 0.0) * sums - part.b)
             off.append(part.rows @ x - part.b)
         plain, left = np.concatenate(even), np.concatenate(off)
@@ -107,30 +120,90 @@ def why_unknown(problem: Problem, strength: float, x: Array, halved: Halved, *, 
     return ""
 
 
-def whole_error(problem: Problem, strength: float, x: Array, alike: Iterable[Array]) -> float:
-    """Return the norm of the difference from the truth that is to be expected, with what is not resolved.
+class Trials(NamedTuple):
+    """Volumes that are known, and problems of their images with the noise that an image has.
 
-    Volumes that are known, with about the image that there is, are reconstructed from their images with noise. The
-    largest of their errors, over what was found of them, is taken times what was found here.
+    What is found of them from these shows how far what is found of the image may be from the truth.
+    """
+
+    known: list[Array]
+    problems: list[Problem]
+
+    @classmethod
+    def of(cls, problem: Problem, x: Array, known: Iterable[Array]) -> "Trials":
+        """Return the trials for an image.
+
+        Parameters
+        ----------
+        problem : Problem
+        x : (voxels,) float64
+            A volume found from the image: what it leaves is the noise.
+        known : iterable of (voxels,) float64
+            With about the image that there is, see `as_deep_as_wide`.
+        """
+        volumes, noise = list(known), np.sqrt(problem.misfit(x) / len(problem.b))
+        draw = np.random.default_rng(11)
+        images = [problem.rows @ each + noise * draw.standard_normal(len(problem.b)) for each in volumes]
+        return cls(volumes, [replace(problem, b=image) for image in images])
+
+    @property
+    def size(self) -> float:
+        """Norm of the largest known volume, above 0: the error of an empty one."""
+        return max(TINY, *(float(np.linalg.norm(each)) for each in self.known))
+
+    def error(self, x: Array, found: list[Array]) -> float:
+        """Return the norm of the difference of a volume from the truth that is to be expected, with what is unresolved.
+
+        It is the largest error of the known volumes with the same strength. Where x is larger than what was found of
+        them it holds something that noise and camera do not explain, and the error grows as it does.
+        """
+        size = float(np.linalg.norm(x))
+        errors = [
+            float(np.linalg.norm(each - known)) * max(1.0, size / max(float(np.linalg.norm(each)), TINY))
+            for each, known in zip(found, self.known, strict=True)
+        ]
+        return max(errors)
+
+    def why_no_better_than_dark(self, error: float) -> str:
+        """Return in words that an error is larger than that of an empty volume; nothing if it is smaller."""
+        times = error / self.size
+        if times <= 1.0:
+            return ""
+        return f"an empty volume is to be expected to be nearer to the truth, by a factor of {times:.3g}"
+
+
+def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple[float, Array]:
+    """Return the strength of which the least error is to be expected, and what was tried.
+
+    What predicts the image best is not what is nearest to the truth. Depth that is hardly resolved shows in the image
+    less than noise does, so that a prediction hardly asks for it; errors of the model that pixels share are predicted
+    as well as light is.
 
     Parameters
     ----------
     problem : Problem
+    trials : Trials
+    say : callable
+
+    Returns
+    -------
     strength : float
-    x : (voxels,) float64
-        The volume found.
-    alike : iterable of (voxels,) float64
-        See `as_deep_as_wide`.
+    tried : (n, 2) float64
+        Strength, and the error that is to be expected.
     """
-    noise = np.sqrt(problem.misfit(x) / len(problem.b))
-    draw = np.random.default_rng(11)
-    shares = []
-    for known in alike:
-        image = problem.rows @ known + noise * draw.standard_normal(len(problem.b))
-        found = replace(problem, b=image).path(strength)
-        size = float(found @ found)
-        shares.append(float(np.sum((found - known) ** 2)) / size if size > 0.0 else np.inf)
-    return float(np.sqrt(max(shares) * (x @ x)))
+    x, *found = [np.full(problem.rows.shape[1], problem.mean)] * (1 + len(trials.known))
+    tried: list[tuple[float, float]] = []
+    best = 0
+    for number, strength in enumerate(steps_to(WEAKEST)):
+        x = problem.solved(strength, x)
+        found = [each.solved(strength, volume) for each, volume in zip(trials.problems, found, strict=True)]
+        tried.append((strength, trials.error(x, found)))
+        say(f"strength {strength:.3g}: {tried[-1][1] / trials.size:.3g} of an empty volume's error are to be expected")
+        if tried[-1][1] < tried[best][1]:
+            best = number
+        if number - best >= WORSE:
+            break
+    return tried[best][0], np.array(tried)
 
 
 def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:

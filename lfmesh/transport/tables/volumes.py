@@ -382,7 +382,7 @@ def _refuse_displaced(
     if (displaces >= 0).all():
         name = hosts.names[displaces[0]]
         raise SceneError(
-            f'{where}: lies inside {name}, which displaces what is in air; give inside = "{name}", or move it'
+            f'{where}: lies inside {name}, which displaces what is round it; give inside = "{name}", or move it'
         )
 
 

@@ -55,11 +55,11 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     lines += _dispersive(lens, private, notes)
     distance = "0.1e14" if far else repr(conditions.object_mm)
     lines.append(f"SO 0.0 {distance}{_named(lens.media[0], private)}")
-    for i, surface in enumerate(lens.surfaces):
+    for i, (surface, medium) in enumerate(zip(lens.surfaces, lens.media[1:], strict=True)):
         last = i == len(lens.surfaces) - 1
         behind = conditions.image_mm if last else surface.thickness_mm or 0.0
         radius_mm = 0.0 if math.isinf(surface.vertex_radius_mm) else surface.vertex_radius_mm
-        lines.append(f"S {radius_mm!r} {behind!r}{_named(surface.medium, private)}")
+        lines.append(f"S {radius_mm!r} {behind!r}{_named(medium, private)}")
         lines += _qualified(i, surface, radius if surface.stop else surface.semi_diameter_mm)
         lines += _moved(lens, i)
     return {path: "\r\n".join([*lines, "SI 0.0 0.0", "GO", ""]).encode()}, notes

@@ -98,7 +98,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     media = _media(prescription, report, glasses or {})
     made = _merged(prescription, media, report)
     report.raise_refusals()
-    bends = [here != before for before, here in pairwise([None, *made.media])]
+    bends = [here != before for before, here in pairwise([media[0], *made.media])]
     if not any(bends) and all(surface.focal_length is None for surface in made.kept):
         raise SceneError(f"{report.path}: holds no lens: all of its surfaces have the same medium on both sides")
     stop = _stop_of(made.kept)
@@ -140,7 +140,9 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "stop": i == stop,
             "coating": names[i],
         }
-        values = given | _shape(surface, unit) | _medium_keys(made.media[i])
+        # Behind a stop before all others a scene has the object medium, unless it says air.
+        air = {"index": AIR} if i == 0 and media[0] is not None and made.media[0] is None else {}
+        values = given | _shape(surface, unit) | (air or _medium_keys(made.media[i]))
         surfaces.append({key: value for key, value in values.items() if value is not None})
     try:
         surfaces = without_crossings(surfaces, made, report)

@@ -131,7 +131,8 @@ def _rows(lens: Lens, stop_mm: float | None, coatings: dict[str, str]) -> list[_
             if shift[2]:
                 rows[-1].distance += shift[2]
             rows.append(_Row(_break((*shift[:2], *tilt, 0.0)), 0.0))
-        row = _Row(_surface(i, surface, stop_mm if surface.stop else surface.semi_diameter_mm), 0.0)
+        medium = lens.object_medium if i == 0 and surface.is_plain_stop else None
+        row = _Row(_surface(i, surface, medium, stop_mm if surface.stop else surface.semi_diameter_mm), 0.0)
         if surface.coating in coatings:
             row.lines.append(f"  COAT {coatings[surface.coating]}")
         rows.append(row)
@@ -150,14 +151,15 @@ def _break(values: Iterable[float]) -> list[str]:
     return ["  TYPE COORDBRK", *(f"  PARM {place} {value + 0.0!r}" for place, value in enumerate(values, 1))]
 
 
-def _surface(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
+def _surface(number: int, surface: Surface, medium: Matter | None, aperture_mm: float | None) -> list[str]:
+    """Return the lines of a surface; a medium takes the place of the one that it names."""
     lines = ["  STOP"] if surface.stop else []
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
     else:
         lines += _shape(number, surface)
     lines.append(f"  CURV {curvature(surface.vertex_radius_mm)!r} 0 0 0 0")
-    lines += _glass(f"surfaces[{number}]", surface)
+    lines += _glass(f"surfaces[{number}]", medium or surface)
     if surface.vertex_conic:
         lines.append(f"  CONI {surface.vertex_conic!r}")
     if aperture_mm is not None:

@@ -1,5 +1,7 @@
 """Lens files of lenses that look into water: read with their object medium, and written with it."""
 
+import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +83,89 @@ def test_the_object_medium_comes_back(tmp_path: Path, ending: str, matter: dict[
     assert Paraxial.of(again, wave).efl_mm == pytest.approx(Paraxial.of(lens, wave).efl_mm, rel=1e-10)
     # The stop comes back from its entrance pupil.
     assert again.surfaces[-1].semi_diameter_mm == pytest.approx(4.0, rel=1e-10)
+
+
+OSLO = """\
+LEN NEW "wet" 50 3
+EBR 3.0
+UNI 1.0
+WV 0.5876
+GLA MOD WET 1.333 1.333 1.333; TH 400.0
+NXT
+GLA MOD G1 1.5 1.5 1.5; RD 20.0; TH 4.0; AST
+NXT
+AIR; RD -20.0; TH 60.0
+NXT
+AIR
+END 3
+"""
+
+TABLE = """\
+surface,radius,thickness,index,semi-diameter,stop
+obj,,400.0,1.333,,
+1,20.0,4.0,1.5,3.0,x
+2,-20.0,60.0,1.0,5.0,
+"""
+
+
+def optiland() -> str:
+    """Return such a file of optiland's."""
+
+    def surface(z: float, radius: float, index: float, stop: bool = False) -> dict[str, object]:
+        frame = {"x": 0.0, "y": 0.0, "z": z, "rx": 0.0, "ry": 0.0, "rz": 0.0, "reference_cs": None}
+        kind = "Plane" if math.isinf(radius) else "StandardGeometry"
+        return {
+            "type": "Surface", "geometry": {"type": kind, "cs": frame, "radius": radius, "conic": 0.0},
+            "material_post": {"type": "IdealMaterial", "index": index, "absorp": 0.0},
+            "is_stop": stop, "aperture": None, "comment": "",
+            "interaction_model": {
+                "type": "RefractiveReflectiveModel", "is_reflective": False, "coating": None, "bsdf": None
+            },
+        }  # fmt: skip
+
+    surfaces = [
+        surface(-400.0, math.inf, 1.333), surface(0.0, 20.0, 1.5, True), surface(4.0, -20.0, 1.0),
+        surface(64.0, math.inf, 1.0),
+    ]  # fmt: skip
+    data = {
+        "version": 1.0, "name": "wet", "aperture": {"type": "EPD", "value": 6.0},
+        "fields": {"fields": [{"x": 0.0, "y": 0, "vx": 0.0, "vy": 0.0}],
+                   "field_definition": {"field_type": "AngleField"}},
+        "wavelengths": {"wavelengths": [{"value": 587.6, "is_primary": True, "unit": "nm"}]},
+        "pickups": [], "solves": {"solves": []}, "surface_group": {"surfaces": surfaces},
+    }  # fmt: skip
+    return json.dumps(data)
+
+
+@pytest.mark.parametrize(("ending", "text"), [(".len", OSLO), (".csv", TABLE), (".json", optiland())])
+def test_an_index_before_the_lens_is_read(tmp_path: Path, ending: str, text: str) -> None:
+    """Of other programs' files the power is that of two faces, the first of them with the step from water."""
+    path = tmp_path / f"wet{ending}"
+    path.write_text(text)
+    lens, report = read_lens_file(path)
+    assert report.conditions is not None
+    assert report.conditions.object_mm == pytest.approx(400.0)
+    found = Paraxial.of(lens, 587.6)
+    assert found.indices == pytest.approx((1.333, 1.5, 1.0), rel=1e-12)
+    first, second = (1.5 - 1.333) / 20.0, (1.0 - 1.5) / -20.0
+    assert 1.0 / found.efl_mm == pytest.approx(first + second - first * second * 4.0 / 1.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("ending", [".zmx", ".seq", ".toml"])
+@pytest.mark.parametrize("index", [None, 1.0])
+def test_a_stop_before_the_port_comes_back_with_what_is_behind_it(
+    tmp_path: Path, ending: str, index: float | None
+) -> None:
+    """The medium, where the stop names none, and air where it names that."""
+    stop = Surface(stop=True, thickness_mm=2.0, semi_diameter_mm=3.0, index=index)
+    last = Surface(radius_mm=-25.0, semi_diameter_mm=5.0)
+    lens = Lens(surfaces=(stop, *PORT[:-2], last), object_medium=Matter(index=1.333))
+    path = tmp_path / f"lens{ending}"
+    write_lens_file(lens, path)
+    again, _ = read_lens_file(path)
+    indices = Paraxial.of(lens, 587.6).indices
+    assert indices[:2] == (1.333, index or 1.333)
+    assert Paraxial.of(again, 587.6).indices == pytest.approx(indices, rel=1e-12)
 
 
 @pytest.mark.parametrize(("ending", "text"), [(".zmx", ZEMAX), (".seq", CODE_V)])

@@ -32,3 +32,16 @@ def test_a_hyperboloid_images_far_water_without_aberration() -> None:
     assert perfect.image_mm[2] == pytest.approx(FOCAL_MM, rel=1e-12)
     assert np.ptp(perfect.opd_waves) < 1e-6
     assert np.ptp(lf.wavefront(hyperboloid(-(WATER**2) + 0.01)).opd_waves) > 1e-2
+
+
+def test_the_spread_of_a_far_point_in_water_is_airys_of_the_image_side() -> None:
+    """The watts of its solid angle in water pass Fresnel's face, into the disk of λ in air and f'/D."""
+    camera = hyperboloid(-(WATER**2)).camera.model_dump()
+    camera["lens"]["surfaces"][0]["semi_diameter_mm"] = 0.5
+    camera["sensor"] |= {"pixels": [21, 21], "pixel_mm": 0.004}
+    found = lf.point_spread(lf.Scene(camera=camera), (0.0, 0.0, -1e5), 550.0)
+    passed = 1.0 - ((WATER - 1.0) / (WATER + 1.0)) ** 2
+    assert found.entered_w == pytest.approx(passed * math.pi * 0.5**2 / 1e5**2, rel=1e-4)
+    assert found.airy_radius_mm == pytest.approx(1.22 * 550e-6 * FOCAL_MM, rel=1e-3)
+    assert found.strehl is not None
+    assert found.strehl > 0.995

@@ -245,7 +245,7 @@ class Projector:
     absorption : bool
         Whether what media absorb and scatter on the way to the camera is missing from its entries.
     inside : str, optional
-        Name of the body of glass or liquid that the grid is in; it is in air if left out.
+        Name of the body of glass or liquid that the grid is in; left out, it is in none.
     tolerance : float
         Of point spreads, see `lf.point_spread`.
 
@@ -443,7 +443,7 @@ def projection_matrix(
     camera refracts, and what it absorbs is missing from the entries. With `transport.diffraction` each voxel shows
     the point spread of its centre, by `lf.point_spread`, coherent over all lenslets, and what that refuses is refused:
     media, bodies of glass, hidden voxels, voxels out of the field. As with `[[media]]`, voxels count where they are
-    in air or, with `inside`, in one body of glass or liquid.
+    outside all bodies or, with `inside`, in one body of glass or liquid.
 
     Parameters
     ----------
@@ -461,7 +461,7 @@ def projection_matrix(
         Take from the entries what the scene's `[[media]]` absorb and scatter on the way to the camera. Left out, air
         is clear. Light that is scattered into a ray is in no entry.
     inside : str, optional
-        Name of the body of glass or liquid that the grid is in, such as "tanks[0] liquid". Left out, it is in air.
+        Name of the body of glass or liquid that the grid is in, such as "tanks[0] liquid". Left out, it is in none.
     tolerance : float
         With diffraction, the largest error of a column over its light, as of `lf.point_spread`.
     say : callable, optional
@@ -517,7 +517,7 @@ def not_seen(projector: Projector) -> str:
         f'"{name}"' for name in {number: name for name, number in projector.world.scene.bodies()}.values()
     )
     other = f"; what lies in a body needs inside, one of {names}" if names else ""
-    where = f" in {projector.inside}" if projector.inside is not None else " in air" if names else ""
+    where = f" in {projector.inside}" if projector.inside is not None else " outside all bodies" if names else ""
     return (
         f"no ray from these pixels meets the grid{where}: the matrix would be empty; move the grid into the camera's "
         f"view{other}"

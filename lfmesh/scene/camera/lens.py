@@ -64,7 +64,8 @@ class Surface(Model):
     thickness_mm: NonNegative | None = None
     """Distance from this vertex to the next, in mm. Omit it at the last surface only."""
     index: Index | None = None
-    """Refractive index of what follows the surface. Neither `index` nor `glass`: air."""
+    """Refractive index of what follows the surface. Neither `index` nor `glass`: air; behind a flat stop that is the
+    first surface, the lens's object medium."""
     glass: Glass | None = None
     """Glass that follows the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like
     { nd = 1.5168, vd = 64.17 }."""
@@ -119,6 +120,17 @@ class Surface(Model):
         if self.index is not None:
             return None if self.index == AIR else self.index
         return self.glass
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is neither curved nor aspheric."""
+        return self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
+
+    @property
+    def is_plain_stop(self) -> bool:
+        """Whether it is a flat stop of which no medium is given."""
+        given = (self.index, self.glass, self.mesh, self.refractor)
+        return self.stop and self.is_flat and not self.paraxial and all(each is None for each in given)
 
     @property
     def curvature_per_mm(self) -> float:
@@ -536,9 +548,16 @@ class Lens(Model):
 
     @property
     def media(self) -> tuple[Medium, ...]:
-        """Medium before the first surface, then that behind each."""
+        """Medium before the first surface, then that behind each.
+
+        A flat stop that comes first and names no medium, not even an index of 1, is no interface: it stands in the
+        object medium.
+        """
         outside = self.object_medium.medium if self.object_medium is not None else None
-        return outside, *(surface.medium for surface in self.surfaces)
+        behind = [surface.medium for surface in self.surfaces]
+        if behind and self.surfaces[0].is_plain_stop:
+            behind[0] = outside
+        return outside, *behind
 
     @property
     def stop_index(self) -> int | None:
@@ -579,11 +598,8 @@ class Lens(Model):
         -------
         bool
         """
-        surface = self.surfaces[number]
-        before = self.media[number]
-        bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
-        bare = bare and not any(a for _, a in surface.powers_mm)
-        return surface.stop and bare and not surface.paraxial and before == surface.medium
+        surface, media = self.surfaces[number], self.media
+        return surface.stop and surface.is_flat and not surface.paraxial and media[number] == media[number + 1]
 
     def aperture_mm(self, number: int) -> float | None:
         """Return the clear radius of surface `number`, in mm; None where the size of the pupil decides it.

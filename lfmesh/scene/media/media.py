@@ -65,7 +65,8 @@ AnyGrid = Annotated[Grid, BeforeValidator(_of_path, json_schema_input_type=str |
 class Medium(Model):
     """Gas, smoke, fog or dye that absorbs, scatters or emits light. Where media overlap, they add.
 
-    It is in air or, with `inside`, in one body of glass or liquid; all other bodies displace it.
+    It is in air, or the camera's object medium, or, with `inside`, in one body of glass or liquid; all other bodies
+    displace it.
     """
 
     name: Text | None = None
@@ -76,7 +77,7 @@ class Medium(Model):
     that the camera looks into it from its edge."""
     inside: Text | None = None
     """The body of glass or liquid that it is in, by its name in reports: "tanks[0] liquid", or the name of a target
-    with a refractor. Omitted: it is in air."""
+    with a refractor. Omitted: it is in none."""
     grid: AnyGrid | None = None
     """Voxels with quantities that vary in space; a number beside it gives a quantity that the grid does not hold."""
     absorption_per_mm: Coefficient = 0.0

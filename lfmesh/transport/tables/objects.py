@@ -22,6 +22,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_F
 from lfmesh.transport.tables.contacts import contacts
 from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
 from lfmesh.transport.tables.frames import frame_table
+from lfmesh.transport.tables.gloss_places import media_round_gloss
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
@@ -186,7 +187,6 @@ def object_tables(
         texels.append(_texels(target.texture, weights, lines.in_bands))
         filled += height * width
     materials = [t.material for t in scene.targets]
-    models, from_files = _models_of_facets(targets, len(housing.faces))
     alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
     radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
     glasses = [t.refractor for t in scene.targets]
@@ -201,10 +201,11 @@ def object_tables(
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
     media = known.table_of_objects(wavelengths_nm, book, medium.tolist())
-    surroundings = media.indices[AIR]
-    _refuse_thin_gloss(scene, float(surroundings.max()))
     # A black body in a medium has n² times the radiance that it has in air.
-    radiance[[m.temperature_k is not None for m in materials]] *= surroundings**2
+    radiance[[m.temperature_k is not None for m in materials]] *= media.indices[AIR] ** 2
+    around = media_round_gloss(scene, targets, hosts_of(scene, targets, ranks, medium, media))
+    models, from_files = _models_of_facets(targets, around, len(housing.faces))
+    surroundings = media.indices[[*around, *(number for _, number in from_files)]]
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
@@ -221,7 +222,9 @@ def object_tables(
             ],
             dtype=np.bool_,
         ),
-        scattering=scattering_tables(materials, wavelengths_nm, reflectances, from_files, surroundings),
+        scattering=scattering_tables(
+            materials, wavelengths_nm, reflectances, [each for each, _ in from_files], surroundings
+        ),
         model=models,
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
@@ -324,35 +327,28 @@ def with_volumes(
     return tables._replace(media=media, volumes=volumes, outer_radius=outer, lit_radius=lit)
 
 
-def _models_of_facets(targets: list[TargetMesh], others: int) -> tuple[NDArray[np.int64], list[GltfMaterial]]:
-    """Return the row of each facet's scattering model, and the mesh files' materials in the order of their rows.
+def _models_of_facets(
+    targets: list[TargetMesh], around: NDArray[np.int64], others: int
+) -> tuple[NDArray[np.int64], list[tuple[GltfMaterial, int]]]:
+    """Return the row of each facet's scattering model, and mesh files' materials with the media round them, by row.
 
     Parameters
     ----------
     targets : list of TargetMesh
+    around : (targets,) int64
+        Number of the medium that each stands in.
     others : int
         Number of facets after those of the targets.
     """
-    known: dict[GltfMaterial, int] = {}
+    known: dict[tuple[GltfMaterial, int], int] = {}
     rows = []
-    for number, target in enumerate(targets):
+    for number, (target, outer) in enumerate(zip(targets, around.tolist(), strict=True)):
         own = np.full(len(target.mesh.faces), number)
         if target.material_of is not None:
-            row_of = [known.setdefault(each, len(targets) + len(known)) for each in target.materials]
+            row_of = [known.setdefault((each, outer), len(targets) + len(known)) for each in target.materials]
             own = np.append(row_of, number)[target.material_of]
         rows.append(own)
     return np.concatenate([*rows, np.zeros(others)]).astype(np.int64), list(known)
-
-
-def _refuse_thin_gloss(scene: Scene, surroundings: float) -> None:
-    """Refuse a gloss whose index is not above that of the medium that targets stand in."""
-    for i, target in enumerate(scene.targets):
-        gloss = target.material.gloss
-        if gloss is not None and gloss.index is not None and not gloss.index > surroundings:
-            raise SceneError(
-                f"targets[{i}].material.gloss.index = {gloss.index:g}: must be above that of camera.object_medium, "
-                f"{surroundings:.6g}"
-            )
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:

@@ -64,14 +64,20 @@ def scattering_tables(
     reflectances : sequence of (wavelengths,) float64, optional
         Of the materials; may be left out if they are numbers.
     from_files : sequence of GltfMaterial
-    surroundings : (wavelengths,) float64
-        Refractive index of what the targets stand in: their gloss has its own index over that.
+    surroundings : (materials + from_files, wavelengths) float64, or fewer axes
+        Refractive index of what is round each material: a gloss has its own index over that.
     """
-    around = np.broadcast_to(surroundings, len(wavelengths_nm))
+    around = np.broadcast_to(surroundings, (len(materials) + len(from_files), len(wavelengths_nm)))
     if reflectances is None:
         reflectances = [np.full(len(wavelengths_nm), material.reflectance, np.float64) for material in materials]
-    made = [_model_of(each, share, wavelengths_nm, around) for each, share in zip(materials, reflectances, strict=True)]
-    made += [(BLEND, gltf_parameters(each, wavelengths_nm, around)) for each in from_files]
+    made = [
+        _model_of(each, share, wavelengths_nm, outer)
+        for each, share, outer in zip(materials, reflectances, around, strict=False)
+    ]
+    made += [
+        (BLEND, gltf_parameters(each, wavelengths_nm, outer))
+        for each, outer in zip(from_files, around[len(materials) :], strict=True)
+    ]
     hot = [i for i, each in enumerate(materials) if each.temperature_k is not None]
     one_sided = [i for i in hot if materials[i].sides == "front"]
     black = len(made)

@@ -185,9 +185,9 @@ def volume_tables(
             spectrum = W_MM3 * _emission(scene, medium, lines, where)
         if body is not None:
             row["inside"] = hosts.rank[body]
-            if row["emits"] in (OF_BODY, BY_TEMPERATURE):
-                # Kirchhoff: a black body's radiance in a medium is n² times that in air.
-                spectrum = spectrum * hosts.index_of(body) ** 2
+        if row["emits"] in (OF_BODY, BY_TEMPERATURE):
+            # Kirchhoff: a black body's radiance in a medium is n² times that in air.
+            spectrum = spectrum * hosts.index_of(body) ** 2
         emission[i] = spectrum
         if row["bounds"] == IN_FRONT and (emission[i] > 0.0).any() and not (absorption[i] > 0.0).all():
             raise SceneError(
@@ -382,7 +382,7 @@ def _refuse_displaced(
     if (displaces >= 0).all():
         name = hosts.names[displaces[0]]
         raise SceneError(
-            f'{where}: lies inside {name}, which displaces what is in air; give inside = "{name}", or move it'
+            f'{where}: lies inside {name}, which displaces what is round it; give inside = "{name}", or move it'
         )
 
 

@@ -180,12 +180,12 @@ def _light(world: World, number: int) -> Rows:
 
 
 def _medium_round(world: World, number: int) -> Rows:
-    medium = world.scene.media[number]
+    medium, outside = world.scene.media[number], world.lens_shape.media[0]
     keys = ("absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr")
     values = [(key, getattr(medium, key)) for key in keys]
     return [
         ("medium", medium.name or f"media[{number}]"),
-        ("inside", medium.inside or "air"),
+        ("inside", medium.inside or ("air" if outside is None else _medium(world, outside))),
         *((key, _spectral(value)) for key, value in values if value),
         *([("bounds", str(medium.bounds.file))] if isinstance(medium.bounds, MeshBounds) else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),

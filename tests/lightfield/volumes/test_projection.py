@@ -446,7 +446,7 @@ def test_matrix_times_emission_is_the_image_of_what_shines_in_water(dye, tmp_pat
 def test_a_grid_in_water_needs_its_place():
     scene = camera(tanks=[TANK])
     with pytest.raises(
-        LfmeshError, match=r'meets the grid in air: .* inside, one of "tanks\[0\] wall", "tanks\[0\] liq'
+        LfmeshError, match=r'meets the grid outside all bodies: .* inside, one of "tanks\[0\] wall", "tanks\[0\] liq'
     ):
         projection_matrix(scene, box(position_mm=(0.0, 0.0, -58.0), size=(2.0, 2.0, 2.0)))
     with pytest.raises(LfmeshError, match=r'inside = "water": no body'):

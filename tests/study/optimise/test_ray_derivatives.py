@@ -58,6 +58,15 @@ CASES: dict[str, tuple[lf.Scene, list[dict[str, Any]], dict[str, Any]]] = {
         ],
         {"across": 6},
     ),
+    "water before the lens": (
+        asphere(radius_mm=15.0).changed({"camera.object_medium": {"index": 1.333}}),
+        [
+            variable(f"{SURFACE}.radius_mm", 12.0, 20.0),
+            variable("object_medium.index", 1.2, 1.4),
+            variable("focus_mm", 200.0, 900.0),
+        ],
+        {"across": 6},
+    ),
     "strong asphere of Forbes": (
         asphere(qcon={"norm_radius_mm": 10.0, "coefficients_mm": [0.05, -0.01]}),
         [variable(f"{SURFACE}.qcon.coefficients_mm[0]", -0.2, 0.2), variable(f"{SURFACE}.radius_mm", 20.0, 50.0)],

@@ -583,6 +583,7 @@ class Lens(Model):
         before = self.media[number]
         bare = surface.curvature_per_mm == surface.curvature_x_per_mm == 0
         bare = bare and not any(a for _, a in surface.powers_mm)
+        bare = bare and not any(surface.sags_mm(surface.semi_diameter_mm or 1.0, AZIMUTHS))
         return surface.stop and bare and not surface.paraxial and before == surface.medium
 
     def aperture_mm(self, number: int) -> float | None:

@@ -19,11 +19,20 @@ _TABLE_NM = np.arange(350.0, 1101.0, 5.0)
 between them is off by some 1e-5 at 400 nm in ordinary glass."""
 
 
+_KINDS = ("reflectance", "measured", "layers")
+"""Kinds of coatings that the file has entries for."""
+
+
 def coating_names(lens: Lens) -> dict[str, str]:
-    """Return the names that a lens's coatings have in the file, where capitals do not count, by those in the lens."""
+    """Return the names that a lens's coatings have in the file, where capitals do not count, by those in the lens.
+
+    Coatings that the file cannot hold have none.
+    """
     names: dict[str, str] = {}
     taken = set(BARE)
-    for name in dict.fromkeys(surface.coating for surface in lens.surfaces if surface.coating in lens.coatings):
+    for name in dict.fromkeys(surface.coating for surface in lens.surfaces):
+        if name not in lens.coatings or lens.coatings[name].kind not in _KINDS:
+            continue
         free, number = name, 1
         while free.upper() in taken:
             number += 1

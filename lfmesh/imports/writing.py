@@ -1,6 +1,7 @@
 """Properties of a lens that lens files of other programs can hold, for the writers of both formats."""
 
 from lfmesh.errors import GlassError, SceneError
+from lfmesh.imports.coating_writer import coating_names
 from lfmesh.imports.zemax_tables import SECTIONS
 from lfmesh.optics.glass import D_LINE_NM, find_glass, glass_name
 from lfmesh.scene.camera.lens import Lens
@@ -28,7 +29,7 @@ def check_writable(lens: Lens, program: str) -> list[str]:
             raise SceneError(f"surfaces[{i}].{form}: not written to {program} files{other}")
         if surface.refractor is not None or surface.mesh is not None:
             raise SceneError(f"surfaces[{i}]: a mesh cannot be written as a {program} surface")
-    held = {UNCOATED, *(lens.coatings if program == ZEMAX else ())}
+    held = {UNCOATED, *(coating_names(lens) if program == ZEMAX else ())}
     coated = [str(i) for i, surface in enumerate(lens.surfaces) if surface.coating not in held]
     return [f"coatings of surfaces {', '.join(coated)} are not in the file"] if coated else []
 

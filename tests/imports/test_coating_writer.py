@@ -56,6 +56,16 @@ def test_every_kind_of_coating_comes_back(tmp_path):
     assert [surface.coating for surface in again.surfaces] == ["stack", "absorbing", "AR", "ar-2", "null-2", "measured"]
 
 
+def test_a_coating_without_an_entry_of_its_own_is_reported_and_not_written_as_bare(tmp_path):
+    """Here one by a file: such a lens belongs to no scene file, but can be made."""
+    lens = coated({"known": COATINGS["AR"], "other": COATINGS["ar"]})
+    lens = lens.model_copy(update={"coatings": lens.coatings | {"other": Coating(table="other.csv")}})
+    notes = write_lens_file(lens, tmp_path / "lens.zmx")
+    assert "coatings of surfaces 1 are not in the file" in notes
+    assert "other" not in (tmp_path / "lens_coating.dat").read_text()
+    assert "COAT other" not in (tmp_path / "lens.zmx").read_text("utf-16")
+
+
 def test_lenses_of_one_folder_keep_their_own_coatings(tmp_path):
     for name, share in (("one", 0.1), ("Two", 0.2), ("two", 0.3)):
         write_lens_file(coated({"c": Coating(reflectance=share)}), tmp_path / f"{name}.zmx")

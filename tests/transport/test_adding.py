@@ -64,6 +64,8 @@ for name, scene in (("grey", grey), ("clear", clear), ("bare", bare)):
         absorbed = paths.ledger.absorbed.get("coating of lens surface 0", 0.0)
         found[f"coating {name} {engine}"] = [float(straight), float(absorbed)]
 found["coating shown"] = coating_lines(lf.solved(grey))
+lens = grey.camera.lens.model_copy(update={"coatings": grey.coatings})
+found["coating written"] = write_lens_file(lens, Path("grey.zmx"))
 for name, coating in (("both", {"transmittance": 0.5, "reflectance": 0.1}), ("none", {})):
     try:
         lf.Scene(camera=camera({}), coatings={"grey": coating})
@@ -114,6 +116,10 @@ glued = camera({})
 glued["lens"]["surfaces"][1] = {"saddle": {"twist_per_mm": twist}, "semi_diameter_mm": 8.0}
 found["shape warned"] = lf.first_order(lf.Scene(camera=glued)).warnings
 found["shape described"] = dict(describe(world, "lens[0]"))["front"]
+stop = {"semi_diameter_mm": 5.0, "stop": True, "thickness_mm": 2.0}
+for name, front in (("saddle", {"saddle": {"twist_per_mm": twist}}), ("flat", {})):
+    glass = {"radius_mm": 30.0, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 8.0}
+    found["only stops " + name] = lf.Lens(surfaces=[front | stop, glass, flat]).is_pure_stop(0)
 try:
     lf.Surface(saddle={"twist_per_mm": twist}, radius_mm=30.0, index=1.5, semi_diameter_mm=8.0)
 except lf.LfmeshError as error:
@@ -301,6 +307,7 @@ def test_a_neutral_density_coating_is_added_as_its_recipe_says(found: dict[str, 
     (line,) = found["coating shown"]
     assert "grey: reflects 4 % at 0, " in line
     assert "passes 24 % at 0, " in line
+    assert found["coating written"] == ["coatings of surfaces 0 are not in the file"]
     assert "coatings.grey.transmittance" in found["coating refused both"]
     assert found["coating refused none"].endswith(
         "a coating needs one of reflectance, table, measured, layers and transmittance"
@@ -327,6 +334,7 @@ def test_a_saddle_is_added_as_its_recipe_says(found: dict[str, Any]) -> None:
     assert "surfaces 0 and 1 cross inside their clear aperture" in found["shape refused"]
     assert "saddle: `hard.truth` has no such surface" in found["truth refused"]
     assert any("surface 1 is a saddle, not symmetric about x and y" in text for text in found["shape warned"])
+    assert (found["only stops saddle"], found["only stops flat"]) == (False, True)
     assert found["shape described"] == "surface 0, saddle of twist_per_mm = 0.01, in y flat, semi-diameter 8 mm"
     assert "radius_mm = 30.0: omit it: it does not go with a saddle" in found["radius refused"]
     for file, program in (("lens.seq", "CODE V"), ("lens.zmx", "Zemax")):

@@ -16,11 +16,11 @@ from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
 from lfmesh.geometry.surfaces.sag import reach
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import (
+    ALL_ROUND,
     FLOAT32_MARGIN,
     MAX_RINGS,
     disk_mesh,
     height_above,
-    judged_azimuths,
     mesh_heights,
     mesh_sag,
     on_circles,
@@ -168,9 +168,8 @@ def _circles(surface: Any, rings: int, rim: float, allowed: Callable[[Array], Ar
 
 def _waviness(surface: Any, r: Array) -> Array:
     """Return the largest second derivative of z by the azimuth on circles of radii (n,), mm."""
-    phi = judged_azimuths(surface)
-    z = mesh_heights(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
-    return np.asarray(np.abs(np.diff(z, 2, axis=1)).max(axis=1) / phi[1] ** 2)
+    z = mesh_heights(surface, np.multiply.outer(r, np.cos(ALL_ROUND)), np.multiply.outer(r, np.sin(ALL_ROUND)))
+    return np.asarray(np.abs(np.diff(z, 2, axis=1)).max(axis=1) / ALL_ROUND[1] ** 2)
 
 
 def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], Array], finest: float) -> list[float]:
@@ -186,7 +185,7 @@ def _divided(surface: Any, low: float, high: float, allowed: Callable[[Array], A
     """
     at = np.array([low, 0.5 * (low + high), high])
     limit = allowed(at)
-    phi = (np.zeros(1) if is_revolved(surface) else judged_azimuths(surface))[:, None]
+    phi = (np.zeros(1) if is_revolved(surface) else ALL_ROUND)[:, None]
     z = mesh_heights(surface, np.cos(phi) * at, np.sin(phi) * at)
     deviation = float(np.abs(z[:, 1] - 0.5 * (z[:, 0] + z[:, 2])).max())
     if high - low <= finest or deviation <= limit.min():

@@ -23,7 +23,7 @@ def slope(surface: Any, r: ArrayLike) -> Array:
 
 def _need_revolved(surface: Any) -> None:
     if not is_revolved(surface):
-        raise TypeError("a biconic or toroid has no sag by radius alone; ask for `heights`")
+        raise TypeError("a surface that is none of revolution has no sag by radius alone; ask for `heights`")
 
 
 def _curve(surface: Any, r: Array) -> tuple[Array, Array]:

@@ -28,9 +28,6 @@ MAX_ASPHERE_TERMS = MOST_ASPHERE_TERMS
 CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID = range(4)
 """Kinds of surfaces: the first two are surfaces of revolution."""
 
-SYMMETRIC = (CONIC_AND_EVEN, WITH_ODD, BICONIC, TOROID)
-"""Kinds that are symmetric about x and about y, so that a quarter turn tells all of them."""
-
 Array = NDArray[np.float64]
 
 SURFACE = np.dtype(

@@ -15,7 +15,7 @@ from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals, joined
 from lfmesh.geometry.surfaces.sag import gradients, heights, normals, reach, sag, slope
-from lfmesh.geometry.surfaces.surface import SYMMETRIC, in_place, is_revolved
+from lfmesh.geometry.surfaces.surface import in_place, is_revolved
 
 OVERREACH = 0.02
 """How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
@@ -28,8 +28,8 @@ MAX_RINGS = 120
 AZIMUTHS = 96
 """Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
 
-QUARTER = 25
-"""Azimuths of a quarter turn, by which a surface is judged that is symmetric about x and y."""
+ALL_ROUND = np.linspace(0.0, 2.0 * np.pi, 97)
+"""Azimuths by which a surface is judged that is none of revolution; every eighth of a turn is one."""
 
 QUADRATIC = 4.0 / 3.0
 """Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an
@@ -119,17 +119,6 @@ def mesh_heights(surface: Any, x: ArrayLike, y: ArrayLike, most: float = np.inf)
     return heights(surface, inside * x, inside * y)
 
 
-def judged_azimuths(surface: Any) -> Array:
-    """Return azimuths that tell all of a surface: of a quarter turn where it is symmetric about x and y, else of all.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    """
-    turns = 1 if surface["kind"] in SYMMETRIC else 4
-    return np.linspace(0.0, 0.5 * np.pi * turns, turns * (QUARTER - 1) + 1)
-
-
 def steepness(surface: Any, r: ArrayLike) -> Array:
     """Return the largest slope that a surface has at radii (n,), at any azimuth.
 
@@ -141,8 +130,7 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
     r = np.asarray(r, dtype=np.float64)
     if is_revolved(surface):
         return np.abs(slope(surface, r))
-    phi = judged_azimuths(surface)
-    by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi)))
+    by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(ALL_ROUND)), np.multiply.outer(r, np.sin(ALL_ROUND)))
     return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
 
 
@@ -161,7 +149,7 @@ def set_bends(surface: Any, rim: float) -> None:
         return
     step = BEND_STEP * domain
     # A whole step off the axis, where odd powers have a kink.
-    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], judged_azimuths(surface)
+    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], ALL_ROUND
     x, y = r * np.cos(phi), r * np.sin(phi)
     xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
     xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))
@@ -185,7 +173,7 @@ def ring_radii(surface: Any, rings: int, rim: float) -> Array:
     if is_revolved(surface):
         rise = np.diff(sag(surface, fine))
     else:
-        phi = judged_azimuths(surface)[:, None]
+        phi = ALL_ROUND[:, None]
         rise = np.abs(np.diff(heights(surface, np.cos(phi) * fine, np.sin(phi) * fine))).max(axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(fine), rise))])
     radii = np.interp(np.linspace(0.0, arc[-1], rings + 1), arc, fine)

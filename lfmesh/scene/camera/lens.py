@@ -123,8 +123,9 @@ class Surface(Model):
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is neither curved nor aspheric."""
-        return self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
+        """Whether it is flat all round, whatever its shape."""
+        bare = self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
+        return bare and not any(self.sags_mm(self.semi_diameter_mm or 1.0, AZIMUTHS))
 
     @property
     def is_plain_stop(self) -> bool:

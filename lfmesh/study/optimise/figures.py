@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.study.metrics.metrics import METRICS
 
@@ -49,9 +50,9 @@ class CameraFigure(NamedTuple):
 
 def _glass_edges(scene: Scene, _: FirstOrder) -> list[float]:
     lens = _measurable(scene.camera.lens)
-    rims = [surface.sag_mm(surface.semi_diameter_mm or 0.0) for surface in lens.surfaces]
+    rims = [surface.sags_mm(surface.semi_diameter_mm or 0.0, AZIMUTHS) for surface in lens.surfaces]
     return [
-        (surface.thickness_mm or 0.0) + behind - before
+        (surface.thickness_mm or 0.0) + min(back - front for front, back in zip(before, behind, strict=True))
         for surface, before, behind in zip(lens.surfaces, rims, rims[1:], strict=False)
         if surface.medium is not None
     ]  # fmt: skip

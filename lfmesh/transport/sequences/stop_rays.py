@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surfaces.tessellation import judged_azimuths, mesh_heights
+from lfmesh.geometry.surfaces.tessellation import ALL_ROUND, mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.kick import drawn_kick
@@ -250,8 +250,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
     rim = float(surfaces[k]["semi_diameter"])
-    phi = judged_azimuths(surfaces[k])
-    depth = float(np.abs(mesh_heights(surfaces[k], rim * np.cos(phi), rim * np.sin(phi))).max())
+    depth = float(np.abs(mesh_heights(surfaces[k], rim * np.cos(ALL_ROUND), rim * np.sin(ALL_ROUND))).max())
     return k, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
 
 

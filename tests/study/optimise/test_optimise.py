@@ -120,12 +120,14 @@ def test_a_search_ends_early_where_limits_exclude_each_other_and_names_the_neare
         assert found.evaluations < 40
 
 
-def test_edges_are_those_between_the_rims() -> None:
-    scene = plano_convex(40.0, 3.0)
+@pytest.mark.parametrize("radius_x", [40.0, 25.0])
+def test_edges_are_those_between_the_rims(radius_x: float) -> None:
+    """Where a lens is thinnest at its rim, which is in the section of its shorter radius."""
+    scene = plano_convex(40.0, 3.0).changed({"camera.lens.surfaces[0].biconic": {"radius_x_mm": radius_x}})
     found = lf.optimise(
         scene, [{"path": THICKNESS, "range": [1.0, 10.0]}], [{"metric": "edge_thickness_mm", "target": 1.5}]
     )
-    sag = 40.0 - math.sqrt(40.0**2 - 5.0**2)
+    sag = radius_x - math.sqrt(radius_x**2 - 5.0**2)
     assert found.scene.camera.lens.surfaces[0].thickness_mm == pytest.approx(1.5 + sag, rel=1e-9)
 
 

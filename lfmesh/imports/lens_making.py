@@ -141,7 +141,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "coating": names[i],
         }
         # Behind a stop before all others a scene has the object medium, unless it says air.
-        air = {"index": AIR} if i == 0 and media[0] is not None and made.media[0] is None else {}
+        air: dict[str, object] = {"index": AIR} if i == 0 and media[0] is not None and made.media[0] is None else {}
         values = given | _shape(surface, unit) | (air or _medium_keys(made.media[i]))
         surfaces.append({key: value for key, value in values.items() if value is not None})
     try:

@@ -83,6 +83,23 @@ def test_spheres_in_water_scatter_by_their_index_over_the_waters(tmp_path: Any) 
         assert own.shape != dry.shape or np.abs(own / dry - 1.0).max() > 0.1
 
 
+def test_light_at_brewsters_angle_of_a_port_in_water_passes_its_first_face_whole() -> None:
+    """None of the light in the plane of incidence is reflected; Brewster's angle in air is another."""
+    surfaces = [PORT[0], {"thickness_mm": 1.0, "semi_diameter_mm": 12.0}, {"stop": True, "semi_diameter_mm": 12.0}]
+    camera = {"lens": {"surfaces": surfaces}, "sensor": {"pixels": [40, 40], "pixel_mm": 1.0, "distance_mm": 1.0}}
+    scene = lf.Scene(
+        camera=camera | {"object_medium": {"index": WATER}},
+        transport={"polarisation": True, "wavelengths_nm": [WAVELENGTH]},
+    )
+    world, reflected = lf.build(scene), []
+    for angle in (np.arctan(GLASS / WATER), np.arctan(GLASS)):
+        ahead = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        paths = lf.trace(world, -10.0 * ahead, ahead, max_events=1, weight_cutoff=0.0, stokes=[1.0, 1.0, 0.0, 0.0])
+        reflected.append(paths.weight[paths.direction[:, 2] < 0.0].sum())
+    assert reflected[0] < 1e-12
+    assert reflected[1] > 1e-4
+
+
 def test_gloss_in_a_tank_reflects_by_its_index_over_the_liquids() -> None:
     """Facets at normal incidence: ((1.5 − 1.4) / (1.5 + 1.4))² in the liquid, in air ((1.5 − 1) / (1.5 + 1))²."""
     lacquer = {"reflectance": 0.0, "gloss": {"index": 1.5, "roughness": 0.3}}

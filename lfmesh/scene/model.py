@@ -159,6 +159,19 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
+def dead_end(place: Any, step: str | int, location: Iterable[str | int]) -> str | None:
+    """Return why a path cannot go on by `step` from the value at `location`; None from tables and where it can."""
+    where = format_path(location)
+    if isinstance(place, list | tuple):
+        if not isinstance(step, int):
+            return f"{where} is a list: a whole number from 0 must follow, such as {where}[0]"
+        if step < len(place):
+            return None
+        entries = "1 entry" if len(place) == 1 else f"{len(place)} entries"
+        return f"{where} has {entries}, numbered from 0: there is no [{step}]"
+    return None if isinstance(place, Mapping | Model) else f"{where} is a single value, {place!r}: nothing can follow"
+
+
 def _plain(data: Any) -> Any:
     """Turn NumPy scalars and arrays into numbers and lists, so that scripts may pass either."""
     if isinstance(data, Mapping):
@@ -224,7 +237,7 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
     where, value, kind, limits = detail["loc"], detail["input"], detail["type"], detail.get("ctx", {})
     if kind == "fault":
         return Fault(where, value, _Worded(detail["msg"]))
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "invalid_key"):
         key = str(where[-1])
         keys = list(cls.model_fields)
         return Fault(where, None, f"unknown key{nearest(key, keys)}; valid here: {', '.join(keys)}")
@@ -240,7 +253,8 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
         return Fault((*where, "kind"), tag, f"valid kinds are {', '.join(tags)}{nearest(tag, tags)}")
     if kind == "literal_error":
         expected = str(limits["expected"])
-        names = [name.strip(" '") for name in expected.replace(" or ", ",").split(",")]
+        words = [word.strip() for word in expected.replace(" or ", ",").split(",")]
+        names = [word.strip("'") for word in words if word.startswith("'")]
         near = nearest(value, names) if isinstance(value, str) else ""
         return Fault(where, value, f"must be {expected}{near}")
     message = detail["msg"].removeprefix("Input should be ")

@@ -27,7 +27,7 @@ from lfmesh.scene.materials.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.materials.glass_in_air import in_its_air
 from lfmesh.scene.media.media import Medium
-from lfmesh.scene.model import Fault, Location, Model
+from lfmesh.scene.model import Fault, Location, Model, dead_end
 from lfmesh.scene.objects.gltf_keys import GltfLights, GltfTargets, or_table
 from lfmesh.scene.objects.tank import Tank
 from lfmesh.scene.objects.targets import Target
@@ -272,7 +272,7 @@ class Scene(Model, Shown):
         Raises
         ------
         SceneError
-            The changed scene is not valid.
+            A path leads nowhere, or the changed scene is not valid.
         """
         # What no path leads through stays the model that it is, and is not checked again.
         data = _opened(self)
@@ -282,13 +282,18 @@ class Scene(Model, Shown):
             # The lens file is read again, when the scene is solved.
             data["camera"] = _opened(data["camera"]) | {"lens": dict(table)}
         for path, value in values.items():
-            *parents, last = steps_of(path)
+            steps = steps_of(path)
             place: Any = data
-            for step in parents:
-                missing = isinstance(place, dict) and place.get(step) is None
-                place[step] = {} if missing else _opened(place[step])
-                place = place[step]
-            place[last] = value
+            for i, step in enumerate(steps):
+                reason = dead_end(place, step, steps[:i])
+                if reason is not None:
+                    raise SceneError(f"Scene.{path}: {reason}")
+                if i == len(steps) - 1:
+                    place[step] = value
+                else:
+                    missing = isinstance(place, dict) and place.get(step) is None
+                    place[step] = {} if missing else _opened(place[step])
+                    place = place[step]
         scene = Scene(**data)
         scene._folder, scene._digests = self._folder, dict(self._digests)
         scene._lens_table = table if solves else _changed_table(table, values)
@@ -736,7 +741,7 @@ class Scene(Model, Shown):
             )
 
 
-_NUMBER = re.compile(r"[0-9]{1,9}")
+_NUMBER = re.compile(r"[0-9]{1,18}")
 """Of an entry in a path; no list is longer."""
 
 

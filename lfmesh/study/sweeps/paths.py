@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lfmesh.scene import Scene
-from lfmesh.scene.model import Model, format_path, nearest
+from lfmesh.scene.model import Model, dead_end, format_path, nearest
 from lfmesh.scene.scene import steps_of
 
 
@@ -26,16 +26,13 @@ def value_at(scene: Scene, path: str) -> Any:
             if step not in place:
                 raise KeyError(f"{where} has no {step!r}{nearest(str(step), map(str, place))}")
             place = place[step]
-        elif isinstance(place, tuple):
-            if not isinstance(step, int):
-                raise KeyError(f"{where} is a list: a number must follow, such as {where}[0]")
-            if step >= len(place):
-                raise KeyError(f"{where} has {len(place)} entries, numbered from 0: there is no [{step}]")
-            place = place[step]
         elif place is None:
             raise KeyError(f"the scene has no {where}")
         else:
-            raise KeyError(f"{where} is a single value, {place!r}: nothing can follow")
+            reason = dead_end(place, step, done)
+            if reason is not None:
+                raise KeyError(reason)
+            place = place[step]
         done.append(step)
     return place
 

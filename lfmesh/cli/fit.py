@@ -87,7 +87,9 @@ def fit(
         found = fit_camera(
             read_white(white), load(scene), also=further, orientation=orientation, samples=samples, progress=say
         )
-    paths = write_fit(found, out)
+    # What is found is written to the end, whatever comes meanwhile.
+    with defer_interrupt():
+        paths = write_fit(found, out)
     for line in _in_words(found):
         print(line)
     for note in found.notes:
@@ -121,7 +123,8 @@ def _with_boards(
     every += [Board(corners=read_corners(path)) for path in lists]
     with status() as say:
         found = fit_boards(read_white(white), load(scene), every, progress=say, **options)
-    paths = write_board_fit(found, out)
+    with defer_interrupt():
+        paths = write_board_fit(found, out)
     for line in _boards_in_words(found, [*pictures, *lists]):
         print(line)
     for note in found.notes:

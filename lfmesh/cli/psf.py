@@ -62,7 +62,8 @@ def psf(
             loaded, point_mm, band if band is not None else wavelengths_nm, window=window, oversample=oversample,
             tolerance=TOLERANCE if tolerance is None else tolerance,
         )  # fmt: skip
-    files = write_point_spread(found, out)
+    with defer_interrupt():
+        files = write_point_spread(found, out)
     for line in found.lines():
         print(wrapped(line))
     list_files(files)

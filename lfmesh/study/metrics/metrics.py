@@ -56,6 +56,9 @@ IMPOSSIBLE = 4.0
 ROUNDING = 1e-9
 """By this share a value may be beyond what is possible and still be exact."""
 
+TRACED_DECIMALS = 9
+"""Of pixels and degrees that traced rays move: what follows is rounding."""
+
 SHARPEST = 0.6034
 """MTF50 of a box as wide as a sample, cycles a sample; samples that gather light of their whole width have no more."""
 
@@ -369,7 +372,8 @@ def _reference_centres(pair: Comparison, use: Numbers) -> Calibration:
 
 def _chief_rays(pair: Comparison) -> Array:
     """Compare where the chief rays of both cameras land; nothing here is random."""
-    values = _moved(pair.chief_rays, pair.reference_chief_rays)[None, :]
+    moved = _moved(pair.chief_rays, pair.reference_chief_rays)
+    values = np.round(moved, TRACED_DECIMALS)[None, :] + 0.0
     pair.maps["chief_rays"] = _displacements(values, pair.reference_chief_rays)
     return _movements(values)
 

@@ -22,6 +22,8 @@ from lfmesh.wrapping import wrapped
 REACHED = 1e-3
 """Deviation from a target, over its size, up to which it counts as reached."""
 
+LEAST_MERIT = 1e-18
+"""Of the merit at first: deviations that are a billionth of those at first are rounding."""
 
 UNLIKE, NOTHING = 0.1, 1e-6
 """Difference of two values of a figure of rays, over the larger, that is noted; and values so small that it is not."""
@@ -135,7 +137,12 @@ class Optimum(Shown):
         return f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}"
 
     def __repr__(self) -> str:
-        return f"<Optimum: merit {self.merit_after:.4g} from {self.merit_before:.4g}, {len(self.missed)} not reached>"
+        after, before = self.shown_merit(self.merit_after), self.shown_merit(self.merit_before)
+        return f"<Optimum: merit {after} from {before}, {len(self.missed)} not reached>"
+
+    def shown_merit(self, value: float) -> str:
+        """Return a merit, or what a term adds to it, for people: 0 where only rounding is left."""
+        return f"{value if value > LEAST_MERIT * self.merit_before else 0.0:.6g}"
 
     def lines(self) -> list[str]:
         """Return the outcome for a terminal, a line each.
@@ -144,13 +151,13 @@ class Optimum(Shown):
         -------
         list of str
         """
-        lines = [f"merit {self.merit_before:.6g} before, {self.merit_after:.6g} after"]
+        lines = [f"merit {self.shown_merit(self.merit_before)} before, {self.shown_merit(self.merit_after)} after"]
         wide = max(len(each.goal.title) for each in (*self.terms, *self.constraints)) + 2
         lines.append(f"{'term':<{wide}}{'target':>12}{'before':>14}{'after':>14}{'of the merit':>14}")
         for each in self.terms:
             assert isinstance(each.goal, Term)
-            numbers = f"{each.goal.wanted:>12.6g}{each.before:>14.6g}{each.after:>14.6g}{each.share_after:>14.4g}"
-            lines.append(f"{each.goal.title:<{wide}}{numbers}")
+            numbers = f"{each.goal.wanted:>12.6g}{each.before:>14.6g}{each.after:>14.6g}"
+            lines.append(f"{each.goal.title:<{wide}}{numbers}{self.shown_merit(each.share_after):>14}")
         for each in self.constraints:
             assert isinstance(each.goal, Constraint)
             state = f"violates {each.goal.in_words}" if each.share_after else f"keeps {each.goal.in_words}"

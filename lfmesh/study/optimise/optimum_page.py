@@ -25,7 +25,7 @@ def page(found: Optimum) -> str:
         effort=found.effort,
         in_short=_in_short(found),
         missed=found.missed,
-        figures=[_cells(each) for each in (*found.terms, *found.constraints)],
+        figures=[_cells(found, each) for each in (*found.terms, *found.constraints)],
         variables=[
             [each.variable.title, shown_number(each.before), shown_number(each.after), each.note]
             for each in found.variables
@@ -36,11 +36,12 @@ def page(found: Optimum) -> str:
 
 
 def _in_short(found: Optimum) -> list[str]:
-    lines = [f"The merit was {found.merit_before:.4g} and is {found.merit_after:.4g}."]
+    after = found.shown_merit(found.merit_after)
+    lines = [f"The merit was {found.shown_merit(found.merit_before)} and is {after}."]
     if found.terms:
         worst = max(found.terms, key=lambda each: each.share_after)
-        share = worst.share_after / found.merit_after if found.merit_after else 0.0
-        if share and len(found.terms) > 1:
+        if float(after) and len(found.terms) > 1:
+            share = worst.share_after / found.merit_after
             lines.append(f"{100.0 * share:.0f} % of it is of {worst.goal.title}, which is {worst.after:.6g}.")
     if found.constraints:
         lines.append(f"{len(found.constraints) - len(found.violated)} of {len(found.constraints)} limits are kept.")
@@ -50,11 +51,11 @@ def _in_short(found: Optimum) -> list[str]:
     return lines
 
 
-def _cells(result: TermResult) -> list[str]:
+def _cells(found: Optimum, result: TermResult) -> list[str]:
     goal = result.goal
     is_limit = isinstance(goal, Constraint)
     asked = goal.in_words if isinstance(goal, Constraint) else f"{goal.wanted:.6g}"
-    shares = ["", ""] if is_limit else [f"{share:.4g}" for share in (result.share_before, result.share_after)]
+    shares = ["", ""] if is_limit else [*map(found.shown_merit, (result.share_before, result.share_after))]
     return [goal.title, asked, f"{result.before:.6g}", f"{result.after:.6g}", *shares]
 
 

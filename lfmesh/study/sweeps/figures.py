@@ -131,6 +131,8 @@ def field_figure(row: Row, name: str, title: str) -> str:
     def draw(figure: Any) -> None:
         panel = figure.add_axes((0.13, 0.14, 0.66, 0.76))
         arrows = panel.quiver(x, y, some[..., 0], some[..., 1], size, cmap="viridis", angles="xy", pivot="mid")
+        # From none: of equal displacements colours would else tell rounding, and their numbers but an offset.
+        arrows.set_clim(0.0, float(np.nanmax(size)))
         panel.set_aspect("equal", anchor="W")
         panel.set(xlabel="lenslet column", ylabel="lenslet row")
         panel.margins(0.06)

@@ -37,7 +37,15 @@ STYLE = f"""\
       .content {{ position: absolute; inset: 0; }}
       #caption {{ left: 0; max-width: 65%; }}
       #legend {{ right: 0; text-align: right; }}
+      @media (max-aspect-ratio: {ASPECT}) {{ .content {{ top: auto; height: {100.0 / ASPECT:g}vw; }} }}
+      @media (max-width: 700px) {{
+        .words {{ position: relative; }}
+        #caption {{ max-width: none; }}
+        #legend {{ text-align: left; }}
+      }}
 """
+"""A window narrower than `ASPECT` is drawn into at that, so that nothing is cut off at its sides; on a narrow page the
+legend stands below the caption."""
 
 TEMPLATE = Path(__file__).parent / "templates" / "words.html"
 

@@ -152,6 +152,24 @@ def test_warnings_of_simulated_images_are_those_of_the_fit_even_if_there_is_none
         lf.fit(picture, dark, samples=8)
 
 
+def test_a_file_that_changes_during_a_fit_ends_it_with_its_name(taken: Any, tmp_path: Path) -> None:
+    """Simulated images of one fit would be of two sensors; the response is read for each of them."""
+    scene, _, picture = taken
+    response = tmp_path / "green.csv"
+    response.write_text("wavelength_nm,response\n540,0\n550,1\n560,0\n")
+    banded = scene.changed({"camera.sensor.bands": [{"name": "green", "response": str(response)}]})
+    said: list[str] = []
+
+    def change_before_the_second(words: str) -> None:
+        said.append(words)
+        if words == "simulating white image 1":
+            response.write_text("wavelength_nm,response\n640,0\n650,1\n660,0\n")
+
+    with pytest.raises(lf.FileError, match=r"green\.csv has changed"):
+        lf.fit(picture, banded, samples=2, progress=change_before_the_second)
+    assert said == ["tracing derivatives", "simulating white image 1"]
+
+
 def test_places_are_the_phase_of_a_lattice_whatever_the_background() -> None:
     """Two crossed cosines have their bright places at known points."""
     scene = camera(8, 8)

@@ -108,3 +108,20 @@ def test_tables_are_no_wider_than_a_page_and_every_column_is_in_one(tmp_path: Pa
     assert set(heads) - {"point", "camera"} == {each.title for each in columns if not each.name.endswith(NO_FIGURE)}
     # Each part names all of the points.
     assert all(points.count(f"<tr><td>{number}</td>") == heads.count("point") for number in range(4))
+
+
+def test_numbers_are_resolved_ones(folder: Path) -> None:
+    """An array that is moved along x is not turned, by symmetry, and moves all micro-images alike.
+
+    Rounding is no rotation in the table, and colours of a field are told from none to the largest, without an offset.
+    """
+    page = (folder / "report.html").read_text()
+    points = html.unescape(page[page.index("All points") :])
+    assert "chief rays: rotation / deg" in points
+    assert not re.findall(r"\de-1\d", points)
+    fields = re.findall(r"<svg.*?</svg>", page[page.index("Where micro-images move") :], flags=re.S)
+    for field in fields:
+        texts = re.findall(r"<text[^>]*>([^<]*)</text>", field)
+        numbers = texts[texts.index("lenslet row") + 1 : texts.index("pixels")]
+        assert float(numbers[0]) == 0.0
+        assert max(map(float, numbers)) > 0.1

@@ -160,7 +160,17 @@ def nearest(name: str, valid: Iterable[str]) -> str:
 
 
 def dead_end(place: Any, step: str | int, location: Iterable[str | int]) -> str | None:
-    """Return why a path cannot go on by `step` from the value at `location`; None from tables and where it can."""
+    """Return why a path cannot go on from a value; None from tables and where it can.
+
+    Parameters
+    ----------
+    place : object
+        The value.
+    step : str or int
+        Key or number by which the path goes on.
+    location : iterable of str or int
+        Path to the value.
+    """
     where = format_path(location)
     if isinstance(place, list | tuple):
         if not isinstance(step, int):

@@ -123,13 +123,13 @@ class Surface(Model):
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is flat all round, whatever its shape."""
+        """True where the surface is flat all round, whatever its shape."""
         bare = self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
         return bare and not any(self.sags_mm(self.semi_diameter_mm or 1.0, AZIMUTHS))
 
     @property
     def is_plain_stop(self) -> bool:
-        """Whether it is a flat stop of which no medium is given."""
+        """True for a flat stop of which no medium is given."""
         given = (self.index, self.glass, self.mesh, self.refractor)
         return self.stop and self.is_flat and not self.paraxial and all(each is None for each in given)
 

@@ -1,4 +1,4 @@
-"""Where glossy targets stand: a gloss reflects by its index over that of the medium round it."""
+"""Places of glossy targets: a gloss reflects by its index over that of the medium round it."""
 
 import numpy as np
 from numpy.typing import NDArray

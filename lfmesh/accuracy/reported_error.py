@@ -42,6 +42,7 @@ CROPS = {
     "particles": (-1.0, 0.5),
     "polarised": (-1.0, 0.5),
     "tank": (-1.0, 0.5),
+    "underwater": (-1.0, 0.5),
 }
 """The middle of a crop of each scene in assets, mm on the sensor: edges, smooth parts and shadows are in it."""
 

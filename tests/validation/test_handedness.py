@@ -758,8 +758,8 @@ def test_a_page_shows_what_is_projected_by_hand(
     lf.show(shot.scene, rays="none", preset="object", html=tmp_path / "page.html")
     page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
     try:
-        page.goto((tmp_path / "page.html").as_uri())
         page.set_default_timeout(1000.0 * HANGS_S)
+        page.goto((tmp_path / "page.html").as_uri())
         page.wait_for_selector("canvas")
         page.evaluate("document.querySelectorAll('.words').forEach(words => words.remove())")
         page.wait_for_timeout(3000)

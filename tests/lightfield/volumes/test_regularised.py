@@ -238,21 +238,21 @@ def test_the_unit_of_matrix_image_and_noise_does_not_matter(method):
 
 
 def test_the_noise_of_a_render_and_of_the_matrix_weights_the_pixels():
-    """The image's own error is taken: the same volume as with it given, and another than with even weights."""
+    """The image's own error is taken: about the volume of that error given, whose floor is lower, not an even one."""
     grid = box((3, 3, 2), rotation_deg=(0.0, 0.0, 0.0))
     plate = {
         "shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 8.0},
         "position_mm": [0.0, 0.0, -60.0],
         "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0},
     }
-    image = lf.render(camera([plate]))
+    image = lf.render(camera([plate], samples=512))
     matrix = lf.projection_matrix(camera(seed=5), grid)
     own, given, even = (
         lf.reconstruct(matrix, each, "tikhonov", strength=0.1, noise=noise).volume
         for each, noise in ((image, None), (image.mean, image.error), (image.mean, None))
     )
-    np.testing.assert_array_equal(own, given)
-    assert np.abs(own - even).max() > 0.01 * own.max()
+    assert np.abs(own - even).max() > 0.05 * own.max()
+    assert np.abs(own - given).max() < 0.6 * np.abs(own - even).max()
 
 
 def test_the_noise_of_a_matrix_is_about_what_other_rays_show():

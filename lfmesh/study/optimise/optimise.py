@@ -141,7 +141,16 @@ class Optimum(Shown):
         return f"<Optimum: merit {after} from {before}, {len(self.missed)} not reached>"
 
     def shown_merit(self, value: float) -> str:
-        """Return a merit, or what a term adds to it, for people: 0 where only rounding is left."""
+        """Return a merit, or what a term adds to it, for people: 0 where only rounding is left.
+
+        Parameters
+        ----------
+        value : float
+
+        Returns
+        -------
+        str
+        """
         return f"{value if value > LEAST_MERIT * self.merit_before else 0.0:.6g}"
 
     def lines(self) -> list[str]:

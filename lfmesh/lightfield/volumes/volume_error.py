@@ -10,7 +10,6 @@ from lfmesh.lightfield.volumes.regularised import (
     SIGMAS,
     STEP,
     WEAKEST,
-    WORSE,
     Array,
     Problem,
     Say,
@@ -193,17 +192,13 @@ def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple
     """
     x, *found = [np.full(problem.rows.shape[1], problem.mean)] * (1 + len(trials.known))
     tried: list[tuple[float, float]] = []
-    best = 0
-    for number, strength in enumerate(steps_to(WEAKEST)):
+    # All of the path: the error hardly changes over many strengths before depth begins to show.
+    for strength in steps_to(WEAKEST):
         x = problem.solved(strength, x)
         found = [each.solved(strength, volume) for each, volume in zip(trials.problems, found, strict=True)]
         tried.append((strength, trials.error(x, found)))
         say(f"strength {strength:.3g}: {tried[-1][1] / trials.size:.3g} of an empty volume's error are to be expected")
-        if tried[-1][1] < tried[best][1]:
-            best = number
-        if number - best >= WORSE:
-            break
-    return tried[best][0], np.array(tried)
+    return min(tried, key=lambda each: each[1])[0], np.array(tried)
 
 
 def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:

@@ -351,10 +351,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     sensor = SensorTables(columns, rows, scene.camera.sensor.pixel_mm, scene.camera.sensor.reflectance)
     particles = particle_tables(scene, lines, objects.media, lambda points: places_round(objects, targets, points))
     refuse_particles_behind(particles, moves, float(lens.box_low[2]))
-    diffracting, stopped = (
-        with_diffraction(scene, mla, wavelengths_nm),
-        with_diffracting_stop(scene, lens, wavelengths_nm),
-    )
+    diffracting = with_diffraction(scene, mla, wavelengths_nm)
+    stopped = with_diffracting_stop(scene, lens, wavelengths_nm)
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 

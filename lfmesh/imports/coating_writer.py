@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.imports.coatings import BARE
+from lfmesh.imports.coatings import BARE, numbered
 from lfmesh.imports.numbers import micrometres
 from lfmesh.optics.glass import complex_index
 from lfmesh.scene.camera.lens import Lens
@@ -17,7 +17,6 @@ _ONE_INDEX_NM = 550.0
 _TABLE_NM = np.arange(350.0, 1101.0, 5.0)
 """Wavelengths at which a material of the catalogue is written, as far as the catalogue has it: linear interpolation
 between them is off by some 1e-5 at 400 nm in ordinary glass."""
-
 
 _KINDS = ("reflectance", "measured", "layers")
 """Kinds of coatings that the file has entries for."""
@@ -33,10 +32,7 @@ def coating_names(lens: Lens) -> dict[str, str]:
     for name in dict.fromkeys(surface.coating for surface in lens.surfaces):
         if name not in lens.coatings or lens.coatings[name].kind not in _KINDS:
             continue
-        free, number = name, 1
-        while free.upper() in taken:
-            number += 1
-            free = f"{name}-{number}"
+        free = next(each for each in numbered(name) if each.upper() not in taken)
         taken.add(free.upper())
         names[name] = free
     return names

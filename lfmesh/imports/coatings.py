@@ -6,9 +6,9 @@ stand from the air side to the glass, as in a scene; between two glasses from th
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -220,8 +220,9 @@ def lens_coatings(
                 except UnreadableCoatingError as error:
                     bare = f"{error}; the surface is traced bare"
             if found is not None:
-                free = _free_name(name_in_scene(name), found.coating, coatings)
-                names[-1], coatings[free] = free, found.coating
+                coating = found.coating
+                free = next(each for each in numbered(name_in_scene(name)) if coatings.get(each, coating) == coating)
+                names[-1], coatings[free] = free, coating
             how = bare
             if found is not None:
                 beyond = _beyond_tables(found.coating, prescription.wavelengths_nm)
@@ -288,13 +289,10 @@ def _ideal(name: str) -> FoundCoating | None:
     return None if found is None else _fixed(float(f"{1.0 - float(found[1]):.12g}"), float(found[1]))
 
 
-def _free_name(name: str, coating: Coating, taken: Mapping[str, Coating]) -> str:
-    """Return a name that no other coating has: with a number behind it, where two would have one."""
-    free, number = name, 1
-    while taken.get(free, coating) != coating:
-        number += 1
-        free = f"{name}-{number}"
-    return free
+def numbered(name: str) -> Iterator[str]:
+    """Yield a name, then the same with a number behind it, from 2: for names of which one may be taken."""
+    yield name
+    yield from (f"{name}-{number}" for number in count(2))
 
 
 def name_in_scene(name: str) -> str:

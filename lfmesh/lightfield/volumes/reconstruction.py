@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError, PictureWarning, UnknownErrorWarning, warn_caller
-from lfmesh.kernels.decorators import kernel
 from lfmesh.lightfield.volumes import regularised, volume_error
+from lfmesh.lightfield.volumes.algebraic import ITERATIONS, SOLVERS, relative_residual
 from lfmesh.lightfield.volumes.projection import ProjectionMatrix
 from lfmesh.lightfield.volumes.resolution import fine_voxels
 from lfmesh.scene.literals import literal
@@ -25,23 +25,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Method = Literal["mart", "rl", "sart", "nnls", "tikhonov", "tv"]
 
-ITERATIONS: dict[str, int] = {"mart": 20, "rl": 100, "sart": 100, "nnls": 2000}
-"""Iterations that are done where none are given; of "nnls", the most that are."""
-
 REGULARISED = ("tikhonov", "tv")
 """Methods that weight the pixels by their noise, and choose how smooth the volume is."""
 
 MOST_RELAXED = 2.0
 """Relaxation below which MART and SART converge."""
-
-LEAST_STEP = 0.1
-"""Ratio of a pixel to what the volume shows it, and its inverse, at which a step of MART is limited."""
-
-MOST_DENSE = 4_000_000
-"""Entries of a matrix, zeros included, up to which "nnls" is Lawson and Hanson's method, which takes a full one."""
-
-CONVERGED = 1e-12
-"""Change of the squared residual, relative, below which "nnls" ends for larger matrices."""
 
 
 @dataclass(frozen=True)
@@ -234,9 +222,8 @@ def reconstruct(
         found = task.solved(sigma, strength)
         warn_caller(found.warnings)
         return replace(found, warnings=(*warned, *found.warnings))
-    solve = {"mart": _mart, "rl": _richardson_lucy, "sart": _sart, "nnls": _nnls}[method]
     rounds = ITERATIONS[method] if iterations is None else int(iterations)
-    x, residual = solve(rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation))
+    x, residual = SOLVERS[method](rows, b, seen, rounds, 1.0 if relaxation is None else float(relaxation))
     x[~seen] = 0.0
     return Reconstruction(x.reshape(shape) * unit, seen.reshape(shape), residual, method, warned)
 
@@ -327,9 +314,9 @@ class _Task:
         whole = self._whole(x)
         return Reconstruction(
             whole.reshape(self.shape) * self.unit, self.seen.reshape(self.shape),
-            np.array([_residual(self.rows, self.b, whole)]), self.method, _unknown_error(why), float(strength), tried,
-            misfit if noise is not None else np.nan, self._whole(error).reshape(self.shape) * self.unit,
-            total * self.unit,
+            np.array([relative_residual(self.rows, self.b, whole)]), self.method, _unknown_error(why),
+            float(strength), tried, misfit if noise is not None else np.nan,
+            self._whole(error).reshape(self.shape) * self.unit, total * self.unit,
         )  # fmt: skip
 
     def _chosen(self, problem: regularised.Problem, strength: float | str | None) -> tuple[float, Array]:
@@ -409,111 +396,3 @@ def _pixels(name: str, image: ArrayLike, rows: int, matrix: Any, *, is_error: bo
     if not is_error and not np.isfinite(b).all():
         raise LfmeshError("the image has values that are not finite")
     return np.ascontiguousarray(b.reshape(-1))
-
-
-def _residual(rows: "csr_array", b: Array, x: Array) -> float:
-    return float(np.linalg.norm(b - rows @ x) / np.linalg.norm(b))
-
-
-def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
-    b = np.maximum(b, 0.0)
-    # The flat volume as bright as the image.
-    sums = np.asarray(rows.sum(axis=1)).ravel()
-    x = np.where(seen, b.sum() / sums.sum(), 0.0)
-    if not b.any():
-        return np.zeros_like(x), np.zeros(1)
-    history = [_residual(rows, b, x)]
-    for _ in range(rounds):
-        mart_round(rows.indptr, rows.indices, rows.data, b, step, x)
-        history.append(_residual(rows, b, x))
-    return x, np.array(history)
-
-
-@kernel
-def mart_round(
-    first: NDArray[np.int32], column: NDArray[np.int32], entry: Array, b: Array, step: float, x: Array
-) -> None:
-    """Multiply a volume, row after row, by b_i / Σ a_ik x_k to the power of the step times a_ij.
-
-    Parameters
-    ----------
-    first, column, entry
-        The matrix by rows, as in scipy's csr; its largest entry is 1.
-    b : (pixels,) float64
-    step : float
-    x : (voxels,) float64
-        Is changed.
-    """
-    for i in range(len(b)):
-        shown = 0.0
-        for k in range(first[i], first[i + 1]):
-            shown += entry[k] * x[column[k]]
-        if shown <= 0.0:
-            continue
-        ratio = min(max(b[i] / shown, LEAST_STEP), 1.0 / LEAST_STEP)
-        for k in range(first[i], first[i + 1]):
-            x[column[k]] *= ratio ** (step * entry[k])
-
-
-def _richardson_lucy(
-    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float
-) -> tuple[Array, Array]:  # fmt: skip
-    sums, columns = np.asarray(rows.sum(axis=0)).ravel(), rows.T.tocsr()
-    # What no voxel shows is no part of the likelihood.
-    b = np.where(np.diff(rows.indptr) > 0, np.maximum(b, 0.0), 0.0)
-    x = np.where(seen, b.sum() / sums.sum(), 0.0)
-    if not b.any():
-        return np.zeros_like(x), np.zeros(1)
-    history = [_residual(rows, b, x)]
-    for _round in range(rounds):
-        shown = rows @ x
-        x = x * _inverse(sums) * (columns @ (b * _inverse(shown)))
-        history.append(_residual(rows, b, x))
-    return x, np.array(history)
-
-
-def _sart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
-    over_rows = _inverse(np.asarray(rows.sum(axis=1)).ravel())
-    over_columns = step * _inverse(np.asarray(rows.sum(axis=0)).ravel())
-    columns = rows.T.tocsr()
-    x = np.zeros(rows.shape[1])
-    history = [1.0]
-    for _ in range(rounds):
-        x += over_columns * (columns @ (over_rows * (b - rows @ x)))
-        np.maximum(x, 0.0, out=x)
-        history.append(_residual(rows, b, x))
-    return x, np.array(history)
-
-
-def _inverse(sums: Array) -> Array:
-    return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0.0)
-
-
-def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float) -> tuple[Array, Array]:
-    from scipy import optimize
-
-    lit = np.flatnonzero(np.diff(rows.indptr))
-    part = rows[lit][:, np.flatnonzero(seen)]
-    # Columns of length 1, so that weakly seen voxels are found as soon as others.
-    length = np.sqrt(np.asarray(part.power(2).sum(axis=0)).ravel())
-    part = part.multiply(1.0 / length[None, :]).tocsr()
-    if part.shape[0] * part.shape[1] <= MOST_DENSE:
-        try:
-            found, _residual_of = optimize.nnls(part.toarray(), b[lit], maxiter=max(rounds, 3 * part.shape[1]))
-        except RuntimeError:
-            raise LfmeshError('method = "nnls" did not converge on this matrix; take "sart"') from None
-    else:
-        columns = part.T.tocsr()
-
-        def squares(y: Array) -> tuple[float, Array]:
-            off = part @ y - b[lit]
-            return 0.5 * float(off @ off), columns @ off
-
-        options = {"maxiter": rounds, "maxfun": 2 * rounds, "ftol": CONVERGED, "gtol": 0.0, "maxcor": 20}
-        bounds = optimize.Bounds(0.0, np.inf)
-        found = optimize.minimize(
-            squares, np.zeros(part.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-        ).x
-    x = np.zeros(rows.shape[1])
-    x[seen] = found / length
-    return x, np.array([_residual(rows, b, x)])

@@ -6,7 +6,7 @@ from scipy import optimize, sparse
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.lightfield.volumes import reconstruction
+from lfmesh.lightfield.volumes import algebraic
 from tests.cameras import close_up_camera
 
 
@@ -105,7 +105,7 @@ def test_nnls_is_scipys_also_where_the_matrix_is_too_large_for_it(monkeypatch):
     assert (best == 0.0).any()
     found = lf.reconstruct(sparse.csr_array(full), b, "nnls")
     np.testing.assert_allclose(found.volume, best, rtol=1e-9, atol=1e-12)
-    monkeypatch.setattr(reconstruction, "MOST_DENSE", 0)
+    monkeypatch.setattr(algebraic, "MOST_DENSE", 0)
     found = lf.reconstruct(sparse.csr_array(full), b, "nnls")
     np.testing.assert_allclose(found.volume, best, atol=1e-5 * best.max())
 

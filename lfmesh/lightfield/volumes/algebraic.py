@@ -1,0 +1,154 @@
+"""Iterative methods of reconstruction that know no noise: MART, Richardson and Lucy's, SART and least squares.
+
+Each takes a matrix by rows and an image in units in which entries and pixels are near 1, and returns the volume and the
+relative residual at the start and after each iteration.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.kernels.decorators import kernel
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Array = NDArray[np.float64]
+
+ITERATIONS: dict[str, int] = {"mart": 20, "rl": 100, "sart": 100, "nnls": 2000}
+"""Iterations that are done where none are given; of "nnls", the most that are."""
+
+LEAST_STEP = 0.1
+"""Ratio of a pixel to what the volume shows it, and its inverse, at which a step of MART is limited."""
+
+MOST_DENSE = 4_000_000
+"""Entries of a matrix, zeros included, up to which "nnls" is Lawson and Hanson's method, which takes a full one."""
+
+CONVERGED = 1e-12
+"""Change of the squared residual, relative, below which "nnls" ends for larger matrices."""
+
+
+def relative_residual(rows: "csr_array", b: Array, x: Array) -> float:
+    """Return ‖b − A x‖ / ‖b‖.
+
+    Parameters
+    ----------
+    rows : (pixels, voxels) csr_array
+    b : (pixels,) float64
+    x : (voxels,) float64
+
+    Returns
+    -------
+    float
+    """
+    return float(np.linalg.norm(b - rows @ x) / np.linalg.norm(b))
+
+
+def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+    b = np.maximum(b, 0.0)
+    # The flat volume as bright as the image.
+    sums = np.asarray(rows.sum(axis=1)).ravel()
+    x = np.where(seen, b.sum() / sums.sum(), 0.0)
+    if not b.any():
+        return np.zeros_like(x), np.zeros(1)
+    history = [relative_residual(rows, b, x)]
+    for _ in range(rounds):
+        mart_round(rows.indptr, rows.indices, rows.data, b, step, x)
+        history.append(relative_residual(rows, b, x))
+    return x, np.array(history)
+
+
+@kernel
+def mart_round(
+    first: NDArray[np.int32], column: NDArray[np.int32], entry: Array, b: Array, step: float, x: Array
+) -> None:
+    """Multiply a volume, row after row, by b_i / Σ a_ik x_k to the power of the step times a_ij.
+
+    Parameters
+    ----------
+    first, column, entry
+        The matrix by rows, as in scipy's csr; its largest entry is 1.
+    b : (pixels,) float64
+    step : float
+    x : (voxels,) float64
+        Is changed.
+    """
+    for i in range(len(b)):
+        shown = 0.0
+        for k in range(first[i], first[i + 1]):
+            shown += entry[k] * x[column[k]]
+        if shown <= 0.0:
+            continue
+        ratio = min(max(b[i] / shown, LEAST_STEP), 1.0 / LEAST_STEP)
+        for k in range(first[i], first[i + 1]):
+            x[column[k]] *= ratio ** (step * entry[k])
+
+
+def _richardson_lucy(
+    rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float
+) -> tuple[Array, Array]:  # fmt: skip
+    sums, columns = np.asarray(rows.sum(axis=0)).ravel(), rows.T.tocsr()
+    # What no voxel shows is no part of the likelihood.
+    b = np.where(np.diff(rows.indptr) > 0, np.maximum(b, 0.0), 0.0)
+    x = np.where(seen, b.sum() / sums.sum(), 0.0)
+    if not b.any():
+        return np.zeros_like(x), np.zeros(1)
+    history = [relative_residual(rows, b, x)]
+    for _round in range(rounds):
+        shown = rows @ x
+        x = x * _inverse(sums) * (columns @ (b * _inverse(shown)))
+        history.append(relative_residual(rows, b, x))
+    return x, np.array(history)
+
+
+def _sart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
+    over_rows = _inverse(np.asarray(rows.sum(axis=1)).ravel())
+    over_columns = step * _inverse(np.asarray(rows.sum(axis=0)).ravel())
+    columns = rows.T.tocsr()
+    x = np.zeros(rows.shape[1])
+    history = [1.0]
+    for _ in range(rounds):
+        x += over_columns * (columns @ (over_rows * (b - rows @ x)))
+        np.maximum(x, 0.0, out=x)
+        history.append(relative_residual(rows, b, x))
+    return x, np.array(history)
+
+
+def _inverse(sums: Array) -> Array:
+    return np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0.0)
+
+
+def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float) -> tuple[Array, Array]:
+    from scipy import optimize
+
+    lit = np.flatnonzero(np.diff(rows.indptr))
+    part = rows[lit][:, np.flatnonzero(seen)]
+    # Columns of length 1, so that weakly seen voxels are found as soon as others.
+    length = np.sqrt(np.asarray(part.power(2).sum(axis=0)).ravel())
+    part = part.multiply(1.0 / length[None, :]).tocsr()
+    if part.shape[0] * part.shape[1] <= MOST_DENSE:
+        try:
+            found, _residual_of = optimize.nnls(part.toarray(), b[lit], maxiter=max(rounds, 3 * part.shape[1]))
+        except RuntimeError:
+            raise LfmeshError('method = "nnls" did not converge on this matrix; take "sart"') from None
+    else:
+        columns = part.T.tocsr()
+
+        def squares(y: Array) -> tuple[float, Array]:
+            off = part @ y - b[lit]
+            return 0.5 * float(off @ off), columns @ off
+
+        options = {"maxiter": rounds, "maxfun": 2 * rounds, "ftol": CONVERGED, "gtol": 0.0, "maxcor": 20}
+        bounds = optimize.Bounds(0.0, np.inf)
+        found = optimize.minimize(
+            squares, np.zeros(part.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        ).x
+    x = np.zeros(rows.shape[1])
+    x[seen] = found / length
+    return x, np.array([relative_residual(rows, b, x)])
+
+
+SOLVERS = {"mart": _mart, "rl": _richardson_lucy, "sart": _sart, "nnls": _nnls}
+"""By the name of the method: takes rows, image, voxels that are seen, iterations and relaxation."""

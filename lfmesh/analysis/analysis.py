@@ -16,7 +16,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.first_order.report import airy_disk_mm
+from lfmesh.scene.first_order.compute import airy_disk_mm
 from lfmesh.transport.world import World, build
 from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
 

@@ -6,8 +6,9 @@ from lfmesh.scene.camera.lens import Element, Lens, Surface
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.camera.sensor import Sensor
 from lfmesh.scene.files import load, load_lens, loads
+from lfmesh.scene.first_order.compute import first_order
 from lfmesh.scene.first_order.paraxial import Paraxial
-from lfmesh.scene.first_order.report import FirstOrder, first_order
+from lfmesh.scene.first_order.report import FirstOrder
 from lfmesh.scene.first_order.solve import solved
 from lfmesh.scene.light.lights import (
     CircularPolarisation,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.objects.placement import placements
 from lfmesh.scene import loads
-from lfmesh.scene.first_order.report import first_order
+from lfmesh.scene.first_order.compute import first_order
 from tests.cameras import bench_camera
 from tests.processor_time import processor_seconds
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Transport, first_order
-from lfmesh.scene.first_order.report import airy_disk_mm
+from lfmesh.scene.first_order.compute import airy_disk_mm
 
 
 def test_the_disk_ends_where_the_light_of_a_round_pupil_first_cancels() -> None:

@@ -18,7 +18,7 @@ from lfmesh.geometry.objects.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.files import with_lens_file
-from lfmesh.scene.first_order.report import report_of_solved
+from lfmesh.scene.first_order.compute import report_of_solved
 from lfmesh.scene.inputs import file_stamp, files_of
 
 KEPT = 16

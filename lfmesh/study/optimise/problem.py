@@ -12,7 +12,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.objects.refractors import measured
 from lfmesh.scene import Scene, solved
 from lfmesh.scene.files import with_lens_file
-from lfmesh.scene.first_order.report import facts_of_solved
+from lfmesh.scene.first_order.compute import facts_of_solved
 from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS, metric_of
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term

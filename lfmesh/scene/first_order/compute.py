@@ -1,0 +1,229 @@
+"""The figures of the first-order report, computed from the paraxial lens."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from lfmesh.scene.advice import warnings
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.first_order.focused import focused_lenslets, middle_of
+from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
+from lfmesh.scene.first_order.paraxial import Paraxial, quotient
+from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
+from lfmesh.scene.first_order.solve import cover_shift_mm, image_plane_mm, solved
+from lfmesh.scene.scene import Scene
+
+AIRY_RING = 1.2196698912665045
+"""First zero of the Bessel function J₁ over π."""
+
+
+def first_order(scene: Scene) -> FirstOrder:
+    """Compute the first-order report of a scene, which is solved first.
+
+    The micro-image pitch follows from the chief rays: a ray from the middle of the exit pupil through a
+    lenslet's principal points, which lie `D` behind the pupil and (reduced to air) `d` before the sensor,
+    lands (D + d)/D times the lenslet's offset from the axis. The front principal point of a plano-convex
+    lenslet is its apex when the curved face looks at the lens; else it is the apex seen from air through the
+    plate.
+
+    The refocus range ends where the shift between neighbouring views is one lenslet. Views a pixel apart are
+    δu = pixel · D/d apart on the exit pupil; an image point a distance ε behind the array shifts by
+    δu · ε/(D + ε) between them. Setting that to ± one pitch p gives ε = ± (p d / pixel) / (1 ∓ p/δu). For a
+    distant pupil this is what R. Ng et al. found ("Light field photography with a hand-held plenoptic
+    camera", Stanford CTSR 2005-02): P × P pixels a lenslet refocus exactly within the depth of field of an
+    f-number P times higher.
+
+    The Airy disks are what diffraction at a circular aperture makes of a point, `airy_disk_mm`: the lens's at its
+    working f-number, which holds the actual conjugates and the exit pupil; a lenslet's at its own, the distance to the
+    sensor over the pitch, or over its clear diameter. (A square lenslet's pattern has its first dark lines 2 λ N apart,
+    and its corners reach less far: the circle as wide as the pitch stands for it.) They are given for the scene's
+    longest wavelength.
+
+    Raises
+    ------
+    SceneError
+        As `solved`.
+    """
+    return report_of_solved(solved(scene))
+
+
+def report_of_solved(scene: Scene) -> FirstOrder:
+    """Return the first-order report of a scene that is solved already; see `first_order`."""
+    facts = facts_of_solved(scene)
+    return replace(facts, warnings=warnings(scene, facts))
+
+
+def facts_of_solved(scene: Scene) -> FirstOrder:
+    """Return the report of a scene that is solved already without its warnings, some of which trace rays."""
+    camera, wavelength = scene.camera, scene.primary_nm
+    lens = Paraxial.of(camera.lens, wavelength)
+    stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
+    entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
+    exit_z, exit_diameter = lens.exit_pupil(stop_radius)
+    plane = image_plane_mm(camera, wavelength)
+    pupil_to_plane = lens.length_mm + plane - exit_z if math.isfinite(exit_z) else math.inf
+
+    def cone(distance_mm: float) -> float:
+        angle = lens.whole(lens.marginal_ray(distance_mm, stop_radius)).angle
+        return 1 / (2 * abs(angle)) if angle else math.inf
+
+    f_number = cone(lens.object_mm(plane))
+    micro = micro_image(camera, wavelength, pupil_to_plane, f_number)
+    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, f_number), pupil_to_plane)
+    standard = micro is not None and not focused
+    image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
+    kind = STANDARD if standard else CONVENTIONAL
+    if focused:
+        middle = middle_of(focused)
+        image, sample = plane - middle.main_image_mm, sample * abs(middle.virtual_depth)
+        kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
+    distance = lens.object_mm(image)
+    magnification = lens.magnification(distance)
+    depth = _refocus_depth_mm(camera, wavelength, f_number)
+
+    def reach(behind_mm: float, before_mm: float) -> tuple[float, float]:
+        return _distances(lens, image, pupil_to_plane, behind_mm, before_mm)
+
+    near, far = reach(depth, -depth)
+    refocused: tuple[tuple[float, float, float], ...] = ()
+    if focused:
+        near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
+    elif camera.mla is not None:
+        sharp = camera.mla.pitch_mm * f_number
+        planes = ((near, depth), (distance, 0.0), (far, -depth))
+        refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
+    seen = quotient(pupil_to_plane + image - plane, pupil_to_plane) if math.isfinite(pupil_to_plane) else 1.0
+    longest = scene.reach_nm[1]
+    airy = airy_disk_mm(longest, cone(distance))
+    # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
+    clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
+    own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
+    facts = FirstOrder(
+        wavelength_nm=wavelength,
+        efl_mm=lens.efl_mm,
+        bfl_mm=lens.bfl_mm,
+        ffl_mm=lens.ffl_mm,
+        front_principal_plane_z_mm=lens.front_principal_mm,
+        rear_principal_plane_z_mm=lens.length_mm + lens.bfl_mm - lens.efl_mm,
+        entrance_pupil_z_mm=entrance_z,
+        entrance_pupil_diameter_mm=entrance_diameter,
+        exit_pupil_z_mm=exit_z,
+        exit_pupil_diameter_mm=exit_diameter,
+        kind=kind,
+        object_distance_mm=distance,
+        image_z_mm=lens.length_mm + image,
+        lenslets_z_mm=lens.length_mm + plane if micro else None,
+        magnification=magnification,
+        working_f_number=f_number,
+        microlens_f_number=micro[0] if micro else None,
+        micro_image_pitch_px=micro[1] if micro else None,
+        micro_image_diameter_px=micro[2] if micro else None,
+        object_sampling_mm=_on_object(sample, magnification),
+        field_of_view_mm=_field_of_view_mm(camera, quotient(magnification, seen)),
+        airy_wavelength_nm=longest,
+        airy_disk_mm=airy,
+        airy_disk_samples=airy / sample,
+        microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
+        microlens_fresnel_number=clear / (4e-6 * longest * own) if own else None,
+        near_mm=near,
+        far_mm=far,
+        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
+        views_across=micro[2] if micro and standard else None,
+        refocused_mm=refocused,
+        cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
+        by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
+        focused=focused,
+        lenslet_sections=tuple(lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
+        object_index=lens.indices[0],
+        poses=tuple(_pose_lines(camera)),
+    )
+    if camera.lens.number_off_revolution is not None:
+        across = Paraxial.of(camera.lens, wavelength, section_x=True)
+        width = _field_of_view_mm(camera, quotient(across.chief_scale_mm(distance, image), distance * seen))[0]
+        facts = replace(
+            facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
+            field_of_view_mm=(width, facts.field_of_view_mm[1]),
+        )  # fmt: skip
+    return facts
+
+
+def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:
+    """Return the diameter of the first dark ring round the image of a point, in mm: 2.44 λ N.
+
+    The first zero of J₁ is at 1.2197 π: the ring has the radius 1.22 λ N (Born and Wolf, Principles of Optics, section
+    8.5.2), N the f-number at which the cone of light converges in air, 1 / (2 sin θ').
+    """
+    return 2.0 * AIRY_RING * wavelength_nm * 1e-6 * f_number
+
+
+def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> float:
+    """Return how deep the range that can be refocused is to each side of the image plane, for a distant pupil, in mm.
+
+    Without an array: the depth in which the blur is a pixel; the pupil's diameter takes the place of the view spacing.
+    """
+    pixel = camera.sensor.pixel_mm
+    if camera.mla is None:
+        return pixel * f_number
+    return camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
+
+
+def _distances(
+    lens: Paraxial, image_mm: float, pupil_to_image_mm: float, behind_mm: float, before_mm: float
+) -> tuple[float, float]:
+    """Return the nearest and the farthest object distance that two image points are the images of, in mm.
+
+    The points lie where views a distance u apart on the pupil shift against each other by u t / D on the image plane, D
+    from the pupil: t / (1 - t/D) behind it. For a distant pupil t is the distance itself.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    image_mm : float
+        Of the image plane behind the last vertex.
+    pupil_to_image_mm : float
+    behind_mm, before_mm : float
+        t of the two.
+    """
+    share = quotient(behind_mm, pupil_to_image_mm)
+    near = lens.object_mm(image_mm + behind_mm / (1 - share)) if share < 1 else -lens.ffl_mm
+    far = lens.object_mm(image_mm + quotient(before_mm, 1 - quotient(before_mm, pupil_to_image_mm)))
+    # Past infinity the conjugates come round as virtual objects, with negative distances.
+    return near if near > 0 else math.inf, far if far > near > 0 else math.inf
+
+
+def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Iterator[AtWavelength]:
+    """Yield the lens at each wavelength of a scene that has several."""
+    wavelengths_nm = scene.wavelengths_nm
+    if len(wavelengths_nm) < 2:
+        return
+    image = primary.image_mm(distance_mm)
+    for wavelength in wavelengths_nm:
+        lens = Paraxial.of(scene.camera.lens, wavelength)
+        yield AtWavelength(wavelength, lens.efl_mm, lens.bfl_mm, lens.image_mm(distance_mm) - image)
+
+
+def _on_object(size_mm: float, magnification: float) -> float:
+    return quotient(size_mm, abs(magnification))
+
+
+def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:
+    width, height = camera.sensor.size_mm
+    if camera.mla is not None:
+        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
+    return _on_object(width, magnification), _on_object(height, magnification)
+
+
+def _pose_lines(camera: Camera) -> Iterator[str]:
+    """Yield the pose of every lens element, of array and sensor, that is not in its place."""
+    posed = []
+    for element in camera.lens.elements:
+        first, last = element.surfaces[0], element.surfaces[-1]
+        which = f"surfaces {first} to {last}" if last > first else f"surface {first}"
+        posed.append((which, element.pose, f"the vertex of surface {first}"))
+    if camera.mla is not None:
+        posed.append(("the array", camera.mla.pose, "its centre"))
+    posed.append(("the sensor", camera.sensor.pose, "its centre"))
+    for which, pose, centre in posed:
+        if any(pose.shift_mm) or any(pose.tilt_deg):
+            shift, tilt = (" ".join(f"{x:g}" for x in each) for each in (pose.shift_mm, pose.tilt_deg))
+            yield f"{which}: shift {shift} mm, tilt {tilt} degrees about {centre}"

@@ -136,11 +136,12 @@ if TYPE_CHECKING:
     from lfmesh.study.optimise.optimise import Optimum, optimise
     from lfmesh.study.sweeps.study import Study
     from lfmesh.transport.packets.ledger import Ledger
+    from lfmesh.transport.packets.packet import Event
     from lfmesh.transport.render.image import Image
     from lfmesh.transport.render.progress import Progress
     from lfmesh.transport.trace import Status, trace
     from lfmesh.transport.traced_paths import Paths
-    from lfmesh.transport.world import build
+    from lfmesh.transport.world import World, build
     from lfmesh.view.layout.figure import draw
     from lfmesh.view.lens_sheet import draw_lens_sheet
     from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_ghosts
@@ -181,6 +182,7 @@ __all__ = [
     "Disk",
     "DiskLight",
     "Element",
+    "Event",
     "ExactGhosts",
     "Exposed",
     "FileError",
@@ -264,6 +266,7 @@ __all__ = [
     "VoxelBox",
     "Wall",
     "Wavefront",
+    "World",
     "__version__",
     "all_in_focus",
     "analyse",
@@ -420,10 +423,11 @@ _HOMES = {
     "lfmesh.study.sweeps.study": ["Study"],
     "lfmesh.transport.render.image": ["Image"],
     "lfmesh.transport.packets.ledger": ["Ledger"],
+    "lfmesh.transport.packets.packet": ["Event"],
     "lfmesh.transport.render.progress": ["Progress"],
     "lfmesh.transport.trace": ["Status", "trace"],
     "lfmesh.transport.traced_paths": ["Paths"],
-    "lfmesh.transport.world": ["build"],
+    "lfmesh.transport.world": ["World", "build"],
     "lfmesh.view.layout.figure": ["draw"],
     "lfmesh.view.lens_sheet": ["draw_lens_sheet"],
     "lfmesh.view.rays.exact_ghosts": ["ExactGhosts", "exact_ghosts"],

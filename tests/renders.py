@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import lfmesh as lf
 from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import World
 
 
 @dataclass
@@ -24,7 +23,7 @@ def by_seed(scene: lf.Scene, seeds: Iterable[int]) -> Iterator[lf.Image]:
     return of_world(lf.build(scene), seeds)
 
 
-def of_world(world: World, seeds: Iterable[int]) -> Iterator[lf.Image]:
+def of_world(world: lf.World, seeds: Iterable[int]) -> Iterator[lf.Image]:
     """Yield the image of every seed.
 
     The first alone compares the order of surfaces and the ghosts with the meshes, and none has `blind`.

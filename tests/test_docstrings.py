@@ -106,7 +106,7 @@ def faults_of_class(kind: type) -> Iterator[str]:
     elif not issubclass(kind, (Enum, Exception)):
         told = named(sections(kind.__doc__ or "").get("Parameters", []))
         # `**settings` are the keys of a file, which its own model explains.
-        listed = inspect.signature(kind.__init__).parameters if "settings" not in told else ()
+        listed = inspect.signature(kind).parameters if "settings" not in told else ()
         yield from (name for name in listed if name not in told)
 
 

@@ -72,8 +72,16 @@ class World(Shown):
 
     It is pickled as its scene, and built again from that.
 
+    Parameters
+    ----------
+    scene, report, tables, finders, book, bodies, particles, find_aim, how
+        What `build` finds, and no one else has to give.
+
     Attributes
     ----------
+    scene : Scene
+        With its lens solved.
+    first_order : FirstOrder
     tables : Tables
         As kernels read them, without an aim: rays are sent all over the lens.
     warnings : tuple of PictureWarning
@@ -146,7 +154,16 @@ class World(Shown):
         return self.tables._replace(aim=self.aim)
 
     def reseeded(self, seed: int) -> "World":
-        """Return the same world with another seed for renders."""
+        """Return the same world with another seed for renders.
+
+        Parameters
+        ----------
+        seed : int
+
+        Returns
+        -------
+        World
+        """
         scene = self.scene.changed({"transport.seed": seed})
         # The aim does not depend on the seed: found here, it is found once for all copies.
         _ = self._aim_and_proof
@@ -174,6 +191,15 @@ class World(Shown):
         Lens elements and the array are closed solids with outward normals. Cemented elements are separate solids; for
         rays, the interface that they share is a single mesh.
 
+        Parameters
+        ----------
+        name : str
+            One of `mesh_names`.
+
+        Returns
+        -------
+        trimesh.Trimesh
+
         Raises
         ------
         LfmeshError
@@ -198,7 +224,16 @@ class World(Shown):
         return makers[kind]()
 
     def surface_name(self, number: int) -> str:
-        """Return the name of the surface that a recorded vertex gives by number."""
+        """Return the name of the surface that a recorded vertex gives by number.
+
+        Parameters
+        ----------
+        number : int
+
+        Returns
+        -------
+        str
+        """
         if number < FACES_AT:
             return f"lens surface {self.lens_shape.numbers[number]}" if number >= 0 else "start"
         if number < ENDS_AT:

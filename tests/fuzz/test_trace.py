@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 import lfmesh as lf
 from lfmesh.scene import loads
-from lfmesh.transport.world import World
 from tests.cameras import bench_camera
 
 strange = st.one_of(
@@ -22,11 +21,11 @@ changes = st.dictionaries(st.sampled_from(SETTINGS), strange, max_size=3)
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> lf.World:
     return lf.build(loads(bench_camera(4, 4)))
 
 
-def is_traced_or_refused(world: World, origins: Any, directions: Any, options: dict[str, Any]) -> None:
+def is_traced_or_refused(world: lf.World, origins: Any, directions: Any, options: dict[str, Any]) -> None:
     refusal = ""
     try:
         paths = lf.trace(world, origins, directions, **options)
@@ -41,7 +40,7 @@ def is_traced_or_refused(world: World, origins: Any, directions: Any, options: d
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(st.one_of(rows, strange), st.one_of(rows, strange), changes)
 def test_a_call_with_strange_arguments_is_traced_or_refused(
-    world: World, origins: Any, directions: Any, options: dict[str, Any]
+    world: lf.World, origins: Any, directions: Any, options: dict[str, Any]
 ) -> None:
     is_traced_or_refused(world, origins, directions, options)
 
@@ -50,6 +49,6 @@ def test_a_call_with_strange_arguments_is_traced_or_refused(
 @settings(max_examples=1_000, deadline=None, derandomize=True, database=None)
 @given(st.one_of(rows, strange), st.one_of(rows, strange), changes)
 def test_many_calls_with_strange_arguments_are_traced_or_refused(
-    world: World, origins: Any, directions: Any, options: dict[str, Any]
+    world: lf.World, origins: Any, directions: Any, options: dict[str, Any]
 ) -> None:
     is_traced_or_refused(world, origins, directions, options)

@@ -13,8 +13,8 @@ import mpmath as mp
 import numpy as np
 from numpy.typing import NDArray
 
+import lfmesh as lf
 from lfmesh.geometry.surfaces.sag import sag
-from lfmesh.transport.world import World
 
 DIGITS, STEPS = 40, 400_000
 HALVINGS = 130
@@ -126,7 +126,7 @@ def crossings(surface: Any, p: Vector, d: Vector, leaves: bool) -> Iterator[mp.m
                     yield root_between(height, turn, mp.mpf(other))
 
 
-def first_hit(world: World, packet: NDArray[np.void], changed: str = "") -> tuple[int, mp.mpf] | None:
+def first_hit(world: lf.World, packet: NDArray[np.void], changed: str = "") -> tuple[int, mp.mpf] | None:
     """Return the surface that a packet meets first, and at which distance; None: neither of its space."""
     lens, space = world.tables.lens, int(packet["space"])
     p, d = line_of(packet, changed)
@@ -145,7 +145,7 @@ def first_hit(world: World, packet: NDArray[np.void], changed: str = "") -> tupl
     return k, t
 
 
-def outcomes(world: World, packet: NDArray[np.void], k: int, guess: mp.mpf, changed: str = "") -> list[Outcome]:
+def outcomes(world: lf.World, packet: NDArray[np.void], k: int, guess: mp.mpf, changed: str = "") -> list[Outcome]:
     """Return what comes of a packet at its surface: for each child the hit, and where it meets the stop's plane.
 
     Parameters
@@ -204,7 +204,7 @@ class Judgement:
     moves_share: float
 
 
-def judge(world: World, packet: NDArray[np.void], place: NDArray[np.float64], share: float) -> Judgement:
+def judge(world: lf.World, packet: NDArray[np.void], place: NDArray[np.float64], share: float) -> Judgement:
     """Compare an outcome of a packet, at a place in the camera frame with a share of its weight, with the exact one."""
     with mp.workdps(DIGITS):
         hit = first_hit(world, packet)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.transport.world import World
 
 PRINTED_MM = 1.5e-5
 """Half of the last digit, of the place where a ray starts as well, which the lens may double."""
@@ -51,7 +50,7 @@ RAYS = {
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> lf.World:
     surfaces = [
         {"radius_mm": radius, "thickness_mm": thickness, "index": index, "semi_diameter_mm": 9.0}
         for radius, thickness, index in TRIPLET
@@ -66,7 +65,7 @@ def world() -> World:
 
 
 @pytest.mark.parametrize("name", RAYS)
-def test_a_ray_through_the_triplet_is_the_listed_one(world: World, name: str) -> None:
+def test_a_ray_through_the_triplet_is_the_listed_one(world: lf.World, name: str) -> None:
     tangent, places = RAYS[name]
     vertices = np.concatenate([[0.0], np.cumsum([thickness for _, thickness, _ in TRIPLET])])
     listed = np.array(places)

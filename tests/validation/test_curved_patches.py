@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.world import World
 
 Array = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ def ball(folder: Path, divisions: int, radius: float, **changes: Any) -> dict[st
     return {"refractor": glass | changes, "position_mm": tuple(BALL_AT)}
 
 
-def world_of(*targets: dict[str, Any]) -> World:
+def world_of(*targets: dict[str, Any]) -> lf.World:
     camera = {"focus_mm": 100.0, "lens": SMALL_LENS, "sensor": {"pixels": [8, 8], "pixel_mm": 0.05}}
     return lf.build(lf.Scene(camera=camera, targets=list(targets), transport={"threads": 1}), aimed=False)
 
@@ -123,7 +122,7 @@ def test_balls_that_share_their_facets_bend_grazing_rays_as_one_surface(tmp_path
     assert (events[0] == events[1]).mean() > 0.999
 
 
-def lens_of(surface: str) -> World:
+def lens_of(surface: str) -> lf.World:
     front = {"radius_mm": 12.0, "thickness_mm": 8.0, "index": INDEX, "semi_diameter_mm": 5.5, "stop": True}
     camera = {"lens": {"surfaces": [front, {"radius_mm": -12.0, "semi_diameter_mm": 5.5}]}, "sensor": SENSOR}
     transport = {"threads": 1, "surface": surface}

@@ -18,7 +18,6 @@ import lfmesh as lf
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.scene.objects.targets import Sphere
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World
 from tests.instances import instances
 from tests.renders import of_world
 from tests.validation.test_every_path_once import GLOW, MIRROR, SCREEN, WHITE, accepted, folder, scene, sheet
@@ -48,7 +47,7 @@ def irradiance_of(corners: Array, at: Array, radiance: float) -> float:
     return float(0.5 * radiance * abs((angle * across[..., 2] / sine).sum(axis=1)).sum())
 
 
-def by_chance(world: World) -> World:
+def by_chance(world: lf.World) -> lf.World:
     """Return a world in which scattered packets alone find the light of emitting targets."""
     objects = world.tables.objects._replace(emitters=no_emitters())
     world = copy(world)
@@ -56,7 +55,7 @@ def by_chance(world: World) -> World:
     return world
 
 
-def powers(world: World, seeds: range) -> Array:
+def powers(world: lf.World, seeds: range) -> Array:
     """Return the power on the sensor by so many seeds, W."""
     return np.array([image.mean.sum() for image in of_world(world, seeds)])
 

@@ -19,7 +19,6 @@ import lfmesh as lf
 from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
-from lfmesh.transport.world import World
 from tests.instances import instances
 
 LEVEL = 1e-3
@@ -290,7 +289,7 @@ def test_to_count_a_lamps_light_twice_would_be_seen(folder: Path) -> None:
     assert p_value(right, wrong) < LEVEL / COMPARISONS
 
 
-def watts_of(world: World, parts: tuple[Part, ...]) -> tuple[float, float]:
+def watts_of(world: lf.World, parts: tuple[Part, ...]) -> tuple[float, float]:
     """Return the power of some parts of an image, and its standard error."""
     renderer = Renderer(world)
     renderer.parts = parts

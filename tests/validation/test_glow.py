@@ -18,7 +18,6 @@ from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World
 from tests.cameras import camera_without_array
 
 Array = NDArray[np.float64]
@@ -34,7 +33,7 @@ def plate(**material: float) -> dict[str, Any]:
             "material": material}  # fmt: skip
 
 
-def by_chance(world: World) -> World:
+def by_chance(world: lf.World) -> lf.World:
     """Return a world in which scattered packets alone find what targets and media emit."""
     objects = world.tables.objects
     volumes = objects.volumes._replace(powers=0.0 * objects.volumes.powers)

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 import lfmesh as lf
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.transport.world import World
 from tests.cameras import camera_without_array
 
 LEVEL = 1e-3
@@ -45,7 +44,7 @@ def body(tmp_path: Path) -> Body:
     return target
 
 
-def world(*targets: dict[str, Any], **transport: Any) -> World:
+def world(*targets: dict[str, Any], **transport: Any) -> lf.World:
     return lf.build(lf.Scene(camera=CAMERA, targets=list(targets), transport=transport))
 
 

@@ -27,7 +27,6 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
-from lfmesh.transport.world import World
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 OF_WEIGHTS = 1e-12
@@ -43,7 +42,7 @@ SPHERES = {
 }
 
 
-def world_of(lens: Any) -> World:
+def world_of(lens: Any) -> lf.World:
     return lf.build(lf.Scene(camera={"lens": lens, "sensor": SENSOR}, targets=[]))
 
 
@@ -117,9 +116,9 @@ def conics_as_prescribed(lens: dict[str, Any], seed: int) -> dict[str, Any]:
     return lens
 
 
-def drawn_worlds(count: int, changed: Any = conics_as_prescribed) -> list[World]:
+def drawn_worlds(count: int, changed: Any = conics_as_prescribed) -> list[lf.World]:
     """Build lenses by seed, without those whose rims would cross."""
-    worlds: list[World] = []
+    worlds: list[lf.World] = []
     seed = 0
     while len(worlds) < count:
         try:
@@ -130,7 +129,7 @@ def drawn_worlds(count: int, changed: Any = conics_as_prescribed) -> list[World]
     return worlds
 
 
-def rays_from_both_sides(world: World, count: int, seed: int) -> RaySource:
+def rays_from_both_sides(world: lf.World, count: int, seed: int) -> RaySource:
     """Draw rays from points up to four semi-diameters beside the axis to points of all apertures."""
     draw = np.random.default_rng(seed)
     lens = world.tables.lens
@@ -148,7 +147,7 @@ def rays_from_both_sides(world: World, count: int, seed: int) -> RaySource:
 
 
 def waiting_packets(
-    world: World, count: int, seed: int, source: RaySource | None = None
+    world: lf.World, count: int, seed: int, source: RaySource | None = None
 ) -> tuple[NDArray[np.void], Options]:
     """Return packets that wait for a surface of lens or array, of the first rays whose packets are as many."""
     options = options_of(world, tracing=True, faces=BY_ORDER_OR_MESH, split=BOTH, cutoff=0.02)
@@ -162,7 +161,7 @@ def waiting_packets(
     return packets[some], options
 
 
-def hollow_again(world: World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
+def hollow_again(world: lf.World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
     """Tell which packets, on straight lines, come back to the surface that they have just left, on its hollow side."""
     again = np.zeros(len(packets), np.bool_)
     p, d = (np.stack([packets[axis] for axis in axes], axis=1) for axes in (("x", "y", "z"), ("dx", "dy", "dz")))
@@ -180,7 +179,7 @@ def hollow_again(world: World, packets: NDArray[np.void]) -> NDArray[np.bool_]:
     return again
 
 
-def compared(world: World, count: int, seed: int) -> OrderCheck:
+def compared(world: lf.World, count: int, seed: int) -> OrderCheck:
     packets, options = waiting_packets(world, count, seed)
     return compare(world, options, world.tables, packets)
 
@@ -295,14 +294,14 @@ ARRAYS: dict[str, dict[str, Any]] = {
 }
 
 
-def world_with_array(**mla: Any) -> World:
+def world_with_array(**mla: Any) -> lf.World:
     given = {"count": [9, 8], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4} | mla
     sensor = {"pixels": [24, 24], "pixel_mm": 0.1, "distance_mm": 0.7}
     camera = {"focus_mm": 300.0, "lens": SPHERES, "mla": given, "sensor": sensor}
     return lf.build(lf.Scene(camera=camera, targets=[]))
 
 
-def rays_at_the_array(world: World, count: int, seed: int) -> RaySource:
+def rays_at_the_array(world: lf.World, count: int, seed: int) -> RaySource:
     """Draw rays from both sides to points of the array and a little beside it, many of them grazing.
 
     They start within a few pitches. From far away the rounding of the start alone, over the radius of a lenslet, would
@@ -324,7 +323,7 @@ def rays_at_the_array(world: World, count: int, seed: int) -> RaySource:
     return RaySource(start, d, np.full(count, PLATE), np.zeros(count, np.int64), np.ones(count), np.uint64(seed))
 
 
-def array_packets(world: World, count: int, seed: int) -> tuple[NDArray[np.void], Options]:
+def array_packets(world: lf.World, count: int, seed: int) -> tuple[NDArray[np.void], Options]:
     """Return packets that wait in the cells of the array."""
     packets, options = waiting_packets(world, 4 * count, seed, rays_at_the_array(world, 4 * count, seed))
     return packets[packets["frame"] == MLA_FRAME][:count], options
@@ -363,7 +362,7 @@ def test_a_wrong_cell_is_told(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> No
     array = world.tables.mla
     spoiled = world.tables._replace(mla=array._replace(lenslets=spoil(array.lenslets)))
 
-    def spoiled_in_order(world: World, options: Options, chunk: int, tables: Any) -> Workspace:
+    def spoiled_in_order(world: lf.World, options: Options, chunk: int, tables: Any) -> Workspace:
         return Workspace(world, options, chunk, spoiled if options.faces == BY_ORDER_OR_MESH else tables)
 
     monkeypatch.setattr(order_check, "Workspace", spoiled_in_order)

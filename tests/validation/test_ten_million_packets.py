@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport.checks.order_check import LARGEST_MM, outcomes
 from lfmesh.transport.settings import with_thinning
-from lfmesh.transport.world import World
 from tests.validation.exact_packet import first_hit, judge
 from tests.validation.test_order_of_surfaces import (
     OF_WEIGHTS,
@@ -37,7 +37,7 @@ CONDITIONED, MISSED_BY_A_MESH = 1e-5, 2e-7
 """Shares of packets that may be so conditioned, or pass a mesh between its chords and the surface."""
 
 
-def worlds() -> Iterator[World]:
+def worlds() -> Iterator[lf.World]:
     """Yield the lenses of the assets, and drawn ones of conics and aspheres, in their places and off them."""
     for path in sorted(asset_path("lenses").rglob("*.toml")):
         yield world_of(load_lens(path))
@@ -45,7 +45,7 @@ def worlds() -> Iterator[World]:
         yield from drawn_worlds(DRAWN, changed)
 
 
-def entered(world: World, packets: NDArray[np.void]) -> NDArray[np.void]:
+def entered(world: lf.World, packets: NDArray[np.void]) -> NDArray[np.void]:
     """Let packets on their way in start their queries at the lens's box, as those from object space do."""
     lens = world.tables.lens
     coming = np.flatnonzero(packets["last"] < 0)
@@ -56,7 +56,7 @@ def entered(world: World, packets: NDArray[np.void]) -> NDArray[np.void]:
     return packets
 
 
-def is_right(world: World, packet: NDArray[np.void], outcome: NDArray[np.void]) -> bool:
+def is_right(world: lf.World, packet: NDArray[np.void], outcome: NDArray[np.void]) -> bool:
     found = judge(world, packet, outcome["position"], outcome["weight"] / packet["weight"])
     in_place = found.off_mm <= max(LARGEST_MM, ROUNDINGS * found.moves_mm)
     return in_place and found.off_share <= max(OF_WEIGHTS, ROUNDINGS * found.moves_share)

@@ -8,7 +8,6 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d.plotter import View
@@ -56,12 +55,12 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def world(scene: Scene) -> World:
+def world(scene: Scene) -> lf.World:
     return lf.build(scene)
 
 
 @pytest.fixture(scope="session")
-def conventional() -> World:
+def conventional() -> lf.World:
     return lf.build(loads(CONVENTIONAL))
 
 
@@ -73,13 +72,13 @@ def scene_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def split_rays(world: World) -> Rays:
+def split_rays(world: lf.World) -> Rays:
     """Paths with all reflections, which share many segments."""
     return launch.from_field_point(world, [2.0, -8.0, -199.0], 40, split="both", weight_cutoff=1e-3)
 
 
 @pytest.fixture(scope="session")
-def one_ray(world: World) -> Rays:
+def one_ray(world: lf.World) -> Rays:
     """One path to the sensor, off every plane of symmetry, on the side of -x in the lens."""
     rays = launch.from_field_point(world, [2.0, -8.0, -199.0], 12, split="transmit")
     chosen = np.zeros(len(rays), np.bool_)
@@ -93,7 +92,7 @@ def views() -> Iterator[Callable[..., View]]:
     """Make views that are closed after the test."""
     made: list[View] = []
 
-    def make(world: World, picture: np.ndarray | None = None, **options: object) -> View:
+    def make(world: lf.World, picture: np.ndarray | None = None, **options: object) -> View:
         made.append(View(world, picture, size=SIZE, **options))  # type: ignore[arg-type]
         return made[-1]
 

@@ -19,7 +19,6 @@ from lfmesh.cli import main
 from lfmesh.errors import LfmeshError
 from lfmesh.files import run as runs
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.world import World
 from lfmesh.view import show
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
@@ -188,7 +187,7 @@ def test_reports_need_no_display(
 
 
 @pytest.mark.drawing
-def test_in_a_notebook_it_returns_the_picture(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_a_notebook_it_returns_the_picture(world: lf.World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(show, "in_notebook", lambda: True)
     picture = lfmesh.show(world, "field 0,0,-190", count=4, size=(200, 120), preset="lens")
     assert isinstance(picture, PIL.Image.Image)
@@ -226,7 +225,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
         subject_of(tmp_path)
 
 
-def test_the_first_look_is_at_points_of_the_plane_in_focus_inside_the_field(world: World) -> None:
+def test_the_first_look_is_at_points_of_the_plane_in_focus_inside_the_field(world: lf.World) -> None:
     rays = launched(world, count=30).rays
     assert rays is not None
     starts = rays.position[rays.offsets[:-1]]
@@ -272,12 +271,14 @@ def test_the_middle_pixel_lies_in_the_light(replaced: tuple[str, str]) -> None:
     assert lit.end_power[lit.arrives].sum() > 2.0 * dark.end_power[dark.arrives].sum()
 
 
-def test_without_an_array_the_middle_pixel_is_that_of_the_sensor(conventional: World) -> None:
+def test_without_an_array_the_middle_pixel_is_that_of_the_sensor(conventional: lf.World) -> None:
     assert middle_pixel(conventional) == (50, 60)
 
 
 @pytest.mark.drawing
-def test_the_magnified_array_has_a_letter_there_and_where_it_stands(world: World, views: Callable[..., View]) -> None:
+def test_the_magnified_array_has_a_letter_there_and_where_it_stands(
+    world: lf.World, views: Callable[..., View]
+) -> None:
     view = views(world)
     written: list[tuple[str, bool]] = []
     mark = view.overlay.mark
@@ -293,7 +294,7 @@ def test_the_magnified_array_has_a_letter_there_and_where_it_stands(world: World
     assert view.plotter.renderer.GetViewProps().GetNumberOfItems() == props, "a letter is left behind"
 
 
-def test_several_launches_are_their_sum(world: World) -> None:
+def test_several_launches_are_their_sum(world: lf.World) -> None:
     parts = [launch.from_field_point(world, [0.0, y, -199.0], 10, split="both") for y in (0.0, -8.0)]
     both = together(parts)
     assert len(both) == sum(len(part) for part in parts)
@@ -311,7 +312,7 @@ def test_several_launches_are_their_sum(world: World) -> None:
     assert (np.diff(power) <= 0.0).all(), "what brings most comes first"
 
 
-def test_rays_of_different_units_are_not_mixed(world: World) -> None:
+def test_rays_of_different_units_are_not_mixed(world: lf.World) -> None:
     parts: list[Callable[[], Rays]] = [
         lambda: launch.from_field_point(world, [0.0, 0.0, -199.0], 4),
         lambda: launch.from_pixel(world, 50, 60, 4),

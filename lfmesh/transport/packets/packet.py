@@ -71,7 +71,11 @@ class Status(IntEnum):
 
 
 class Event(IntEnum):
-    """Event at a recorded vertex."""
+    """Event at a recorded vertex of a path: its start, an interface, or its end.
+
+    SENSOR, ABSORBED, ESCAPED and TARGET end a path as the `Status` of the same name does; DEPTH ends it after the most
+    events allowed, LOST where numbers failed.
+    """
 
     START = 0
     TRANSMITTED = 1

@@ -22,7 +22,6 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.lines import Nodes
-from lfmesh.transport.world import World
 from tests.cameras import bench_camera
 from tests.renders import of_world
 
@@ -60,7 +59,7 @@ ARRAYS: dict[str, dict[str, Any]] = {
 }
 
 
-def world_of(mla: dict[str, Any]) -> World:
+def world_of(mla: dict[str, Any]) -> lf.World:
     """A camera whose sensor is near its array, and askew to it."""
     sensor = {"pixels": [32, 32], "pixel_mm": 0.11, "distance_mm": 0.9, "pose": {"tilt_deg": [1.0, 2.0, 0.0]}}
     return lf.build(
@@ -72,7 +71,7 @@ def world_of(mla: dict[str, Any]) -> World:
 class Starts:
     """Starts paths from a pixel, `samples` at a time, with some changes of the aim."""
 
-    def __init__(self, world: World, samples: int, **shares: float) -> None:
+    def __init__(self, world: lf.World, samples: int, **shares: float) -> None:
         self.samples = samples
         self._tables = world.tables._replace(aim=world.aim._replace(exit=world.aim.exit._replace(**shares)))
         self._work = Workspace(world, options_of(world)._replace(faces=BY_MESH), tables=self._tables)
@@ -93,7 +92,7 @@ class Starts:
         return np.column_stack([packets["dx"], packets["dy"]]), packets["weight"] / area / times
 
 
-def lit_pixels(world: World, count: int) -> list[int]:
+def lit_pixels(world: lf.World, count: int) -> list[int]:
     """Return pixels from which lenslets may show the opening: some surely, some not."""
     starts = Starts(world, 20, wide_share=0.0, share_without_aim=0.0)
     pixels = np.random.default_rng(1).permutation(world.tables.sensor.columns * world.tables.sensor.rows)

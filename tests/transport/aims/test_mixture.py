@@ -12,18 +12,17 @@ from lfmesh.transport.aims.ghost_aim import aim_at_ghosts
 from lfmesh.transport.aims.mixture import aimed, aimed_density
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.tables import LensAim
-from lfmesh.transport.world import World
 
 LEVEL = 1e-3
 DRAWS = 6000
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> lf.World:
     return lf.build(lf.load(asset_path("scenes/conventional.toml")))
 
 
-def aims_of(world: World) -> dict[str, tuple[LensAim, float]]:
+def aims_of(world: lf.World) -> dict[str, tuple[LensAim, float]]:
     """Return aims, and z of points that see the lens, camera frame."""
     behind = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][2, 3])
     at_ghosts = aim_at_ghosts(world.aimed_tables, world.ghosts).exit
@@ -35,7 +34,7 @@ def aims_of(world: World) -> dict[str, tuple[LensAim, float]]:
 
 
 @pytest.mark.parametrize("name", ["opening", "ghosts", "entrance"])
-def test_weights_bring_the_area_of_any_part_of_the_wide_disk(name: str, world: World) -> None:
+def test_weights_bring_the_area_of_any_part_of_the_wide_disk(name: str, world: lf.World) -> None:
     """One over the density, as area, summed over the rays that cross a ring, is its area: t-tests of eight rings."""
     aim, z = aims_of(world)[name]
     p, draw = (0.4, -0.3, z), np.random.default_rng(6)

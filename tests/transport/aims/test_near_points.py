@@ -12,7 +12,6 @@ from lfmesh.transport.aims.near_points import near_viewpoints
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.checks.aim_proof import proven
 from lfmesh.transport.sequences.stop_rays import CameraTables
-from lfmesh.transport.world import World
 
 FAR: dict[str, Any] = {
     "shape": {"kind": "plane", "width_mm": 200.0, "height_mm": 200.0},
@@ -27,7 +26,7 @@ NEAR = FAR | {
 """From 0.01 to 15.6 mm before the lens, whose front has a radius of 12.6 mm."""
 
 
-def world_of(targets: list[dict[str, Any]], lens: str = "double_gauss_50mm", **changes: Any) -> World:
+def world_of(targets: list[dict[str, Any]], lens: str = "double_gauss_50mm", **changes: Any) -> lf.World:
     taken = load_lens(asset_path(f"lenses/{lens}.toml")).model_copy(update=changes)
     camera = lf.Camera(lens=taken, focus_mm=500.0, sensor=lf.Sensor(pixels=(12, 12), pixel_mm=1.5))
     return lf.build(lf.Scene(camera=camera, targets=targets, transport={"split": "transmit"}))

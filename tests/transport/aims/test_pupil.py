@@ -26,7 +26,6 @@ from lfmesh.transport.aims.pupil import opening_from, real_opening, viewpoints
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
-from lfmesh.transport.world import World
 from tests.instances import instances
 
 Array = NDArray[np.float64]
@@ -112,7 +111,7 @@ def images(of: lf.Scene, first: int, change: Change = lambda aim: aim) -> Array:
     return np.array(found)
 
 
-def changed(world: World, change: Change) -> World:
+def changed(world: lf.World, change: Change) -> lf.World:
     world.aim = change(world.aim)
     return world
 

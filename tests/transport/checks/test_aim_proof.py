@@ -23,7 +23,6 @@ from lfmesh.transport.checks.aim_proof import (
 from lfmesh.transport.sequences import stop_rays
 from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop, reach_of
 from lfmesh.transport.tables.tables import AimTables, LensAim, LensletAim
-from lfmesh.transport.world import World
 from tests.instances import instances
 from tests.renders import of_world
 from tests.transport.conftest import TARGET
@@ -31,7 +30,7 @@ from tests.transport.conftest import TARGET
 RandomCamera = Callable[[int], lf.Scene]
 
 
-def missed(world: World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
+def missed(world: lf.World, aim: AimTables, seed: int = 99) -> tuple[float, float]:
     """Return the shares of the throughput outside an aim's two sides, by new rays."""
     random = np.random.default_rng(seed)
     tables = world.tables
@@ -152,7 +151,7 @@ def few_pixels(**changes: Any) -> lf.Scene:
     )  # fmt: skip
 
 
-def proof_of(world: World, aim: AimTables) -> tuple[AimTables, AimProof]:
+def proof_of(world: lf.World, aim: AimTables) -> tuple[AimTables, AimProof]:
     tables = world.tables
     seen = viewpoints(
         aim.entrance.opening.plane_z, aim.entrance.wide_radius, world.targets[0].mesh.vertices, to_sensor=True

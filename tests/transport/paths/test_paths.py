@@ -33,7 +33,6 @@ from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.emitting_facets import no_emitters
-from lfmesh.transport.world import World
 from tests.cameras import biconvex
 
 INDEX = 1.8
@@ -85,7 +84,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def world_of(camera: dict[str, Any], folder: Path) -> World:
+def world_of(camera: dict[str, Any], folder: Path) -> lf.World:
     """Glowing targets that light each other before the lens, with a cube of glass between them."""
     cube = {"file": "cube.stl", "units": "mm", "index": INDEX, "surface": "flat"}
     side = {"shape": {"kind": "box", "size_mm": (6.0, 6.0, 20.0)}, "position_mm": (9.0, 0.0, -15.0), "material": GLOW}
@@ -101,7 +100,7 @@ def world_of(camera: dict[str, Any], folder: Path) -> World:
     return lf.build(scene.in_folder(folder))
 
 
-def traced(world: World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
+def traced(world: lf.World, paths: int) -> tuple[NDArray[np.float64], Workspace]:
     """Return what single paths of all pixels bring if those of a class count, (pixels,), and the workspace."""
     # Scattered packets alone find all emission, so that each packet's own vertices tell what it brings.
     objects = world.tables.objects._replace(emitters=no_emitters())

@@ -6,7 +6,6 @@ import pytest
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import Event
 from lfmesh.transport.sequences.ray_tables import follow_sequence
 from lfmesh.transport.sequences.sequences import Itinerary, reflected_twice_at, two_reflections
 from lfmesh.view.rays.launch import from_field_point
@@ -70,7 +69,7 @@ def test_paths_of_two_reflections_are_those_of_the_mesh_engine(name, change, poi
     for path in range(len(mirrored)):
         part = slice(mirrored.offsets[path] + 1, mirrored.offsets[path + 1] - 1)
         faces = tuple(int(k) - 1 for k in mirrored.surface[part])
-        recorded.setdefault(Itinerary(faces, tuple(mirrored.event[part] == Event.REFLECTED)), []).append(path)
+        recorded.setdefault(Itinerary(faces, tuple(mirrored.event[part] == lf.Event.REFLECTED)), []).append(path)
     expected = set(paths_of(world))
     assert set(recorded) <= expected
     assert len(recorded) >= count * (count - 1) // 3

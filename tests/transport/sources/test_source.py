@@ -17,7 +17,6 @@ from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher, Source
 from lfmesh.transport.tables.lines import FIRST
-from lfmesh.transport.world import World
 
 KEY = run_key(7)
 PIXELS, SAMPLES = 36, 5
@@ -27,7 +26,7 @@ LENS = {"surfaces": [{"radius_mm": 20.0, "thickness_mm": 3.0, "index": 1.5, "sem
 
 
 @pytest.fixture(scope="module")
-def world() -> World:
+def world() -> lf.World:
     """A lamp, a target that shines, and a camera without an array."""
     wall = {"shape": {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}, "position_mm": [0.0, 0.0, -60.0],
             "material": {"reflectance": 0.5, "radiance_w_m2_sr": 2.0}}  # fmt: skip
@@ -60,7 +59,7 @@ SOURCES: dict[str, tuple[Callable[[], Source], dict[str, bool]]] = {
 }
 
 
-def workspace(world: World, name: str) -> Workspace:
+def workspace(world: lf.World, name: str) -> Workspace:
     return Workspace(world, options_of(world)._replace(faces=BY_MESH, **SOURCES[name][1] | {"adjoint": False}))
 
 
@@ -74,7 +73,7 @@ def started(work: Workspace, source: Source, part: range) -> tuple[list[bytes], 
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_parts_of_a_source_start_the_packets_of_the_whole(name: str, world: World) -> None:
+def test_parts_of_a_source_start_the_packets_of_the_whole(name: str, world: lf.World) -> None:
     source, work = SOURCES[name][0](), workspace(world, name)
     whole, emitted = started(work, source, range(len(source)))
     assert emitted > 0.0
@@ -92,7 +91,7 @@ def test_parts_are_whole_things_and_about_a_chunk() -> None:
 
 
 @pytest.mark.parametrize("name", SOURCES)
-def test_what_is_traced_is_in_order_whatever_the_threads(name: str, world: World) -> None:
+def test_what_is_traced_is_in_order_whatever_the_threads(name: str, world: lf.World) -> None:
     source = SOURCES[name][0]()
     results = []
     for threads in (1, 3):
@@ -103,7 +102,7 @@ def test_what_is_traced_is_in_order_whatever_the_threads(name: str, world: World
         np.testing.assert_array_equal(one[1], other[1])
 
 
-def test_a_ray_carries_its_weight_and_meets_nothing_near_its_start(world: World) -> None:
+def test_a_ray_carries_its_weight_and_meets_nothing_near_its_start(world: lf.World) -> None:
     source = rays()
     assert isinstance(source, RaySource)
     work = workspace(world, "rays")

@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 import lfmesh as lf
-from lfmesh.transport.world import World
 from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_ghosts
 from lfmesh.view.rays.launch import from_field_point
 from tests.instances import instances
@@ -45,7 +44,7 @@ def of_array(row: Any, *, alone: bool) -> bool:
     return count == 2 if alone else count == 1
 
 
-def powers_by_rays(world: World, exact: ExactGhosts) -> np.ndarray:
+def powers_by_rays(world: lf.World, exact: ExactGhosts) -> np.ndarray:
     """Return the power of ghosts between the array's faces, and of those between array and lens, launch by launch."""
     groups = [[row.words for row in exact.ghosts if of_array(row, alone=alone)] for alone in (True, False)]
     found = []

@@ -7,7 +7,6 @@ import trimesh
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.filters import FIELDS, FilterError, parse, places
 from lfmesh.view.rays.launch import from_field_point, from_pixels
 
@@ -43,8 +42,8 @@ def told(rays):
     paths = []
     for i in range(len(rays)):
         part = range(rays.offsets[i] + 1, rays.offsets[i + 1])
-        steps = [(rays.surfaces[rays.surface[v]], Event(rays.event[v])) for v in part]
-        camera_reflections = sum(e == Event.REFLECTED and s.startswith(("lens", "mla")) for s, e in steps)
+        steps = [(rays.surfaces[rays.surface[v]], lf.Event(rays.event[v])) for v in part]
+        camera_reflections = sum(e == lf.Event.REFLECTED and s.startswith(("lens", "mla")) for s, e in steps)
         paths.append(
             {
                 "steps": steps,
@@ -68,7 +67,7 @@ def is_ghost(path):
     return path["status"] == "sensor" and path["reflections"] >= 2
 
 
-INTERFACES = (Event.TRANSMITTED, Event.REFLECTED)
+INTERFACES = (lf.Event.TRANSMITTED, lf.Event.REFLECTED)
 
 EXAMPLES = {
     "hits(mla) and not ghost": lambda p: hits(p, "mla.", "mla edge", "mla wall") and not is_ghost(p),
@@ -84,12 +83,12 @@ EXAMPLES = {
     "power < 1e-6": lambda p: p["power"] < 1e-6,
     "power >= .2e-6": lambda p: p["power"] >= 2e-7,
     "power > -1": lambda p: True,
-    "reflects(lens[2].front)": lambda p: ("lens[1].back", Event.REFLECTED) in p["steps"],
-    "reflects(lens[1].back)": lambda p: ("lens[1].back", Event.REFLECTED) in p["steps"],
-    "transmits(L4a)": lambda p: ("lens[3].front", Event.TRANSMITTED) in p["steps"],
-    "transmits(targets[1])": lambda p: ("targets[1]", Event.TRANSMITTED) in p["steps"],
-    "reflects(lens)": lambda p: any(s.startswith("lens") and e == Event.REFLECTED for s, e in p["steps"]),
-    "reflects(lens[3])": lambda p: any(s.startswith("lens[3]") and e == Event.REFLECTED for s, e in p["steps"]),
+    "reflects(lens[2].front)": lambda p: ("lens[1].back", lf.Event.REFLECTED) in p["steps"],
+    "reflects(lens[1].back)": lambda p: ("lens[1].back", lf.Event.REFLECTED) in p["steps"],
+    "transmits(L4a)": lambda p: ("lens[3].front", lf.Event.TRANSMITTED) in p["steps"],
+    "transmits(targets[1])": lambda p: ("targets[1]", lf.Event.TRANSMITTED) in p["steps"],
+    "reflects(lens)": lambda p: any(s.startswith("lens") and e == lf.Event.REFLECTED for s, e in p["steps"]),
+    "reflects(lens[3])": lambda p: any(s.startswith("lens[3]") and e == lf.Event.REFLECTED for s, e in p["steps"]),
     "hits('thin pane')": lambda p: hits(p, "thin pane"),
     'hits("thin pane") or hits(targets[1])': lambda p: hits(p, "thin pane", "targets[1]"),
     "hits(targets)": lambda p: hits(p, "thin pane", "targets[1]"),
@@ -250,7 +249,7 @@ def test_what_the_scene_has_not_got_is_a_mistake():
 
 def test_every_name_that_exists_is_understood(rays):
     for name, numbers in places(rays).items():
-        met = np.isin(rays.surface, numbers) & (rays.event != Event.START)
+        met = np.isin(rays.surface, numbers) & (rays.event != lf.Event.START)
         np.testing.assert_array_equal(parse(f'hits("{name}")', rays), rays.any_vertex(met))
     assert "start" not in places(rays)
     assert FIELDS

@@ -8,7 +8,6 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.ghosts import ghost_matrix, in_cell
 from lfmesh.view.rays.launch import from_field_point, from_pixels
 from lfmesh.view.rays.paths import standard_errors
@@ -35,7 +34,7 @@ def test_cells_are_the_power_of_their_paths(rays):
     expected = np.zeros_like(matrix.power)
     for path in np.flatnonzero(rays.status == lf.Status.SENSOR):
         part = range(rays.offsets[path], rays.offsets[path + 1])
-        mirrors = [rays.surfaces[rays.surface[v]] for v in part if rays.event[v] == Event.REFLECTED]
+        mirrors = [rays.surfaces[rays.surface[v]] for v in part if rays.event[v] == lf.Event.REFLECTED]
         if len(mirrors) == 2:
             expected[tuple(matrix.names.index(name) for name in mirrors)] += rays.end_power[path]
     assert (expected > 0.0).sum() > 20

@@ -9,11 +9,10 @@ import trimesh
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.history import history, lines
 from lfmesh.view.rays.launch import from_field_point, from_pixels
 
-BENDS = (Event.TRANSMITTED, Event.REFLECTED)
+BENDS = (lf.Event.TRANSMITTED, lf.Event.REFLECTED)
 POINT = (8.0, -5.0, -400.0)
 
 
@@ -51,10 +50,10 @@ def histories(rays, most=400):
 
 def check_laws(rays, most, tolerance_deg=1e-6):
     """Check every step of some paths; return how many refractions, reflections and roulettes there were."""
-    seen = {Event.TRANSMITTED: 0, Event.REFLECTED: 0, "roulette": 0, "total": 0}
+    seen = {lf.Event.TRANSMITTED: 0, lf.Event.REFLECTED: 0, "roulette": 0, "total": 0}
     for path, steps in histories(rays, most):
         part = rays.position[rays.offsets[path] : rays.offsets[path + 1]]
-        assert steps[0].event == Event.START
+        assert steps[0].event == lf.Event.START
         product = 1.0
         for number, step in enumerate(steps):
             np.testing.assert_array_equal(step.position_mm, part[number])
@@ -67,7 +66,7 @@ def check_laws(rays, most, tolerance_deg=1e-6):
             if lengths[1] > 1e-6:
                 turned = np.arccos(np.clip(arriving @ leaving / (lengths[0] * lengths[1]), -1.0, 1.0))
                 incidence = np.deg2rad(step.incidence_deg)
-                if step.event == Event.REFLECTED:
+                if step.event == lf.Event.REFLECTED:
                     assert step.medium == before.medium
                     expected = np.pi - 2.0 * incidence
                 else:
@@ -75,7 +74,7 @@ def check_laws(rays, most, tolerance_deg=1e-6):
                     expected = abs(incidence - np.arcsin(min(sine, 1.0)))
                 # arccos loses half of the digits of a small turn.
                 assert turned == pytest.approx(expected, abs=np.deg2rad(tolerance_deg) + 1e-7 + 1e-12 / min(lengths))
-            share = step.transmittance if step.event == Event.TRANSMITTED else step.reflectance
+            share = step.transmittance if step.event == lf.Event.TRANSMITTED else step.reflectance
             product *= share
             seen[step.event] += 1
             seen["total"] += step.transmittance == 0.0
@@ -91,8 +90,8 @@ def check_laws(rays, most, tolerance_deg=1e-6):
 
 def test_laws_hold_along_every_path_with_the_light(rays):
     seen = check_laws(rays, 500)
-    assert seen[Event.TRANSMITTED] > 4000
-    assert seen[Event.REFLECTED] > 500
+    assert seen[lf.Event.TRANSMITTED] > 4000
+    assert seen[lf.Event.REFLECTED] > 500
     assert seen["roulette"] > 50
     assert seen["total"] > 0
     assert all(s.reflectance is not None for _, steps in histories(rays, 100) for s in steps if s.event in BENDS)
@@ -100,8 +99,8 @@ def test_laws_hold_along_every_path_with_the_light(rays):
 
 def test_laws_hold_along_every_path_from_the_sensor(world):
     seen = check_laws(from_pixels(world, range(20, 23), range(30, 33), 100), 300)
-    assert seen[Event.TRANSMITTED] > 1000
-    assert seen[Event.REFLECTED] > 100
+    assert seen[lf.Event.TRANSMITTED] > 1000
+    assert seen[lf.Event.REFLECTED] > 100
 
 
 def test_laws_hold_at_tilted_and_decentred_elements(world):
@@ -110,8 +109,8 @@ def test_laws_hold_at_tilted_and_decentred_elements(world):
     elements = [{"surfaces": (6, 7, 8, 9, 10), "pose": pose}, {"surfaces": (0,), "pose": {"tilt_deg": (0.0, 0.5, 0.0)}}]
     posed = lf.build(world.scene.changed({"camera.lens.elements": elements}))
     seen = check_laws(from_field_point(posed, POINT, 60, aim="lens", weight_cutoff=0.003), 200)
-    assert seen[Event.TRANSMITTED] > 1000
-    assert seen[Event.REFLECTED] > 100
+    assert seen[lf.Event.TRANSMITTED] > 1000
+    assert seen[lf.Event.REFLECTED] > 100
 
 
 def test_laws_hold_at_lenslets_on_both_faces(world):
@@ -120,15 +119,15 @@ def test_laws_hold_at_lenslets_on_both_faces(world):
     back = {"radius_mm": 0.4, "decenter_mm": [0.01, -0.02]}
     plate = lf.build(world.scene.changed(array | {"camera.mla.back": back}))
     seen = check_laws(from_field_point(plate, POINT, 60, aim="lens", weight_cutoff=0.003), 200)
-    assert seen[Event.TRANSMITTED] > 1000
-    assert seen[Event.REFLECTED] > 100
+    assert seen[lf.Event.TRANSMITTED] > 1000
+    assert seen[lf.Event.REFLECTED] > 100
 
 
 @pytest.mark.parametrize("surface", ["flat", "patch"])
 def test_laws_hold_where_a_facet_stands_for_the_surface(surface):
     """The normal is then the one that bent the path, not the exact surface's, which is several mrad off it."""
     seen = check_laws(from_field_point(world_of(surface), POINT, 40, aim="lens"), 100)
-    assert seen[Event.TRANSMITTED] > 500
+    assert seen[lf.Event.TRANSMITTED] > 500
 
 
 def test_without_roulette_the_power_is_the_product_of_the_shares(rays):
@@ -136,7 +135,9 @@ def test_without_roulette_the_power_is_the_product_of_the_shares(rays):
     for _, steps in histories(rays, 300):
         if any(step.roulette > 1.0 + 1e-9 for step in steps):
             continue
-        shares = [s.transmittance if s.event == Event.TRANSMITTED else s.reflectance for s in steps if s.event in BENDS]
+        shares = [
+            s.transmittance if s.event == lf.Event.TRANSMITTED else s.reflectance for s in steps if s.event in BENDS
+        ]
         assert steps[-1].power == pytest.approx(steps[0].power * np.prod(shares), rel=1e-9)
         followed += len(shares) > 10
     assert followed > 30
@@ -205,7 +206,7 @@ def test_bodies_that_touch_have_no_air_between_them(tmp_path):
     check_laws(rays, 200)
     steps = history(rays, int(np.flatnonzero(rays.sequence == 0)[0]))[1:6]
     assert [step.medium for step in steps] == ["n = 1.333", "n = 1.7", "n = 1.333", "n = 1.5", "air"]
-    assert all(step.event == Event.TRANSMITTED for step in steps)
+    assert all(step.event == lf.Event.TRANSMITTED for step in steps)
     for step, (n_i, n_t) in zip(steps[2:], [(1.7, 1.333), (1.333, 1.5), (1.5, 1.0)], strict=True):
         # Near normal incidence.
         assert step.reflectance == pytest.approx(((n_i - n_t) / (n_i + n_t)) ** 2, rel=0.02)

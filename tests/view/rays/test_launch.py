@@ -7,7 +7,6 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
 from lfmesh.transport import engine
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.launch import as_in_run, from_field_point, from_light, from_pixel, from_pixels
 from lfmesh.view.rays.launch_line import launch
 
@@ -99,8 +98,8 @@ def test_each_light_alone_launches_from_where_it_stands(lit):
     for number, lamp in enumerate(LAMPS):
         rays = from_light(lit, number, 300)
         np.testing.assert_allclose(rays.position[rays.offsets[:-1]], np.tile(lamp.position_mm, (len(rays), 1)))
-        assert (rays.event[rays.offsets[:-1]] == Event.START).all()
-        assert rays.any_vertex(rays.event == Event.SCATTERED).any()
+        assert (rays.event[rays.offsets[:-1]] == lf.Event.START).all()
+        assert rays.any_vertex(rays.event == lf.Event.SCATTERED).any()
         # A point light's packets go into the cone round the targets' sphere, and share what it sends there.
         objects = lit.tables.objects
         distance = np.linalg.norm(objects.lights[number]["position"])

@@ -7,7 +7,6 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.launch import as_in_run, from_field_point, from_pixels
 from lfmesh.view.rays.path_table import COLUMNS, path_table
@@ -51,9 +50,9 @@ def test_rows_are_the_sequences_and_count_every_path_once(rays, table):
         assert row.count == of_row.sum()
         assert row.power == pytest.approx(rays.end_power[of_row].sum(), rel=1e-12)
         path = int(np.flatnonzero(of_row)[0])
-        events = [Event(e) for e in rays.event[rays.offsets[path] : rays.offsets[path + 1]]]
-        assert row.events == sum(e in (Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED) for e in events)
-        assert row.reflections == events.count(Event.REFLECTED)
+        events = [lf.Event(e) for e in rays.event[rays.offsets[path] : rays.offsets[path + 1]]]
+        assert row.events == sum(e in (lf.Event.TRANSMITTED, lf.Event.REFLECTED, lf.Event.SCATTERED) for e in events)
+        assert row.reflections == events.count(lf.Event.REFLECTED)
 
 
 def test_largest_irradiance_is_that_of_the_brightest_pixel(rays, table):

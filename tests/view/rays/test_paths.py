@@ -7,7 +7,6 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import load_lens
-from lfmesh.transport.packets.packet import Event
 from lfmesh.view.rays.launch import as_in_run, from_field_point, from_pixels
 from lfmesh.view.rays.names import aliases, label, lens_names
 from tests.frames import motion
@@ -46,12 +45,12 @@ def test_every_path_begins_at_its_start_and_ends_once(rays, point):
     first, last = rays.offsets[:-1], rays.offsets[1:] - 1
     between = np.ones(len(rays.event), bool)
     between[first] = between[last] = False
-    assert (rays.event[first] == Event.START).all()
-    assert np.isin(rays.event[between], [Event.TRANSMITTED, Event.REFLECTED]).all()
+    assert (rays.event[first] == lf.Event.START).all()
+    assert np.isin(rays.event[between], [lf.Event.TRANSMITTED, lf.Event.REFLECTED]).all()
     ends = {
-        lf.Status.SENSOR: Event.SENSOR, lf.Status.ABSORBED: Event.ABSORBED, lf.Status.ESCAPED: Event.ESCAPED
+        lf.Status.SENSOR: lf.Event.SENSOR, lf.Status.ABSORBED: lf.Event.ABSORBED, lf.Status.ESCAPED: lf.Event.ESCAPED
     }  # fmt: skip
-    assert [Event(e) for e in rays.event[last]] == [ends[lf.Status(s)] for s in rays.status]
+    assert [lf.Event(e) for e in rays.event[last]] == [ends[lf.Status(s)] for s in rays.status]
     np.testing.assert_allclose(rays.position[first], np.tile(point, (len(rays), 1)), atol=1e-12)
     # A row a vertex, none shared and none left over.
     assert (rays.offsets[0], rays.offsets[-1]) == (0, len(rays.position))
@@ -80,11 +79,11 @@ def test_paths_with_one_sequence_met_the_same_surfaces_in_the_same_way(rays):
     met = {}
     for path in range(len(rays)):
         part = vertices(rays, path)
-        key = tuple((rays.surfaces[rays.surface[v]], Event(rays.event[v])) for v in part if v > part[0])
+        key = tuple((rays.surfaces[rays.surface[v]], lf.Event(rays.event[v])) for v in part if v > part[0])
         assert met.setdefault(int(rays.sequence[path]), key) == key
     assert len(set(met.values())) == len(met) == len(rays.sequences) > 100
     for number, key in met.items():
-        letters = {Event.TRANSMITTED: " T", Event.REFLECTED: " R"}
+        letters = {lf.Event.TRANSMITTED: " T", lf.Event.REFLECTED: " R"}
         assert rays.sequences[number] == ", ".join(label(name) + letters.get(event, "") for name, event in key)
 
 
@@ -192,7 +191,7 @@ def test_light_that_a_target_emits_starts_there():
     rays = as_in_run(lf.build(scene), 300)
     first = rays.offsets[:-1]
     assert len(rays) > 100
-    assert (rays.event[first] == Event.START).all()
+    assert (rays.event[first] == lf.Event.START).all()
     assert {rays.surfaces[s] for s in rays.surface[first]} == {"glow"}
     np.testing.assert_allclose(rays.position[first][:, 2], -500.0)
     assert not any("glow" in sequence.split(",")[0] for sequence in rays.sequences)

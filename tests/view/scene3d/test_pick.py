@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from lfmesh.transport.world import World
+import lfmesh as lf
 from lfmesh.view.output.window import clicked
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d import pick
@@ -17,7 +17,7 @@ from tests.view.conftest import SIZE
 pytestmark = pytest.mark.drawing
 
 
-def pixel_corner(world: World, row: float, column: float) -> np.ndarray:
+def pixel_corner(world: lf.World, row: float, column: float) -> np.ndarray:
     """Return the world place of a pixel's centre, by the convention that DESIGN states: x = (c − (W−1)/2)·pitch."""
     sensor = world.scene.camera.sensor
     x = (column - (sensor.pixels[0] - 1) / 2) * sensor.pixel_mm
@@ -28,7 +28,7 @@ def pixel_corner(world: World, row: float, column: float) -> np.ndarray:
 
 @pytest.mark.parametrize("preset", ["whole", "side", "lens"])
 def test_a_click_on_a_segment_names_its_path_and_vertex(
-    world: World, one_ray: Rays, views: Callable[..., View], preset: str
+    world: lf.World, one_ray: Rays, views: Callable[..., View], preset: str
 ) -> None:
     view = views(world)
     view.show_rays(one_ray)
@@ -50,7 +50,9 @@ def test_a_click_on_a_segment_names_its_path_and_vertex(
     assert clicks >= 1
 
 
-def test_of_crossing_rays_the_one_in_front_is_meant(world: World, split_rays: Rays, views: Callable[..., View]) -> None:
+def test_of_crossing_rays_the_one_in_front_is_meant(
+    world: lf.World, split_rays: Rays, views: Callable[..., View]
+) -> None:
     view = views(world)
     view.show_rays(split_rays)
     view.look("lens")
@@ -73,7 +75,7 @@ def test_of_crossing_rays_the_one_in_front_is_meant(world: World, split_rays: Ra
 @pytest.mark.parametrize("preset", ["whole", "sensor", "array"])
 @pytest.mark.parametrize(("row", "column"), [(50, 60), (45, 66), (52, 55)])
 def test_a_click_on_a_pixel_names_it(
-    world: World, views: Callable[..., View], preset: str, row: int, column: int
+    world: lf.World, views: Callable[..., View], preset: str, row: int, column: int
 ) -> None:
     view = views(world)
     view.look(preset)
@@ -81,14 +83,14 @@ def test_a_click_on_a_pixel_names_it(
     assert pick.pixel_at(view, *place) == pick.PickedPixel(row, column)
 
 
-def test_the_pixel_behind_the_array_is_meant(world: World, views: Callable[..., View]) -> None:
+def test_the_pixel_behind_the_array_is_meant(world: lf.World, views: Callable[..., View]) -> None:
     view = views(world)
     view.look("sensor")
     place = pick.to_picture(view, pixel_corner(world, 20, 100)[None])[0]
     assert pick.pick(view, *place) == pick.PickedPixel(20, 100)
 
 
-def test_a_box_on_the_sensor_holds_its_pixels(world: World, views: Callable[..., View]) -> None:
+def test_a_box_on_the_sensor_holds_its_pixels(world: lf.World, views: Callable[..., View]) -> None:
     view = views(world)
     view.look("sensor")
     # Straight on, so that a box of the picture is one of the sensor.
@@ -103,7 +105,7 @@ def test_a_box_on_the_sensor_holds_its_pixels(world: World, views: Callable[...,
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_click_on_glass_gives_its_prescription(world: World, views: Callable[..., View], number: int) -> None:
+def test_a_click_on_glass_gives_its_prescription(world: lf.World, views: Callable[..., View], number: int) -> None:
     view = views(world)
     view.look("lens")
     rim = np.asarray(world.mesh(f"lens[{number}]").vertices)
@@ -120,7 +122,7 @@ def test_a_click_on_glass_gives_its_prescription(world: World, views: Callable[.
     assert words["thickness"] == ("5 mm", "3 mm")[number]
 
 
-def test_nothing_is_picked_where_nothing_is_drawn(world: World, views: Callable[..., View]) -> None:
+def test_nothing_is_picked_where_nothing_is_drawn(world: lf.World, views: Callable[..., View]) -> None:
     view = views(world)
     view.look("side")
     assert pick.pick(view, 2.0, 2.0) is None
@@ -143,7 +145,7 @@ def test_the_first_hit_solves_the_equations_of_ray_and_triangle() -> None:
 
 
 def test_a_click_in_the_window_tells_the_history(
-    world: World, one_ray: Rays, views: Callable[..., View], capsys: pytest.CaptureFixture[str]
+    world: lf.World, one_ray: Rays, views: Callable[..., View], capsys: pytest.CaptureFixture[str]
 ) -> None:
     view = views(world)
     view.show_rays(one_ray)
@@ -156,7 +158,7 @@ def test_a_click_in_the_window_tells_the_history(
     assert capsys.readouterr().out.strip() == "\n".join(words)
 
 
-def test_every_part_can_be_described(world: World) -> None:
+def test_every_part_can_be_described(world: lf.World) -> None:
     for name in [*world.mesh_names, "lights[0]"]:
         if name != "housing":
             assert describe(world, name)

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 import lfmesh as lf
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import loads
-from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.scene3d import pick
@@ -30,7 +29,7 @@ CORNERS = [(4.5, 4.5), (4.5, 114.5), (94.5, 4.5), (94.5, 114.5)]
 @pytest.mark.parametrize("bright", range(4))
 @pytest.mark.parametrize("behind", [False, True])
 def test_an_image_lies_on_the_sensor_as_it_was_recorded(
-    conventional: World, views: Callable[..., View], bright: int, behind: bool
+    conventional: lf.World, views: Callable[..., View], bright: int, behind: bool
 ) -> None:
     row, column = CORNERS[bright]
     picture = np.zeros((100, 120, 3), np.uint8)
@@ -56,7 +55,7 @@ def test_an_image_lies_on_the_sensor_as_it_was_recorded(
     ],
 )  # fmt: skip
 def test_every_part_changes_the_picture_where_it_stands_and_nowhere_else(
-    world: World, views: Callable[..., View], preset: str, kind: str
+    world: lf.World, views: Callable[..., View], preset: str, kind: str
 ) -> None:
     view = views(world)
     view.look(preset)
@@ -76,7 +75,7 @@ def test_every_part_changes_the_picture_where_it_stands_and_nowhere_else(
 
 @pytest.mark.parametrize(("wavelength", "strongest"), [(450.0, 2), (532.0, 1), (650.0, 0)])
 def test_rays_have_the_colour_of_their_light(
-    world: World, views: Callable[..., View], wavelength: float, strongest: int
+    world: lf.World, views: Callable[..., View], wavelength: float, strongest: int
 ) -> None:
     rays = launch.from_field_point(world, [2.0, -8.0, -199.0], 8, split="transmit", wavelength_nm=wavelength)
     view = views(world)
@@ -94,7 +93,7 @@ def test_rays_have_the_colour_of_their_light(
 
 
 def test_the_cut_takes_half_the_glass_and_leaves_rays_whole(
-    world: World, split_rays: Rays, views: Callable[..., View]
+    world: lf.World, split_rays: Rays, views: Callable[..., View]
 ) -> None:
     view = views(world)
     view.show_rays(split_rays)
@@ -115,7 +114,7 @@ def test_the_cut_takes_half_the_glass_and_leaves_rays_whole(
     assert all(mesh is whole[part.label] for part, mesh in view.meshes())
 
 
-def test_a_cut_uncovers_rays_that_glass_tinted(world: World, one_ray: Rays, views: Callable[..., View]) -> None:
+def test_a_cut_uncovers_rays_that_glass_tinted(world: lf.World, one_ray: Rays, views: Callable[..., View]) -> None:
     view = views(world)
     middle = one_ray.position[1:3].mean(axis=0)
     view.show_rays(one_ray, width=4.0)
@@ -133,7 +132,7 @@ def test_a_cut_uncovers_rays_that_glass_tinted(world: World, one_ray: Rays, view
 
 
 def test_new_rays_take_the_place_of_the_old(
-    world: World, one_ray: Rays, split_rays: Rays, views: Callable[..., View]
+    world: lf.World, one_ray: Rays, split_rays: Rays, views: Callable[..., View]
 ) -> None:
     view = views(world)
     view.look("side")

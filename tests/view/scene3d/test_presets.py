@@ -10,7 +10,6 @@ import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.scene import Scene, loads
-from lfmesh.transport.world import World
 from lfmesh.view.scene3d import pick
 from lfmesh.view.scene3d.overlay import in_words
 from lfmesh.view.scene3d.parts import round_length
@@ -54,7 +53,7 @@ def test_what_is_seen_stands_in_the_middle_of_the_picture() -> None:
 @pytest.mark.drawing
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_a_preset_shows_its_part_between_the_clipping_planes(
-    world: World, views: Callable[..., View], preset: str
+    world: lf.World, views: Callable[..., View], preset: str
 ) -> None:
     view = views(world)
     view.look(preset)
@@ -101,7 +100,7 @@ def test_y_is_up_and_x_to_the_right_seen_from_behind_the_camera(
     assert ahead[1] <= 1e-12 * np.linalg.norm(ahead), "seen from below"
 
 
-def test_an_unknown_preset_and_an_array_that_is_not_there_are_refused(world: World, conventional: World) -> None:
+def test_an_unknown_preset_and_an_array_that_is_not_there_are_refused(world: lf.World, conventional: lf.World) -> None:
     with pytest.raises(LfmeshError, match="preset = 'top': use one of whole, side, object, lens, array, sensor"):
         viewpoint(world, "top", ASPECT)
     with pytest.raises(LfmeshError, match="no microlens array"):
@@ -110,7 +109,7 @@ def test_an_unknown_preset_and_an_array_that_is_not_there_are_refused(world: Wor
 
 @pytest.mark.drawing
 @pytest.mark.parametrize("preset", ["lens", "whole"])
-def test_the_scale_bar_is_as_long_as_it_says(world: World, views: Callable[..., View], preset: str) -> None:
+def test_the_scale_bar_is_as_long_as_it_says(world: lf.World, views: Callable[..., View], preset: str) -> None:
     view = views(world)
     view.look(preset)
     shot(view)

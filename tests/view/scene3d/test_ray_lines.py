@@ -7,7 +7,6 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
-from lfmesh.transport.world import World
 from lfmesh.view.rays import launch
 from lfmesh.view.rays.paths import Rays
 from lfmesh.view.request import together
@@ -95,7 +94,7 @@ def test_few_rays_are_opaque_and_a_cloud_of_them_lets_the_lens_show(split_rays: 
         assert count * each == pytest.approx(OPAQUE_SEGMENTS, rel=0.01)
 
 
-def test_a_pixel_is_one_entry_of_the_legend_wherever_on_it_rays_start(world: World) -> None:
+def test_a_pixel_is_one_entry_of_the_legend_wherever_on_it_rays_start(world: lf.World) -> None:
     rays = launch.from_pixel(world, 55, 65, 12, split="transmit")
     _, legend = ray_lines(rays).coloured("field")
     assert (legend.title, [label for label, _ in legend.entries]) == ("from row, column", ["55, 65"])
@@ -118,7 +117,7 @@ def test_an_unknown_colour_is_refused(split_rays: Rays) -> None:
         ray_colours(split_rays, lines.path, lines.vertex, "age")  # type: ignore[arg-type]
 
 
-def test_with_one_wavelength_colours_tell_field_points_apart(world: World) -> None:
+def test_with_one_wavelength_colours_tell_field_points_apart(world: lf.World) -> None:
     points = ([0.0, 0.0, -199.0], [2.0, -8.0, -199.0])
     both = together([launch.from_field_point(world, point, 6, split="transmit") for point in points])
     assert default_colour(both) == "field"

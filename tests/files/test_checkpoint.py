@@ -215,9 +215,9 @@ def test_a_file_that_changed_or_went_since_is_named_in_one_line(
     copy.write_bytes(b"edited")
     assert "inputs/chart.png was edited" in refusal(capsys)
     shutil.rmtree(cut_short / "inputs")
-    assert "chart.png has changed since the run was rendered with it" in refusal(capsys)
+    assert "chart.png has changed since the run began" in refusal(capsys)
     (folder / "chart.png").unlink()
-    assert "chart.png is missing, which the run was rendered with" in refusal(capsys)
+    assert "chart.png is missing, which the run began with" in refusal(capsys)
     copy.parent.mkdir()
     copy.write_bytes(kept)
     assert main(["render", "--resume", "run"]) == 0
@@ -240,7 +240,7 @@ def test_a_file_that_changes_while_it_is_rendered_does_not_pass_for_what_was_ren
     assert main(["render", "scene.toml", "-o", "run"]) == 0
     assert not (folder / "run/inputs").exists()
     scene = run.open_run(folder / "run").scene
-    with pytest.raises(FileError, match=r"chart\.png has changed since the run was rendered with it"):
+    with pytest.raises(FileError, match=r"chart\.png has changed since the run began"):
         scene.resolve(scene.targets[0].material.texture or "")
 
 

@@ -119,7 +119,7 @@ def test_what_is_too_large_to_copy_is_looked_for_and_named(
     (tmp_path / "deep/er").mkdir(parents=True)
     shutil.move(tmp_path / "run", tmp_path / "deep/er/run")
     back = run.open_run(tmp_path / "deep/er/run").scene
-    with pytest.raises(FileError, match=r"ball\.stl is missing, which the run was rendered with") as caught:
+    with pytest.raises(FileError, match=r"ball\.stl is missing, which the run began with") as caught:
         back.resolve(glass.file)
     assert "\n" not in str(caught.value)
     shutil.copy(project / "parts/ball.stl", tmp_path / "deep/er/ball.stl")
@@ -127,7 +127,7 @@ def test_what_is_too_large_to_copy_is_looked_for_and_named(
 
     trimesh.creation.icosphere(1, 4.0).export(tmp_path / "deep/er/ball.stl")
     back = run.open_run(tmp_path / "deep/er/run").scene
-    with pytest.raises(FileError, match=r"ball\.stl has changed since the run was rendered"):
+    with pytest.raises(FileError, match=r"ball\.stl has changed since the run began"):
         back.resolve(glass.file)
 
 

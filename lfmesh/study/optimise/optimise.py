@@ -15,15 +15,12 @@ from lfmesh.scene.files import load
 from lfmesh.scene.literals import literal
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Term, Variable, read_design
 from lfmesh.study.optimise.figures import FIGURES, shown_value
-from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, term_residuals
+from lfmesh.study.optimise.problem import KEPT, Problem, Rated, excess_of, is_rounding, share_of
 from lfmesh.study.optimise.search import Say, Search
 from lfmesh.wrapping import wrapped
 
 REACHED = 1e-3
 """Deviation from a target, over its size, up to which it counts as reached."""
-
-LEAST_MERIT = 1e-18
-"""Of the merit at first: deviations that are a billionth of those at first are rounding."""
 
 UNLIKE, NOTHING = 0.1, 1e-6
 """Difference of two values of a figure of rays, over the larger, that is noted; and values so small that it is not."""
@@ -48,6 +45,13 @@ class TermResult:
     after: float
     share_before: float
     share_after: float
+
+    @property
+    def share_left(self) -> float:
+        """What a term adds to the merit after the search; 0 if that is rounding."""
+        goal = self.goal
+        rounding = isinstance(goal, Term) and is_rounding(goal, self.share_after, self.share_before)
+        return 0.0 if rounding else self.share_after
 
     @property
     def missed(self) -> str:
@@ -137,21 +141,12 @@ class Optimum(Shown):
         return f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}"
 
     def __repr__(self) -> str:
-        after, before = self.shown_merit(self.merit_after), self.shown_merit(self.merit_before)
-        return f"<Optimum: merit {after} from {before}, {len(self.missed)} not reached>"
+        return f"<Optimum: merit {self.merit_left:.6g} from {self.merit_before:.6g}, {len(self.missed)} not reached>"
 
-    def shown_merit(self, value: float) -> str:
-        """Return a merit, or what a term adds to it, for people: 0 where only rounding is left.
-
-        Parameters
-        ----------
-        value : float
-
-        Returns
-        -------
-        str
-        """
-        return f"{value if value > LEAST_MERIT * self.merit_before else 0.0:.6g}"
+    @property
+    def merit_left(self) -> float:
+        """The merit after the search, without terms of which only rounding is left."""
+        return sum(each.share_left for each in self.terms)
 
     def lines(self) -> list[str]:
         """Return the outcome for a terminal, a line each.
@@ -160,13 +155,13 @@ class Optimum(Shown):
         -------
         list of str
         """
-        lines = [f"merit {self.shown_merit(self.merit_before)} before, {self.shown_merit(self.merit_after)} after"]
+        lines = [f"merit {self.merit_before:.6g} before, {self.merit_left:.6g} after"]
         wide = max(len(each.goal.title) for each in (*self.terms, *self.constraints)) + 2
         lines.append(f"{'term':<{wide}}{'target':>12}{'before':>14}{'after':>14}{'of the merit':>14}")
         for each in self.terms:
             assert isinstance(each.goal, Term)
-            numbers = f"{each.goal.wanted:>12.6g}{each.before:>14.6g}{each.after:>14.6g}"
-            lines.append(f"{each.goal.title:<{wide}}{numbers}{self.shown_merit(each.share_after):>14}")
+            numbers = f"{each.goal.wanted:>12.6g}{each.before:>14.6g}{each.after:>14.6g}{each.share_left:>14.6g}"
+            lines.append(f"{each.goal.title:<{wide}}{numbers}")
         for each in self.constraints:
             assert isinstance(each.goal, Constraint)
             state = f"violates {each.goal.in_words}" if each.share_after else f"keeps {each.goal.in_words}"
@@ -325,8 +320,7 @@ def _compared(goal: Term | Constraint, first: Rated, best: Rated) -> TermResult:
         jet = rated.figures[goal]
         values.append(shown_value(goal.metric, jet.value))
         if isinstance(goal, Term):
-            residuals = term_residuals(goal, jet).value
-            shares.append(float(residuals @ residuals))
+            shares.append(share_of(goal, rated))
         else:
             excess = float(excess_of(goal, jet).value.max())
             shares.append(excess if excess > KEPT else 0.0)

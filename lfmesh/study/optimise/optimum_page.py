@@ -25,7 +25,7 @@ def page(found: Optimum) -> str:
         effort=found.effort,
         in_short=_in_short(found),
         missed=found.missed,
-        figures=[_cells(found, each) for each in (*found.terms, *found.constraints)],
+        figures=[_cells(each) for each in (*found.terms, *found.constraints)],
         variables=[
             [each.variable.title, shown_number(each.before), shown_number(each.after), each.note]
             for each in found.variables
@@ -36,13 +36,12 @@ def page(found: Optimum) -> str:
 
 
 def _in_short(found: Optimum) -> list[str]:
-    after = found.shown_merit(found.merit_after)
-    lines = [f"The merit was {found.shown_merit(found.merit_before)} and is {after}."]
-    if found.terms:
-        worst = max(found.terms, key=lambda each: each.share_after)
-        if float(after) and len(found.terms) > 1:
-            share = worst.share_after / found.merit_after
-            lines.append(f"{100.0 * share:.0f} % of it is of {worst.goal.title}, which is {worst.after:.6g}.")
+    left = found.merit_left
+    lines = [f"The merit was {found.merit_before:.6g} and is {left:.6g}."]
+    if left and len(found.terms) > 1:
+        worst = max(found.terms, key=lambda each: each.share_left)
+        share = worst.share_left / left
+        lines.append(f"{100.0 * share:.0f} % of it is of {worst.goal.title}, which is {worst.after:.6g}.")
     if found.constraints:
         lines.append(f"{len(found.constraints) - len(found.violated)} of {len(found.constraints)} limits are kept.")
     ends = [each.variable.title for each in found.variables if each.note.startswith("at the")]
@@ -51,11 +50,11 @@ def _in_short(found: Optimum) -> list[str]:
     return lines
 
 
-def _cells(found: Optimum, result: TermResult) -> list[str]:
+def _cells(result: TermResult) -> list[str]:
     goal = result.goal
     is_limit = isinstance(goal, Constraint)
     asked = goal.in_words if isinstance(goal, Constraint) else f"{goal.wanted:.6g}"
-    shares = ["", ""] if is_limit else [*map(found.shown_merit, (result.share_before, result.share_after))]
+    shares = ["", ""] if is_limit else [f"{share:.6g}" for share in (result.share_before, result.share_left)]
     return [goal.title, asked, f"{result.before:.6g}", f"{result.after:.6g}", *shares]
 
 

@@ -35,6 +35,9 @@ RENDERED_DIFFERENCE = 1e-2
 KEPT = 1e-6
 """Excess over a limit, over the limit's size, up to which a constraint is kept."""
 
+ROUNDING = 1e-9
+"""Deviation of a term, over its target and over that at first, that counts as rounding."""
+
 Picks = tuple[int, ...]
 """Number of the value of every choice."""
 
@@ -250,6 +253,17 @@ class Problem:
         excess = float(self.excess(rated).value.max(initial=0.0)) if self.design.constraints else 0.0
         return excess if excess > KEPT else 0.0
 
+    def is_exact(self, rated: Rated, first: Rated) -> bool:
+        """Tell whether a camera keeps all limits, and only rounding is left of each term of the merit.
+
+        Parameters
+        ----------
+        rated, first : Rated
+            The camera, which has all figures, and the one to begin with.
+        """
+        left = (is_rounding(term, share_of(term, rated), share_of(term, first)) for term in self.design.merit)
+        return not self.violation(rated) and all(left)
+
     def looked_at_again(self, place: Place) -> dict[Goal, float]:
         """Return figures of rays by more than twice as many rays across, of those that pass the camera itself.
 
@@ -359,6 +373,17 @@ def term_residuals(term: Term, values: Jet) -> Jet:
         square = Jet((values.value @ values.value)[None], 2.0 * (values.value @ values.slope)[None])
         return (square.root() - term.wanted) * term.weight
     return (values - term.wanted) * (term.weight / float(np.sqrt(len(values.value))))
+
+
+def share_of(term: Term, rated: Rated) -> float:
+    """Return what a term adds to the merit of a camera."""
+    residuals = term_residuals(term, rated.figures[term]).value
+    return float(residuals @ residuals)
+
+
+def is_rounding(term: Term, share: float, first: float) -> bool:
+    """Tell whether what a term adds to the merit is rounding, beside what it added at first and its target."""
+    return share <= ROUNDING**2 * max(first, (term.weight * term.wanted) ** 2)
 
 
 def excess_of(constraint: Constraint, values: Jet) -> Jet:

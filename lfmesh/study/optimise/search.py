@@ -2,9 +2,10 @@
 
 All of it is scipy's: `least_squares` (trust region reflective) with the derivatives of the problem, Latin hypercubes
 and `differential_evolution`. A camera that is not valid, or in which a ray loses its path, has no residuals; a step
-that leads to one is shortened.
+that leads to one is shortened. All ends where only rounding is left of the merit.
 """
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -59,6 +60,10 @@ LIMITS_ALONE = Pressure(1.0, 0.0, merit=0.0)
 Say = Callable[[str], None]
 
 
+class _ExactError(Exception):
+    """The best camera keeps all limits, and only rounding is left of its merit."""
+
+
 class Search:
     """A search that keeps the best camera it has seen.
 
@@ -96,8 +101,12 @@ class Search:
         self.beyond_reach = False
 
     def run(self) -> None:
-        """Search; the best camera is kept even if Ctrl-C ends it."""
+        """Search; the best camera is kept even if Ctrl-C ends it. Nothing is searched for beyond an exact one."""
         self.idle = idle_variables(self.problem)
+        with contextlib.suppress(_ExactError):
+            self._search()
+
+    def _search(self) -> None:
         asked = self.problem.design.search
         if asked.method == "global":
             self._evolve()
@@ -123,6 +132,8 @@ class Search:
             self.best = rated
         first, best = (self.problem.merit(each) for each in (self.first, self.best))
         self.say(f"cameras tried: {self.problem.evaluations}, merit {best:.4g} ({first:.4g} at first)")
+        if self.problem.is_exact(self.best, self.first):
+            raise _ExactError
         return rated
 
     def _places(self, count: int, seed: int) -> Iterator[Place]:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.study.optimise.design_file import DesignFile, Term, Variable
 from lfmesh.study.optimise.optimise import best_of, load_design
+from lfmesh.study.optimise.problem import Place, Problem, Rated
 from lfmesh.wrapping import COLUMNS
 from tests.study.optimise.designs import (
     PUBLISHED_SENSOR_MM,
@@ -53,6 +55,36 @@ def test_a_focal_length_is_met_by_the_radius_of_its_formula() -> None:
     assert found.merit_after < 1e-12 < found.merit_before
     assert not found.missed
     assert found.first == plano_convex()
+
+
+@pytest.mark.parametrize("search", [{"starts": 50}, {"method": "global"}])
+def test_a_search_ends_where_only_rounding_is_left_of_the_merit(search: dict[str, Any]) -> None:
+    """The first start meets the target, and no other is tried; least squares alone would go on to their own ends."""
+    variables = [{"path": RADIUS, "range": [20.0, 90.0]}]
+    found = lf.optimise(plano_convex(), variables, focal_length(80.0), search=search)
+    assert found.scene.camera.lens.surfaces[0].radius_mm == pytest.approx((INDEX - 1.0) * 80.0, rel=2e-9)
+    assert found.merit_after <= 1e-18 * 80.0**2
+    assert found.merit_left == 0.0
+    assert found.starts <= 1
+    met = lf.optimise(found.scene, variables, focal_length(80.0), search=search)
+    assert met.evaluations < 5
+    assert met.first == met.scene == found.scene
+
+
+def test_a_term_that_is_met_is_no_end_of_the_search_for_a_lighter_one() -> None:
+    """What is left may be less than 1e-18 of the merit at first: each term is judged by its own."""
+    variables = [Variable(path=RADIUS, range=(20.0, 90.0)), Variable(path=THICKNESS, range=(1.0, 6.0))]
+    heavy = Term(metric="efl_mm", target=80.0, weight=1e10)
+    light = Term(metric="centre_thickness_mm", target=4.0)
+    problem = Problem(DesignFile(scene="scene", variables=variables, merit=(heavy, light)), plano_convex())
+
+    def rated(radius_mm: float, thickness_mm: float) -> Rated:
+        values = zip(problem.knobs, (radius_mm, thickness_mm), strict=True)
+        return problem.rated(Place(np.array([knob.place(value) for knob, value in values]), ()))
+
+    first, one, both = (rated(*values) for values in ((40.0, 3.0), (48.0, 3.0), (48.0, 4.0)))
+    assert problem.merit(one) < 1e-18 * problem.merit(first)
+    assert [problem.is_exact(each, first) for each in (first, one, both)] == [False, False, True]
 
 
 @pytest.mark.parametrize("target", [40.0, 90.0])

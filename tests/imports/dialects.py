@@ -1,7 +1,8 @@
-"""Lenses written as other programs write them, for formats that the package reads alone."""
+"""Lenses as other programs write them, for formats that the package reads alone, and such as all programs read."""
 
 import json
 import math
+from collections.abc import Collection
 from typing import Any
 
 from scipy.spatial.transform import Rotation
@@ -9,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.imports.writing import entrance_pupil_mm
-from lfmesh.optics.glass import D_LINE_NM
+from lfmesh.optics.glass import D_LINE_NM, refractive_index
+from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 IMAGE_MM = 71.5
@@ -21,6 +23,27 @@ def terms(surface: lf.Surface) -> dict[int, float]:
     """Return the coefficients of a surface's sag by their power of r."""
     even = {4 + 2 * k: value for k, value in enumerate(surface.asphere_mm)}
     return even | {3 + 2 * k: value for k, value in enumerate(surface.odd_asphere_mm)}
+
+
+def in_common_words(lens: lf.Lens, mistaken: Collection[str] = ()) -> lf.Lens:
+    """Return a lens of surfaces and glasses that other programs read: bare, with at most seven terms, of revolution.
+
+    Parameters
+    ----------
+    lens : Lens
+    mistaken : collection of str
+        Glasses that the other program takes for others. They, bare indices (of which programs make an Abbe number of 0)
+        and tables (which programs interpolate in ways of their own) are given by nd and Vd.
+    """
+    surfaces = []
+    none = {"biconic": None, "toroid": None, "qcon": None, "qbfs": None, "coating": UNCOATED}
+    for surface in lens.surfaces:
+        update: dict[str, Any] = {"asphere_mm": surface.asphere_mm[:7], **none}
+        if surface.index is not None or isinstance(surface.glass, OwnGlass) or surface.glass in mistaken:
+            nd = refractive_index(surface.medium, D_LINE_NM)
+            update |= {"glass": OwnGlass(nd=nd, vd=50.0), "index": None}
+        surfaces.append(surface.model_copy(update=update))
+    return lens.model_copy(update={"surfaces": tuple(surfaces), "coatings": {}})
 
 
 def distance_mm(lens: lf.Lens, number: int) -> float:

@@ -14,7 +14,11 @@ import pytest
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.imports import read_lens_file, write_lens_file
+from lfmesh.imports.conditions import Conditions
+from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Paraxial, load_lens
+from tests.imports.dialects import in_common_words
+from tests.imports.test_round_trips import SENSOR_MM, random_lens
 
 SPEC = find_spec("rayoptics")
 pytestmark = pytest.mark.skipif(SPEC is None, reason="ray-optics is not there; tools/test --long installs it")
@@ -32,6 +36,15 @@ IN_SCOPE = [
     "codev/tests/unfolded_lenses_w_ape.seq",
     "zemax/tests/US00583336-2-scaled.zmx",
 ]
+OWN_DISPERSION = {
+    "codev/tests/CODV_49664.seq": 1e-8,
+    "codev/tests/CODV_65988_noDOE.seq": 5e-8,
+    "codev/tests/asp46.seq": 1e-8,
+}
+"""Files with glass by nd and Vd or a table, between whose lines each program interpolates in a way of its own, and how
+far off focal lengths (relative) and landings (mm) may be for that."""
+SAME = 1e-12
+"""As those of all other files."""
 FOR_LITHOGRAPHY = "zemax/tests/US05831776-1.zmx"
 """Read, and compared with nothing here: its object is near, and its light of 248 nm."""
 MIRRORS, TILTS = "mirrors are not supported", "the axis is not turned back"
@@ -104,8 +117,8 @@ def test_focal_lengths_are_those_of_ray_optics(name):
     truth = truth_of(name)
     lens, _ = read_lens_file(SAMPLES / name)
     paraxial = Paraxial.of(lens, truth.wavelength_nm)
-    assert paraxial.efl_mm == pytest.approx(truth.efl_mm, rel=1e-6)
-    assert paraxial.bfl_mm == pytest.approx(truth.bfl_mm, rel=1e-6)
+    assert paraxial.efl_mm == pytest.approx(truth.efl_mm, rel=OWN_DISPERSION.get(name, SAME))
+    assert paraxial.bfl_mm == pytest.approx(truth.bfl_mm, rel=OWN_DISPERSION.get(name, SAME))
 
 
 def farthest_mm(path, rays):
@@ -121,7 +134,7 @@ def farthest_mm(path, rays):
     sequence.gaps[0].thi = START_MM
     sequence.update_model()
     lens, report = read_lens_file(SAMPLES / path)
-    image_mm = next(float(note.split()[1]) for note in report.notes if note.startswith("image: "))
+    image_mm = report.conditions.image_mm
     before_mm = START_MM + truth.track_mm - sum(s.thickness_mm or 0.0 for s in lens.surfaces) - image_mm
     scene = lf.solved(
         lf.Scene(
@@ -155,21 +168,24 @@ def farthest_mm(path, rays):
 
 @pytest.mark.parametrize("name", IN_SCOPE)
 def test_real_rays_are_those_of_ray_optics(name):
-    assert farthest_mm(name, 40) < 1e-6
+    assert farthest_mm(name, 40) < OWN_DISPERSION.get(name, SAME)
 
 
 @pytest.mark.parametrize("ending", [".zmx", ".seq"])
-@pytest.mark.parametrize("name", ["edmund_55278_52mm", "double_gauss_100mm", "asphere_100mm"])
-def test_ray_optics_reads_what_is_written(tmp_path, name, ending):
-    lens = load_lens(f"lib:{name}")
+@pytest.mark.parametrize("of", ["edmund_55278_52mm", "double_gauss_100mm", "asphere_100mm", *range(10)])
+def test_ray_optics_reads_what_is_written(tmp_path, of, ending):
+    lens = load_lens(f"lib:{of}") if isinstance(of, str) else in_common_words(random_lens(of, ending))
+    # It reads no odd aspheres, and loses the order of surfaces between coordinate breaks.
+    surfaces = tuple(surface.model_copy(update={"odd_asphere_mm": ()}) for surface in lens.surfaces)
+    lens = lens.model_copy(update={"surfaces": surfaces, "elements": lens.elements if ending == ".seq" else ()})
     path = tmp_path / f"lens{ending}"
-    write_lens_file(lens, path)
+    write_lens_file(lens, path, Conditions(image_mm=SENSOR_MM))
     truth = truth_of(path)
     paraxial = Paraxial.of(lens, truth.wavelength_nm)
-    assert truth.wavelength_nm == pytest.approx(587.5618)
-    assert truth.efl_mm == pytest.approx(paraxial.efl_mm, rel=1e-6)
-    assert truth.bfl_mm == pytest.approx(paraxial.bfl_mm, rel=1e-6)
-    assert farthest_mm(path, 10) < 1e-8
+    assert truth.wavelength_nm == pytest.approx(D_LINE_NM)
+    assert truth.efl_mm == pytest.approx(paraxial.efl_mm, rel=SAME)
+    assert truth.bfl_mm == pytest.approx(paraxial.bfl_mm, rel=SAME)
+    assert farthest_mm(path, 10) < 10.0 * SAME
 
 
 @pytest.mark.parametrize("name", REFUSED)

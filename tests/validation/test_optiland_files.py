@@ -14,9 +14,9 @@ import pytest
 import lfmesh as lf
 from lfmesh.imports import read_lens_file, write_lens_file
 from lfmesh.imports.conditions import Conditions, FieldPoint
-from lfmesh.optics.glass import D_LINE_NM, refractive_index
+from lfmesh.optics.glass import D_LINE_NM
 from lfmesh.scene import Paraxial, load_lens
-from lfmesh.scene.materials.own_glass import OwnGlass
+from tests.imports.dialects import in_common_words
 from tests.imports.test_round_trips import SENSOR_MM, random_lens
 
 optic_part = pytest.importorskip("optiland.optic", reason="optiland is not there; tools/test --long installs it")
@@ -51,22 +51,34 @@ def optiland_lens(square: float):
 
 
 def assert_rays_agree(optic: Any, lens: lf.Lens, wavelength_nm: float) -> None:
-    """Compare ten rays of optiland's last field, spread over the pupil, with those of a lens here."""
-    pupil = np.random.default_rng(5).uniform(-0.6, 0.6, (2, 10))
-    optic.trace_generic(Hx=np.zeros(10), Hy=np.ones(10), Px=pupil[0], Py=pupil[1], wavelength=1e-3 * wavelength_nm)
+    """Compare where rays land, and which of them do, with what optiland finds on the surfaces.
+
+    It stops no ray at a clear aperture; those that it finds outside of one must end at a mount here.
+    """
+    from optiland.rays import RealRays
+
+    draw = np.random.default_rng(5)
+    square = 1.1 * (lens.aperture_mm(0) or 1.0) * draw.uniform(-1.0, 1.0, (200, 2))
+    starts = np.column_stack([square, np.full(200, -12.0)])
+    directions = np.column_stack([draw.uniform(-0.05, 0.05, (200, 2)), np.ones(200)])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    with np.errstate(all="ignore"):
+        optic.surfaces.trace(RealRays(*starts.T, *directions.T, np.ones(200), np.full(200, 1e-3 * wavelength_nm)))
     points = np.stack([np.asarray(getattr(optic.surfaces, axis)) for axis in "xyz"], axis=-1)
-    directions = np.stack([np.asarray(getattr(optic.surfaces, axis)) for axis in "LMN"], axis=-1)[0]
-    behind = float(points[-1, 0, 2]) - lens.vertices_mm[-1]
-    sensor = {"pixels": [4000, 4000], "pixel_mm": 0.02, "distance_mm": behind}
+    heights = np.hypot(points[1:-1, :, 0], points[1:-1, :, 1])
+    apertures = [lens.aperture_mm(number) for number in range(len(lens.surfaces))]
+    inside = (heights < np.array(apertures)[:, None]).all(axis=0) & np.isfinite(points[-1]).all(axis=1)
+    behind = float(np.median(points[-1, inside, 2])) - lens.vertices_mm[-1]
+    sensor = {"pixels": [800, 800], "pixel_mm": 0.5, "distance_mm": behind}
     scene = lf.Scene(
         camera={"lens": lens, "focus_mm": 5000.0, "sensor": sensor}, transport={"wavelengths_nm": [wavelength_nm]}
     )
-    starts = points[1] - 5.0 * directions
-    paths = lf.trace(
-        lf.build(scene, aimed=False), starts, directions, wavelength_nm, split="transmit", engine="sequential"
-    )
-    assert paths.source.tolist() == list(range(10))
-    np.testing.assert_allclose(paths.position, points[-1], rtol=0.0, atol=1e-8)
+    world = lf.build(scene, aimed=False)
+    paths = lf.trace(world, starts, directions, wavelength_nm, split="transmit", engine="sequential")
+    landed = paths.status == lf.Status.SENSOR
+    assert landed.sum() >= 10
+    np.testing.assert_array_equal(paths.source[landed], np.flatnonzero(inside))
+    np.testing.assert_allclose(paths.position[landed], points[-1, inside], rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("square", [0.0, SQUARE])
@@ -85,33 +97,14 @@ MISTAKEN = "SCHOTT/SF5"
 """Its catalogue files N-SF5 under this name, too, and gives that."""
 
 
-def in_words_of_optiland(lens: lf.Lens) -> lf.Lens:
-    """Return a lens with at most seven terms a surface, bare indices and a mistaken glass given by nd and Vd.
-
-    An Abbe number of 0 makes its indices infinite.
-    """
-    surfaces = []
-    for surface in lens.surfaces:
-        update: dict[str, Any] = {"asphere_mm": surface.asphere_mm[:7]}
-        if surface.index is not None or surface.glass == MISTAKEN:
-            nd = refractive_index(surface.medium, D_LINE_NM)
-            update |= {"glass": OwnGlass(nd=nd, vd=50.0), "index": None}
-        surfaces.append(surface.model_copy(update=update))
-    return lens.model_copy(update={"surfaces": tuple(surfaces)})
-
-
 NAMED = ["edmund_55278_52mm", "double_gauss_100mm", "asphere_100mm"]
 
 
-SEEDS = (0, 1, 2, 4, 6, 7, 8, 9)
-"""Of random lenses whose ten rays all land; of those of 3 none lands in optiland, of 5 eight here."""
-
-
-@pytest.mark.parametrize("of", [*NAMED, *SEEDS])
+@pytest.mark.parametrize("of", [*NAMED, *range(10)])
 def test_optiland_reads_what_is_written(tmp_path: Path, of: str | int) -> None:
     from optiland.fileio import load_zemax_file
 
-    lens = in_words_of_optiland(load_lens(f"lib:{of}") if isinstance(of, str) else random_lens(of, ".json"))
+    lens = in_common_words(load_lens(f"lib:{of}") if isinstance(of, str) else random_lens(of, ".json"), [MISTAKEN])
     image_mm = SENSOR_MM if isinstance(of, int) else Conditions.usual(lens).image_mm
     fields = (FieldPoint(), FieldPoint(0.0, 2.0))
     write_lens_file(lens, tmp_path / "lens.zmx", Conditions(fields=fields, image_mm=image_mm))

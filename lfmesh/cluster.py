@@ -21,7 +21,7 @@ SAID_SECONDS, ENDS_SECONDS = 10.0, 300.0
 """So long nothing is said of a cluster without a worker or a scheduler that answers; so long it is waited for."""
 
 GONE = "the scheduler is gone"
-"""What is said of a scheduler that answers no more."""
+"""Message for a scheduler that no longer answers."""
 
 _ANSWER_SECONDS = 5.0
 """Within which a scheduler that lives tells its workers."""

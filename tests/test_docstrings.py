@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Callable, Iterator
 from enum import Enum
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -119,6 +120,30 @@ def test_public_names_are_documented_to_the_end(name: str) -> None:
     assert list(faults_of_class(public)) == []
     wanting = {member: list(faults_of_member(value)) for member, value in members(public)}
     assert {member: faults for member, faults in wanting.items() if faults} == {}
+
+
+def asking(source: str) -> Iterator[str]:
+    """Yield the texts of a module, docstrings and what stands below a field, that begin as a question does."""
+    for node in ast.walk(ast.parse(source)):
+        text = node.value.value if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) else None
+        if isinstance(text, str) and re.match(r"(What|Where|How|Whether)\b", text):
+            yield text.splitlines()[0]
+
+
+def test_no_docstring_begins_as_a_question_does() -> None:
+    package = Path(lfmesh.__file__).parent
+    found = {str(path.relative_to(package)): list(asking(path.read_text())) for path in package.rglob("*.py")}
+    assert {path: texts for path, texts in found.items() if texts} == {}
+
+
+def test_what_is_missing_is_explained_by_the_first_sentence_of_its_docstring() -> None:
+    with pytest.raises(lfmesh.SceneError, match=r"power_w: missing: Power .* of `transport\.wavelengths_nm`, .* end$"):
+        lfmesh.PointLight(position_mm=(0.0, 0.0, 0.0))  # type: ignore[call-arg]
+
+
+def test_a_question_is_found_in_every_place() -> None:
+    module = '"""What it is."""\n\nclass A:\n    """How it is."""\n\n    x: int\n    """Where."""\n'
+    assert list(asking(module)) == ["What it is.", "How it is.", "Where."]
 
 
 LACKS = ["parameter number", "result", "error ValueError"]

@@ -19,10 +19,10 @@ CELLS = 64
 """Cells along a side of the square round the disk at first."""
 
 HALVINGS = 4
-"""How often cells at an edge are divided."""
+"""Number of divisions of a cell at an edge."""
 
 SEARCHES = 5
-"""How often the side of a dark cell is halved to find light between two kinds of darkness."""
+"""Number of halvings of a dark cell's side to find light between two kinds of darkness."""
 
 BISECTIONS = 10
 """Of the side of a cell, to find where an edge crosses it."""

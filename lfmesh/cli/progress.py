@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 STATUS_SECONDS = 10.0
-"""Where there is no terminal, what is being done is said no more often."""
+"""Shortest time between two lines of progress without a terminal."""
 
 
 @contextmanager

@@ -34,7 +34,7 @@ ABOUT = {
     "translation_mm; distortion k1, k2, p1, p2; errors in samples; without values: the lens stops the view's rays",
     "orientation": f"maps {ON_SENSOR}",
 }
-"""What the arrays mean."""
+"""Meaning of the arrays."""
 
 COORDINATES = "xyab"
 """Names of the four coordinates of a ray in the channels of the footprint."""

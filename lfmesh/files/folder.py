@@ -34,7 +34,7 @@ FORMAT = 1
 """Of the manifest; a reader refuses any other."""
 
 FORGOTTEN_SECONDS = 86_400.0
-"""Where files cannot be locked, staging as old as this is that of a dead process."""
+"""Age of staging that belongs to a dead process, where files cannot be locked."""
 
 
 class Entry(NamedTuple):

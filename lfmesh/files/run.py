@@ -47,7 +47,7 @@ from lfmesh.scene.literals import shown_path
 from lfmesh.transport.render.image import Image
 
 WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
-"""What is wrong with runs of older formats, and with what was made from them."""
+"""Faults of runs of older formats and of what was made from them, by format."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"

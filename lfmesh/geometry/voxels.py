@@ -39,7 +39,7 @@ WRITERS = {".npz": "numpy.savez", ".npy": "numpy.save"}
 
 _NO_NUMBERS = {"c": "complex numbers", "O": "Python objects", "S": "text", "U": "text", "V": "records",
                "M": "dates", "m": "times"}  # fmt: skip
-"""What arrays hold that are no real numbers, by numpy's kind of their type."""
+"""Content of arrays that are no real numbers, by numpy's kind of their type."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ them. None is a maker's glass: samples differ in the third digit of the index, a
 ordinary rays."""
 
 SPECIAL = "_SPECIAL"
-"""What CODE V writes behind a material that is in no maker's catalogue."""
+"""Suffix that CODE V writes behind a material that is in no maker's catalogue."""
 
 
 def _material(name: str) -> tuple[str, str] | None:

@@ -27,7 +27,7 @@ from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.materials.matter import Matter
 
 OFF_MM = 1e-9
-"""How far a surface may lie off after its term in r² was rewritten."""
+"""Largest deviation of a surface after its term in r² was rewritten."""
 
 MOST_LISTED = 20
 """Configurations whose focal lengths are noted."""

@@ -40,7 +40,7 @@ _KNOWN = {
     "file": ("version", "name", "aperture", "fields", "wavelengths", "surface_group"),
 }
 _WITHOUT_EFFECT = ("ray_tracer", "pickups", "solves")
-"""How rays are aimed, and what an optimisation holds: present values stand in the surfaces."""
+"""Keys about aiming and optimisation, which are ignored: present values stand in the surfaces."""
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
@@ -253,4 +253,4 @@ def _table(entry: Any, name: str) -> Mapping[str, Any]:
 
 
 _KINDS = {dict: "object", list: "list", str: "text", int | float: "number"}
-"""What JSON calls the kinds of values."""
+"""JSON's names of the kinds of values."""

@@ -27,13 +27,13 @@ class FileSurface:
     """A surface as the file has it, lengths in the file's unit."""
 
     line: int
-    """Where it starts in the file, from 1."""
+    """Line of the file at which it starts, from 1."""
     text: str = ""
     curvature: float = 0.0
     thickness: float = 0.0
     glass: str | None = None
     glass_line: tuple[int, str] | None = None
-    """Where the glass stands, if not on the surface's own line."""
+    """Line of the glass, if not the surface's own."""
     model: tuple[float, float] | None = None
     """nd and Vd in place of a name."""
     stated_index: float | None = None
@@ -48,7 +48,7 @@ class FileSurface:
     forbes: tuple[str, float, list[float]] | None = None
     """"qbfs" or "qcon", the radius that heights are counted in, and the coefficients, of a Forbes asphere."""
     rewritten: SquareTerm | None = None
-    """What the surface was before that term was put into the others."""
+    """Surface before that term was put into the others."""
     section: str | None = None
     """"biconic" or "toroid", where the section x–z is another one: the other shape is that of y–z."""
     curvature_x: float = 0.0
@@ -63,7 +63,7 @@ class FileSurface:
     focal_length: float | None = None
     """Of a thin lens in the surface's place; NaN: not given."""
     is_break: bool = False
-    """Whether it is a move of the frame alone, in the medium that is there."""
+    """True for a move of the frame alone, in the medium that is there."""
     before: Move | None = None
     """Of the frame, before the surface."""
     after: Move | None = None

@@ -31,7 +31,7 @@ _LENS = "camera.lens"
 _TOO_DEEP = "tables or lists stand too deep in one another; no scene needs that"
 
 LIBRARY = "lib:"
-"""What the name of a lens that comes with lfmesh starts with, in place of a path."""
+"""Prefix of the name of a lens that comes with lfmesh, in place of a path."""
 
 
 def load(path: str | Path) -> Scene:

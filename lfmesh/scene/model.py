@@ -6,6 +6,7 @@ upwards as one list, so that the outermost caller can name the whole path of eac
 """
 
 import difflib
+import re
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -34,7 +35,7 @@ LONGEST_KEY = 60
 """Characters of a key that a message shows."""
 
 NOT_TRIED = "default_factory_not_called"
-"""What pydantic calls a default that depends on a field with a fault, which is reported by itself."""
+"""Pydantic's type of error for a default that depends on a faulty field, which is reported by itself."""
 
 Location = tuple[str | int, ...]
 
@@ -242,6 +243,10 @@ def _follows(detail: ErrorDetails) -> bool:
     return detail["type"] == NOT_TRIED
 
 
+def _first_sentence(text: str) -> str:
+    return re.split(r"\.(?=\s|$)", " ".join(text.split()), maxsplit=1)[0]
+
+
 def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
     """Say in the scene's terms what pydantic found, or pass on what a nested model has said already."""
     where, value, kind, limits = detail["loc"], detail["input"], detail["type"], detail.get("ctx", {})
@@ -253,7 +258,7 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
         return Fault(where, None, f"unknown key{nearest(key, keys)}; valid here: {', '.join(keys)}")
     if kind == "missing":
         field = cls.model_fields.get(str(where[0]))
-        meaning = f": {field.description.split('.')[0]}" if len(where) == 1 and field and field.description else ""
+        meaning = f": {_first_sentence(field.description)}" if len(where) == 1 and field and field.description else ""
         return Fault(where, None, f"missing{meaning}")
     if kind == "union_tag_not_found":
         return Fault(where, value, "needs a key `kind` that says what it is")

@@ -171,7 +171,7 @@ number_per_type_schema = WithJsonSchema(
         ]
     }
 )
-"""What an editor is told of a number, or a list of up to three: one a lenslet type."""
+"""JSON Schema of a number, or a list of up to three: one a lenslet type."""
 
 OneOrMore = Annotated[
     tuple[Annotated[Number, AfterValidator(_bends)], ...],

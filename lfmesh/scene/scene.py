@@ -55,7 +55,7 @@ class Scene(Model, Shown):
     schema_version: Literal[1] = 1
     """Version of this format."""
     name: Text = ""
-    """What the scene is called."""
+    """Name of the scene."""
     camera: Camera
     """Lens, microlens array and sensor."""
     targets: tuple[Target, ...] = Field(default=(), json_schema_extra=or_table(GltfTargets))
@@ -63,15 +63,15 @@ class Scene(Model, Shown):
     tanks: tuple[Tank, ...] = ()
     """Boxes of windows and liquid in front of the camera."""
     lights: tuple[Light, ...] = Field(default=(), json_schema_extra=or_table(GltfLights))
-    """What lights them; in a file also { file = "scene.glb" }: every light of a glTF file."""
+    """Lamps; in a file also { file = "scene.glb" }: every light of a glTF file."""
     media: tuple[Medium, ...] = ()
-    """What light passes through on its way: flames, fog, smoke."""
+    """Media that light passes through on its way: flames, fog, smoke."""
     particles: tuple[Particles, ...] = ()
     """Points in front of the camera that shine, or that light sheets light."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
-    """How to trace the light."""
+    """Settings of the light's transport."""
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)

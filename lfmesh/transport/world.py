@@ -104,10 +104,10 @@ class World(Shown):
         self.lines = Lines.of(scene)
         self.particles = particles
         self.kept: dict[str, Any] = {}
-        """What renders have found of it, and no seed changes, by name; shared with all `reseeded` copies."""
+        """Findings of renders that no seed changes, by name; shared with all `reseeded` copies."""
         self._find_aim = find_aim
         self._how = how
-        """How it was built from its scene: keywords of `build`."""
+        """Keywords of `build` by which it was built from its scene."""
         self.warnings: tuple[PictureWarning, ...] = ()
 
     def __repr__(self) -> str:

@@ -14,7 +14,7 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.render.image import Image
 
 UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"
-"""What ``export.json`` says of the order of pixels."""
+"""Order of pixels, as ``export.json`` states it."""
 
 LIT = 0.1
 """Pixels whose white is above this share of its bright pixels set the exposure of the raw image."""

@@ -30,7 +30,7 @@ BOUND = 1.05
 """Factor on the largest values found, for what lies between the samples."""
 
 BEYOND_CELL = 1.05
-"""How far a profile is defined, over the distance to the cell's corner: aimed cells are a little larger."""
+"""Extent of a profile over the distance to the cell's corner: aimed cells are a little larger."""
 
 TINY = float(np.finfo(np.float64).tiny)
 

@@ -39,7 +39,7 @@ GRACE_SECONDS = 60
 """Processor time after its limit, in which the signal of that limit ends the process."""
 
 TURN_RAD = 0.1
-"""How far a facet's edge may turn on a curved face."""
+"""Largest turn of a facet's edge on a curved face."""
 
 COARSE_MM = 1e12
 """Tolerance of the first mesh, which tells the size of the bodies."""

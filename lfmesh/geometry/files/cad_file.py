@@ -56,7 +56,7 @@ OUT_OF_TIME, ENDED_BY_SYSTEM = -24, -9
 """Codes of a process that ends by SIGXCPU, when its processor time is over, and by SIGKILL, when memory runs short."""
 
 STRETCHED = 1e-12
-"""How far a body's frame may be from a rotation: rounding."""
+"""Largest deviation of a body's frame from a rotation: rounding."""
 
 
 def bodies_of_3mf(path: Path) -> list[tuple[str, Array, Array]]:

@@ -28,7 +28,7 @@ LONGEST_NAME = 100
 
 REPEATS = 10497
 WRAPS = {REPEATS: "repeat", 33071: "clamp", 33648: "mirror"}
-"""How pictures go on outside 0..1, by glTF's numbers (glTF 2.0, section 5.27)."""
+"""Continuation of pictures outside 0..1, by glTF's numbers (glTF 2.0, section 5.27)."""
 REPEAT = ("repeat", "repeat")
 WRAP = "wrap"
 """Key of trimesh's metadata that holds a geometry's pair of these."""

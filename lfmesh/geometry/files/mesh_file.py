@@ -40,7 +40,7 @@ UNIT_OF_FORMAT = {".glb": "m", ".gltf": "m"}
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
 FARTHEST_MM = 1e15
-"""What a coordinate may be: that of a scene's own numbers."""
+"""Largest coordinate: that of a scene's own numbers."""
 
 MOST_ENTRIES = 10**9
 """Of one accessor of a glTF file: more than memory holds, and more than a mesh needs."""

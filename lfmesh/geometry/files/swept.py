@@ -29,7 +29,7 @@ FARTHEST = 50.0
 """Parameter of a hyperbola and a parabola, which have no end: beyond, it is farther than any lens."""
 
 Outside = Callable[[Array], Array]
-"""How far points (n, 3) lie outside a box, mm; 0 for those inside."""
+"""Distance of points (n, 3) outside a box, mm; 0 for those inside."""
 
 
 def curve_in_box(curve: dict[str, Any], place: frame.Frame, outside: Outside) -> Array:

@@ -30,7 +30,7 @@ PIXEL_SHARE = 0.1
 """Error at the sensor, in pixels, that the default tessellation of the other levels stays below, where it can."""
 
 ORDER = {"flat": 1.0, "smooth": 2.0, "patch": 3.0}
-"""How the error at the sensor falls with the facets' size."""
+"""Order by which the error at the sensor falls with the facets' size."""
 
 
 @dataclass
@@ -50,9 +50,9 @@ class LensShape:
     closures: list[Mesh]
     """closures[k] joins the rims of surfaces k and k + 1 and faces the axis."""
     media: list[Medium]
-    """What fills each space: K + 1 entries, the object medium first, air last."""
+    """Medium of each space: K + 1 entries, the object medium first, air last."""
     analytic: NDArray[np.bool_]
-    """Whether each surface has an analytic parent, or is a mesh from a file."""
+    """Surfaces with an analytic parent; the others are meshes from a file."""
     errors_mm: Array
     """(K,) estimated rms error at the sensor that each surface's mesh makes; NaN for a mesh from a file."""
 

@@ -186,7 +186,7 @@ MAX_WALK = 8
 """Patches that a hit may be handed on through before the facet itself has to do."""
 
 INSIDE = 1e-9
-"""How far outside its patch a root may lie, in units of the patch: rounding, which no neighbour would mend."""
+"""Largest distance of a root outside its patch, in units of the patch: rounding, which no neighbour would mend."""
 
 
 @kernel

@@ -13,7 +13,7 @@ MAX_TEXELS = 2**27
 """1.6 GB of linear light."""
 
 _NOISE = 1e-6
-"""How far a uv may overshoot the picture by rounding, in pictures, without asking for another repeat."""
+"""Largest overshoot of a uv beyond the picture by rounding, in pictures, that asks for no further repeat."""
 
 
 PERIODS = {"repeat": 1, "mirror": 2}

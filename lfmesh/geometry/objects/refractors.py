@@ -28,7 +28,7 @@ from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.inputs import file_stamp
 
 RIM_MARGIN = 0.02
-"""How far inside the mesh's rim the clear aperture ends, where none is given; relative."""
+"""Relative distance of the clear aperture's edge inside the mesh's rim, where no aperture is given."""
 
 FLAT_SHADED = 1e-3
 """Angle in rad from its facet's normal within which a corner normal says no more than the facet does."""

@@ -19,8 +19,8 @@ Texture = NDArray[np.float32]
 
 
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF")
-"""What is opened, as Pillow names it, whatever a file's name ends in. Pillow knows more: PostScript, for which it
-starts another program, and formats whose readers break on damaged files."""
+"""Formats that are opened, named as by Pillow, whatever a file's name ends in. Pillow knows more: PostScript, for which
+it starts another program, and formats whose readers break on damaged files."""
 
 MOST_PIXELS = 2**26
 """Of one picture: as linear light they take 0.8 GB."""

@@ -22,7 +22,7 @@ from lfmesh.scene import Surface
 from lfmesh.scene.camera.sections import Toroid
 
 ON_SURFACE = 1e-6
-"""How far a vertex may lie off its surface, in parts of the farthest coordinate: what float32 leaves, and some more."""
+"""Largest distance of a vertex from its surface, over the farthest coordinate: float32's rounding and a margin."""
 
 ON_AXIS = 1e-9
 """Tilt in rad of a plane or an axis below which it stands square to z or along it: CAD programs' rounding."""
@@ -51,7 +51,7 @@ INDEPENDENT = 1e-3
 """Ratio of the singular values of the terms at the vertices above which these tell the terms apart."""
 
 BESIDE = 1e-3
-"""How far outside a face's box a swept curve may be sampled, in parts of its radius."""
+"""Largest distance outside a face's box at which a swept curve is sampled, in parts of its radius."""
 
 MOST_FITTED = 8
 """Swept surfaces that are fitted where a face is: a file may put any number there, and each takes its time."""

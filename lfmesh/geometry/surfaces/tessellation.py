@@ -18,7 +18,7 @@ from lfmesh.geometry.surfaces.sag import gradients, heights, normals, reach, sag
 from lfmesh.geometry.surfaces.surface import in_place, is_revolved
 
 OVERREACH = 0.02
-"""How far a mesh reaches beyond its clear aperture, relative; the aperture itself is cut in float64."""
+"""Relative reach of a mesh beyond its clear aperture, which itself is cut in float64."""
 
 FLOAT32_MARGIN = 2.0**-20
 """Some roundings of a float32 coordinate, relative."""

@@ -19,7 +19,7 @@ WIDTH_OVER_DISTANCE = 12.0
 """Rays leave the lens at up to 80° from its axis and still meet the plane."""
 
 FOCAL_LENGTHS_AWAY = 10.0
-"""How far off the plane stands; a uniform plane looks the same from anywhere."""
+"""Distance of the plane; a uniform plane looks the same from anywhere."""
 
 
 def white_scene(scene: Scene) -> Scene:

@@ -24,13 +24,13 @@ from lfmesh.scene.first_order.solve import image_plane_mm
 Array = NDArray[np.float64]
 
 UPRIGHT = "upright"
-"""What files say of pictures whose columns run along +x and whose rows run along −y of object space."""
+"""Label in files of pictures whose columns run along +x and whose rows run along −y of object space."""
 
 ON_SENSOR = (
     "as on the sensor: the middle of row r and column c lies at y = (r - (rows - 1) / 2) * pixel and "
     "x = (c - (columns - 1) / 2) * pixel in the sensor's frame"
 )
-"""What files say of raw images and places in them."""
+"""Label in files of raw images and places in them."""
 
 
 @dataclass(frozen=True)

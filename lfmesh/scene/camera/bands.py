@@ -36,7 +36,7 @@ class Band(Model):
     """A range of wavelengths that the sensor detects together: a Gaussian, or a measured response."""
 
     name: Text
-    """What the channel is called: letters, digits, _ and -."""
+    """Name of the channel: letters, digits, _ and -."""
     center_nm: Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)] | None = None
     """Wavelength of the peak of a Gaussian response, which is 1, in nm."""
     fwhm_nm: Positive | None = None

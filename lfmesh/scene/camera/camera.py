@@ -26,7 +26,7 @@ class Camera(Model):
     """Distance of the object plane in front of the first vertex (or of the sensor, by `focus_from`), in mm; solves the
     omitted distances. inf focuses on infinity."""
     focus_from: Literal["first_vertex", "sensor"] = "first_vertex"
-    """Where `focus_mm` is measured from. "sensor", as the distance scales of photographic lenses: of the two object
+    """Origin of `focus_mm`. "sensor", as the distance scales of photographic lenses: of the two object
     planes at that distance it means the farther one, whose image is no larger than the object."""
     lens: Lens
     """The main lens."""
@@ -35,7 +35,7 @@ class Camera(Model):
     sensor: Sensor
     """The sensor."""
     absorption: Flag = False
-    """Whether the glasses of lens, array and sensor cover absorb light, by the catalogue's internal transmittance. A
+    """Absorption in the glasses of lens, array and sensor cover, by the catalogue's internal transmittance. A
     glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
     air: Air | None = None
     """Temperature and pressure of the air, where they are not the catalogues' 20 °C and 101.325 kPa. Every glass and
@@ -49,8 +49,8 @@ class Camera(Model):
     sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along
     the axis square to that, as dichroic sheets do. Needs `transport.polarisation`."""
     pose: Pose = Field(default_factory=Pose, json_schema_extra=or_table(GltfPose))
-    """Where the camera stands in the world; omitted, the world frame is the camera frame. In a file also
-    { file = "scene.glb" }: where a camera of a glTF file stands."""
+    """Place of the camera in the world; omitted, the world frame is the camera frame. In a file also
+    { file = "scene.glb" }: the place of a camera of a glTF file."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

@@ -74,7 +74,7 @@ class Surface(Model):
     `epd_mm` sets. Where a stop is marked, the others may, too: by paraxial rays they then pass the whole beam of every
     point of the picture, with 5 % to spare, unless the surface ends or meets its neighbour before."""
     stop: Flag = False
-    """Whether this surface's aperture is the aperture stop of the lens."""
+    """Mark of the surface whose aperture is the aperture stop of the lens."""
     coating: Text = UNCOATED
     """Name of a coating of the scene or of the lens, or "none": bare."""
     finish: AnyFinish = POLISHED
@@ -519,9 +519,9 @@ class Lens(Model):
     """Zemax's coating file that defines the coatings which a .zmx file names, relative to the scene file; if left out,
     the one beside the lens file."""
     name: Text | None = None
-    """What the lens is called."""
+    """Name of the lens."""
     source: Text | None = None
-    """Where the prescription was published."""
+    """Publication that the prescription is taken from."""
     surfaces: tuple[Surface, ...] = ()
     """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame."""
     stop_semi_diameter_mm: Positive | None = None

@@ -45,7 +45,7 @@ class FocusedLenslets:
     to_sensor_mm: float
     """From the lenslet to the sensor, as in air."""
     main_image_mm: float
-    """How far before the lenslets the plane lies that they image onto the sensor; negative behind them."""
+    """Distance before the lenslets of the plane that they image onto the sensor; negative behind them."""
     virtual_depth: float
     """The same over the distance from lenslet to sensor, with its sign. Its modulus is how often smaller a lenslet
     images; lenslets resolve one over it of what the sensor's pixels would."""

@@ -23,7 +23,7 @@ class AtWavelength:
     efl_mm: float
     bfl_mm: float
     image_shift_mm: float
-    """How far behind that of the primary wavelength the image of the plane in focus lies."""
+    """Distance of the focused plane's image behind that of the primary wavelength."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class FirstOrder(Shown):
     """The plane in focus, before the first vertex: what is imaged onto the apexes of a standard camera's array, by the
     lenslets (of the middle focal length) of a focused one onto the sensor, or onto a conventional camera's sensor."""
     image_z_mm: float
-    """Where the lens images this plane: the apexes, seen through the plate where its flat face looks at the lens;
+    """Position of this plane's image: the apexes, seen through the plate where its flat face looks at the lens;
     before or behind them in a focused camera; or the sensor of a conventional one."""
     lenslets_z_mm: float | None
     """The apexes, seen through the plate where its flat face looks at the lens."""
@@ -108,7 +108,7 @@ class FirstOrder(Shown):
     """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
     refocus range, the plane in focus, the far end. Of a photograph of all views."""
     cover_shift_mm: float | None = None
-    """How far the sensor's cover moves the image away from the lens, t (1 - 1/n); None without a cover. The sensor
+    """Shift of the image away from the lens by the sensor's cover, t (1 - 1/n); None without a cover. The sensor
     stays where the scene puts it; the other figures are those behind the cover."""
     by_wavelength: tuple[AtWavelength, ...] = ()
     """The lens at each wavelength or band, if there are several."""
@@ -118,7 +118,7 @@ class FirstOrder(Shown):
     object_index: float = 1.0
     """Refractive index of the medium before the lens."""
     image_x_shift_mm: float | None = None
-    """How far behind the image plane the section x–z has the image of the plane in focus."""
+    """Distance of the focused plane's image in the section x–z behind the image plane."""
     focused: tuple[FocusedLenslets, ...] = ()
     """Lenslets of a focused plenoptic camera, by type."""
     lenslet_sections: tuple[LensletSection, ...] = ()
@@ -127,7 +127,7 @@ class FirstOrder(Shown):
     poses: tuple[str, ...] = ()
     """Lens elements, array and sensor with a pose, a line each; every figure is that of the camera without them."""
     warnings: tuple[str, ...] = ()
-    """What is likely to disappoint, in plain words."""
+    """Warnings of likely disappointments, in plain words."""
 
     def __repr__(self) -> str:
         lens = f"f = {self.efl_mm:.5g} mm, f/{self.working_f_number:.3g}"

@@ -21,7 +21,7 @@ from lfmesh.scene.scene import Scene
 M = TypeVar("M", bound=Model)
 
 BEYOND = 1e-6
-"""How far inside a limit that is itself not valid an advised value lies, relative."""
+"""Relative distance of an advised value inside a limit that is itself not valid."""
 
 SPARE = 0.05
 """Share by which solved clear apertures are wider than the beams that they pass."""

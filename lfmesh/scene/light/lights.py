@@ -51,9 +51,9 @@ Polarisation = Annotated[LinearPolarisation | CircularPolarisation, Field(discri
 
 class _Shines(Model):
     spectrum: Shape | None = None
-    """How its power is spread by wavelength, in any unit: an illuminant's name such as "D65", a table
+    """Spectrum of its power, in any unit: an illuminant's name such as "D65", a table
     { wavelengths_nm = [...], values = [...] }, a CSV file with the columns wavelength_nm and value, or
-    { blackbody_k = ... }; evenly if omitted. Needs bands."""
+    { blackbody_k = ... }; the same at all wavelengths if omitted. Needs bands."""
 
 
 class PointLight(_Shines):
@@ -62,7 +62,7 @@ class PointLight(_Shines):
     kind: Literal["point"] = "point"
     """Which light this is."""
     position_mm: Vector
-    """Where it stands, in mm."""
+    """Position, in mm."""
     power_w: Positive
     """Power into all directions together, in W: at each wavelength of `transport.wavelengths_nm`, or with
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
@@ -82,7 +82,7 @@ class PointLight(_Shines):
 
 class _Directed(_Shines):
     direction: Vector
-    """Where the light goes; of any length from 1e-100 to 1e100."""
+    """Direction of the light; of any length from 1e-100 to 1e100."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield a direction without direction."""
@@ -122,7 +122,7 @@ class SpotLight(_Directed):
     kind: Literal["spot"] = "spot"
     """Which light this is."""
     position_mm: Vector
-    """Where it stands, in mm."""
+    """Position, in mm."""
     half_angle_deg: HalfAngle | None = None
     """Angle between the cone's axis and its outer edge, in degrees, up to 180. Or give `profile`."""
     edge_deg: NonNegative = 0.0

@@ -45,7 +45,7 @@ class Sheet(Model):
     normal: Vector
     """Square to the sheet; of any length from 1e-100 to 1e100."""
     direction: Vector
-    """Where the light goes, in the sheet; of any length from 1e-100 to 1e100."""
+    """Direction of the light in the sheet; of any length from 1e-100 to 1e100."""
     thickness_mm: Positive
     """Full thickness of the sheet, in mm, where the irradiance is 1/e² of that in its middle."""
     width_mm: Positive
@@ -146,7 +146,7 @@ class Particles(Model):
     """Points that shine alike in all directions, or scatter the light of a light sheet."""
 
     name: Text | None = None
-    """What they are called in messages."""
+    """Name of the particles in messages."""
     file: FilePath | None = None
     """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm and, without `sheet` and
     `intensity_w_sr`, intensity_w_sr. Or give `count` and `bounds`."""
@@ -157,7 +157,7 @@ class Particles(Model):
     seed: Whole = 0
     """Of their places (no unit); the same seed draws the same places."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where the centre of `bounds`, or the origin of the file's places, lies, in mm."""
+    """Position of the centre of `bounds`, or of the origin of the file's coordinates, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations of `bounds`, or of the file's places, about x, then y, then z, in degrees."""
     intensity_w_sr: NonNegative | None = None
@@ -165,17 +165,17 @@ class Particles(Model):
     `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
     last one's end."""
     spectrum: SpectralShape | None = None
-    """How their power, or that of the sheet, is spread by wavelength, in any unit; as of lights. Needs bands."""
+    """Spectrum of their power, or of the sheet's, in any unit; as of lights. Needs bands."""
     sheet: Sheet | None = None
     """The light sheet that lights them, in place of an intensity of their own."""
     phase: Phase = Field(default_factory=IsotropicPhase)
-    """How they scatter its light: a table with `kind` "isotropic", "henyey_greenstein", "rayleigh", "mie" or
+    """Phase function of the sheet's light: a table with `kind` "isotropic", "henyey_greenstein", "rayleigh", "mie" or
     "table"."""
     diameter_um: Positive | None = None
     """Diameter, in µm, of particles that scatter as much light as falls on their cross-section. With `kind = "mie"`,
     where the diameter stands in `phase`, the scattering cross-section follows from it."""
     displacement: Displacement | None = None
-    """Where they move from one frame to the next, for image pairs: a table with `kind` "uniform", "rotation",
+    """Displacement from one frame to the next, for image pairs: a table with `kind` "uniform", "rotation",
     "vortex" or "file"."""
     frame: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 0
     """Number of times that they have been displaced (no unit)."""

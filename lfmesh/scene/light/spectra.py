@@ -106,7 +106,7 @@ Coefficient = Annotated[
 """A coefficient in 1/mm: a number, or by wavelength."""
 
 Shape = Annotated[Spectrum, BeforeValidator(_of_text, json_schema_input_type=str | Spectrum)]
-"""How a power is spread by wavelength, in any unit."""
+"""Distribution of a power over wavelength, in any unit."""
 
 
 def coefficient_faults(value: float | Spectrum, where: Location) -> Iterator[Fault]:

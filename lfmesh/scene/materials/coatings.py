@@ -144,7 +144,7 @@ class Coating(Model):
     to 90) and reflectance, every angle at every wavelength; what is not reflected passes. Between wavelengths it is
     linear, between angles a monotone cubic in the cosine, as layers behave: give angles close enough."""
     measured: MeasuredReflectance | None = None
-    """What such a file holds, in its place."""
+    """Content of such a file, in its place."""
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 

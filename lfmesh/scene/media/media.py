@@ -46,7 +46,7 @@ class Grid(Model):
     emission_w_mm3_sr or temperature_k, with spacing_mm and, if its middle is not the medium's own origin, origin_mm
     (centre of voxel 0); a `.npy` file with a single array; or VTK image data, `.vti`, with arrays named so, in mm."""
     quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
-    """What the array of a `.npy` file is, or the only one of a `.vti` file."""
+    """Quantity in the array of a `.npy` file, or in the only one of a `.vti` file."""
     spacing_mm: tuple[Positive, Positive, Positive] | None = None
     """Distance between neighbouring voxels along x, y and z, in mm, where the file does not say."""
     origin_mm: Vector | None = None
@@ -70,7 +70,7 @@ class Medium(Model):
     """
 
     name: Text | None = None
-    """What the medium is called in reports."""
+    """Name of the medium in reports."""
     bounds: AnyBounds | None = None
     """A box, sphere or cylinder, or a closed mesh by its `file`, about the medium's own origin. Omitted: where its grid
     is or, without a grid, all of the body that it is inside, or else everywhere in front of the first lens vertex, so
@@ -88,15 +88,15 @@ class Medium(Model):
     """Emission of a cubic millimetre in each direction, in W/(mm³ sr): a number at each wavelength, or in bands over
     the whole range that they reach; by wavelength in W/(mm³ sr nm), which needs bands."""
     spectrum: SpectralShape | None = None
-    """How the emission, a number or that of a grid, is spread by wavelength, in any unit; evenly if omitted. Needs
+    """Spectrum of the emission, a number or that of a grid, in any unit; the same at all wavelengths if omitted. Needs
     bands."""
     temperature_k: Kelvin | None = None
     """Temperature, in K, in place of an emission: the medium emits what it absorbs of a black body's radiance (Planck,
     Kirchhoff). Needs bands."""
     phase: Phase = Field(default_factory=IsotropicPhase)
-    """How scattered light is spread over directions."""
+    """Phase function: distribution of scattered light over directions."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where the medium's own origin lies, in mm."""
+    """Position of the medium's own origin, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
 

@@ -42,7 +42,7 @@ class GltfLights(GltfFile):
     """All lights of a glTF file (KHR_lights_punctual)."""
 
     lighting: Literal["standard", "unitless", "raw"] = "standard"
-    """What its intensities are, by Blender's names for the lighting modes of its exporter. "standard": candela and lux,
+    """Unit of its intensities, by Blender's names for the lighting modes of its exporter. "standard": candela and lux,
     as glTF has them, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
 
 

@@ -24,7 +24,7 @@ WAYS_IN = dict.fromkeys(
     (".iges", ".igs"),
     "is not read: let the CAD program save it as STEP, or as STL or GLB, fine enough for its curves",
 )
-"""How to get other files of bodies in."""
+"""Advice for other files of bodies."""
 
 Units = Literal["um", "mm", "cm", "m", "inch", "foot"]
 FacetLevel = Literal["flat", "smooth", "patch"]
@@ -74,8 +74,8 @@ class MeshShape(BodyFile):
     """The mesh that gives glass its shape."""
 
     surface: FaceLevel = "exact"
-    """What a facet stands for: itself, itself with smooth normals, or a curved patch. "exact": a face of a lens element
-    is the exact surface that it lies on, where that is recognised, and every other facet a patch."""
+    """Surface that a facet stands for: itself, itself with smooth normals, or a curved patch. "exact": a face of a lens
+    element is the exact surface that it lies on, where that is recognised, and every other facet a patch."""
     crease_deg: CreaseAngle | None = None
     """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface, whose
     normals are estimated. Omitted: what the file's own vertex normals say, where it has them, else a few times the

@@ -31,20 +31,20 @@ class Tank(Model):
     """A box of flat windows, filled with a liquid; targets may stand in it."""
 
     name: Text | None = None
-    """What the tank is called in reports."""
+    """Name of the tank in reports."""
     size_mm: tuple[Positive, Positive, Positive]
     """Lengths of its outer edges along its own x, y, z, in mm."""
     wall_mm: Positive
     """Thickness of its walls, in mm."""
     wall: Wall
-    """What the walls are made of."""
+    """Material of the walls."""
     liquid: Liquid
-    """What it is filled with."""
+    """Liquid inside the walls."""
     open: Side | None = None
     """The side that has no wall, where the liquid reaches to the end of the other walls: "top", its own +y, or
     "front", its own +z, which looks at the camera where the tank is not turned. Omitted: it is closed."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where its centre lies, in mm."""
+    """Position of its centre, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
 

@@ -115,7 +115,7 @@ class Material(Model):
     beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or
     { blackbody_k = ... }, in W/(m² sr nm)."""
     spectrum: SpectralShape | None = None
-    """How a number in `radiance_w_m2_sr` is spread by wavelength, in any unit: an illuminant's name such as "D65", a
+    """Spectrum of a number in `radiance_w_m2_sr`, in any unit: an illuminant's name such as "D65", a
     table, a CSV file or { blackbody_k = ... }. Needs bands."""
     temperature_k: Kelvin | None = None
     """Temperature, in K, in place of a radiance: the surface emits by Planck's law, with an emissivity of 1 less the
@@ -157,11 +157,11 @@ class Target(BodyFile):
     """A body in front of the camera: a shape or a mesh file, in the world frame."""
 
     name: Text | None = None
-    """What the target is called in reports."""
+    """Name of the target in reports."""
     shape: Shape | None = None
     """A primitive shape. Or give `file`."""
     materials: Literal["file", "colours", "ignore"] | None = None
-    """What is taken over of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
+    """Use of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
     roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
     alone, which multiply the reflectance and the radiance of `material`; its own texture replaces them. "ignore":
     nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
@@ -171,7 +171,7 @@ class Target(BodyFile):
     (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant; or those of its facets. What a ray meets,
     on which side, and what is in shadow follows the facets."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where the target's own origin lies, in mm."""
+    """Position of the target's own origin, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
     material: Material = Field(default_factory=Material)

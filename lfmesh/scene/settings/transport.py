@@ -13,7 +13,7 @@ PRIMARY_NM = 587.6
 """Wavelength of a scene that gives none: the d line of helium."""
 
 MOST_EVENTS = 2**15 - 1
-"""What a packet counts in 16 bits."""
+"""Largest count of a packet, in 16 bits."""
 MOST_THREADS = 1024
 MOST_REPLICATES = 10_000
 """Each replicate is a pass over all pixels, of at least one sample."""
@@ -51,10 +51,10 @@ class Transport(Model):
     """"mesh": Embree, everything; "sequential": the image path only; "auto": the fastest that supports the
     scene, or the image path with the one and the reflections with the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
-    """What a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
+    """Surface that a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
     surface."""
     tessellation: Tessellation = Field(default_factory=Tessellation)
-    """How finely the lens is meshed."""
+    """Fineness of the lens's meshes."""
     split: Literal["both", "roulette", "transmit"] = "both"
     """At an interface follow both children, one by chance, or the refracted one alone."""
     samples: Count = 64

@@ -15,10 +15,10 @@ from lfmesh.study.sweeps.axes import Axis, is_number
 from lfmesh.study.sweeps.study_file import read_tables
 
 WAYS = ("values", "files", "uniform", "log_uniform", "normal")
-"""How a draw may say what is drawn from."""
+"""Keys of a draw for its distribution."""
 
 PARTS = ("white", "views", "depth", "camera")
-"""What an item may have besides its raw image."""
+"""Parts of an item besides its raw image."""
 
 
 class Draw(Model):
@@ -37,7 +37,7 @@ class Draw(Model):
     normal: tuple[Number, Number] | None = None
     """Mean and standard deviation of a normal distribution."""
     relative: Flag = False
-    """Whether what is drawn is added to what the field is in the template."""
+    """Add the drawn value to the field's value in the template."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the draw."""
@@ -86,7 +86,7 @@ class DatasetFile(Model):
     schema_version: Literal[1] = 1
     """Version of this format."""
     name: Text = ""
-    """What the dataset is called."""
+    """Name of the dataset."""
     scene: Text
     """Scene file of the template, relative to this file."""
     count: Count | None = None
@@ -94,14 +94,14 @@ class DatasetFile(Model):
     seed: Whole = 0
     """Of the draws; `--seed` replaces it."""
     parts: tuple[Text, ...] = PARTS
-    """What is made besides raw images: "white" images, once a camera; "views", the decoded light field; "depth", its
+    """Parts made besides raw images: "white" images, once a camera; "views", the decoded light field; "depth", its
     truth, of views and pixels; "camera", the camera model, once a camera."""
     views: Count | None = None
     """Views along each axis; as many pixels as a micro-image is wide, if omitted."""
     changes: dict[str, Any] = Field(default_factory=dict)
     """Values that hold for every item, by their path, such as "transport.samples" = 64."""
     random: tuple[Draw, ...] = ()
-    """What is drawn anew for every item."""
+    """Quantities drawn anew for every item."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

@@ -27,7 +27,7 @@ class Variable(Model):
     values: tuple[Any, ...] | None = None
     """In place of `range`: the values to choose from, such as names of glasses."""
     label: Text | None = None
-    """What the variable is called in reports."""
+    """Name of the variable in reports."""
 
     @property
     def title(self) -> str:
@@ -176,7 +176,7 @@ class DesignFile(Model):
     schema_version: Literal[1] = 1
     """Version of this format."""
     name: Text = ""
-    """What the design is called."""
+    """Name of the design."""
     scene: Text
     """Scene file of the camera to begin with, relative to this file."""
     changes: dict[str, Any] = Field(default_factory=dict)
@@ -186,11 +186,11 @@ class DesignFile(Model):
     search: Search = Field(default_factory=Search)
     """The search for the best camera."""
     variables: tuple[Variable, ...] = ()
-    """What may vary."""
+    """Quantities that may vary."""
     merit: tuple[Term, ...] = ()
-    """What makes a camera good: the sum of these terms is to be small."""
+    """Merit of a camera: the sum of these terms is to be small."""
     constraints: tuple[Constraint, ...] = ()
-    """What must hold."""
+    """Constraints that must hold."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

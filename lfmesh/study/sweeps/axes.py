@@ -13,7 +13,7 @@ from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 Array = NDArray[np.float64]
 
 WAYS = ("values", "range", "log_range", "uniform", "normal")
-"""How an axis may give its values."""
+"""Keys by which an axis gives its values."""
 
 
 class Axis(Model):
@@ -32,13 +32,13 @@ class Axis(Model):
     normal: tuple[Number, Number] | None = None
     """Mean and standard deviation of a normal distribution from which `count` values are drawn."""
     count: Count | None = None
-    """How many values; the designs "latin_hypercube" and "sobol" have one `count` for all axes."""
+    """Number of values; the designs "latin_hypercube" and "sobol" have one `count` for all axes."""
     seed: Whole = 0
     """Of what is drawn."""
     relative: Flag = False
-    """Whether the values are added to what the field is in the reference camera."""
+    """Add the values to the field's value in the reference camera."""
     label: Text | None = None
-    """What the axis is called in figures."""
+    """Name of the axis in figures."""
 
     @property
     def title(self) -> str:

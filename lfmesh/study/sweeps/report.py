@@ -36,7 +36,7 @@ MOST_FIELDS = 4
 """Fields of displacements that are drawn of a metric: those of the points with the largest."""
 
 LEAST_PX = 1e-6
-"""Where nothing moves by more, there is nothing to draw."""
+"""Least displacement worth drawing."""
 
 ABREAST = 7
 """Columns of a table that stand beside those that name its rows: no more fit on a page."""

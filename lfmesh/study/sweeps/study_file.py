@@ -27,7 +27,7 @@ class StudyFile(Model):
     schema_version: Literal[1] = 1
     """Version of this format."""
     name: Text = ""
-    """What the study is called."""
+    """Name of the study."""
     scene: Text | None = None
     """Scene file of the reference camera, relative to this file."""
     scenes: tuple[Text, ...] | None = None
@@ -38,7 +38,7 @@ class StudyFile(Model):
     changes: dict[str, Any] = Field(default_factory=dict)
     """Values that hold at every point, by their path, such as "transport.samples" = 64."""
     metrics: tuple[Text, ...] = ("psnr", "centres")
-    """What is measured."""
+    """Quantities measured of each camera."""
     paired: Flag = True
     """Use the same random numbers at every point, so that differences are sharp."""
     design: Design = "one_at_a_time"
@@ -54,15 +54,15 @@ class StudyFile(Model):
     """Solve the distances that the scene omits anew at every point, as for a camera that is focused after it was
     changed. Else they are solved once, for the reference camera, which is then disturbed."""
     edge_distance_mm: Positive | None = None
-    """Where the edge of the metrics "mtf50" and "refocus" stands; in the plane in focus if omitted."""
+    """Position of the edge of the metrics "mtf50" and "refocus"; in the plane in focus if omitted."""
     limits: dict[str, Number] = Field(default_factory=dict)
-    """What a good camera keeps, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
+    """Limits of a good camera, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
     the worse the larger they are, at most. The report has the yield, and the largest change of each axis by itself that
     keeps them, which is searched between the reference and the farthest values of the axis."""
     compensators: tuple[Compensator, ...] = ()
-    """What assembly adjusts at every point, apart from the reference, before the metrics are taken."""
+    """Adjustments that assembly makes at every point, apart from the reference, before the metrics are taken."""
     axes: tuple[Axis, ...] = ()
-    """What varies."""
+    """Quantities that vary."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

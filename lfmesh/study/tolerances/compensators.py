@@ -34,7 +34,7 @@ class Compensator(Model):
     """Column of the table that it brings to its best, such as "centres_rms_px". Neighbours with the same one are
     adjusted together, others in their order."""
     label: Text | None = None
-    """What the compensator is called in reports."""
+    """Name of the compensator in reports."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the range."""

@@ -192,7 +192,7 @@ ABOUT = {
     "packets-and-splits": "Packets, splits, weight window and method against noise and time",
     "sensor": "Errors of the sensor's place, and its reflectance",
 }
-"""What each template varies."""
+"""Title of each template."""
 
 
 def _quick(scene: Scene) -> dict[str, Any]:

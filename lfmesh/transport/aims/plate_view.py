@@ -22,7 +22,7 @@ ZONES = 2
 """Number of points of a lenslet, from its centre to each corner, through which rays go."""
 
 INSIDE = 0.98
-"""How far towards the corners, of the way there: at a corner a ray may land in any of the lenslets that meet there."""
+"""Share of the way to the corners: at a corner a ray may land in any of the lenslets that meet there."""
 
 NOTHING_SEEN = -1.0
 """In place of the radius of a lenslet's view: the lenslet does not show the opening."""

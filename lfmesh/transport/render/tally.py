@@ -245,7 +245,7 @@ class Mean:
     hits: NDArray[np.uint32]
     count: int = 0
     final: bool = False
-    """Whether `squares` has become the variance."""
+    """True once `squares` has become the variance."""
 
     @classmethod
     def empty(cls, shape: Shape) -> "Mean":

@@ -72,7 +72,7 @@ from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 Array = NDArray[np.float64]
 
 MEETS_FACE, LEAVES_LAYER = -1, -2
-"""What becomes of a ray in the layer of curved faces, if it does not end there."""
+"""Fates of a ray in the layer of curved faces, if it does not end there."""
 
 # Working rows: the lenslet's cell, the centre of that, its apex and curvature; whether the ray meets nothing else.
 _COLUMN, _ROW, _CENTRE_X, _CENTRE_Y = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCRATCH + 3 * BLOCK

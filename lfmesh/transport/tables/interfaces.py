@@ -37,7 +37,7 @@ from lfmesh.transport.tables.tables import (
 )
 
 POLARISER = "polariser"
-"""What the ledger calls the polariser before the sensor."""
+"""Name of the polariser before the sensor in the ledger."""
 
 _SHOWN_DEG = (0.0, 30.0, 60.0)
 

@@ -34,12 +34,12 @@ IN_FRONT, BOX, SPHERE, CYLINDER, SHELL = range(5)
 """Kinds of bounds."""
 
 PER_VOLUME, OF_VOXELS, OF_BODY, BY_TEMPERATURE = range(4)
-"""How a medium emits: alike everywhere, by voxels, as a body of one temperature, or of temperatures by voxels."""
+"""Kinds of emission: uniform, by voxels, as a body of one temperature, or of temperatures by voxels."""
 
 NOT_IN_GRID = -1
 
 ROUNDING = 1e-12
-"""How far behind the first lens vertex a medium which ends there may seem to reach, relative to its farthest corner."""
+"""Largest apparent reach of a medium behind the first lens vertex where it ends, relative to its farthest corner."""
 
 COLDEST_K = 1e-30
 """In place of 0 K, at which Planck's law has no value: nothing shines there either."""

@@ -19,7 +19,7 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 REFUSED = "lfmesh refuses this request"
-"""How every refusal begins."""
+"""Beginning of every refusal."""
 
 
 def is_loopback(host: str) -> bool:

@@ -23,7 +23,7 @@ SAID = '<div class="page"><div id="fault" class="fault wide">{{ fault }}</div></
 """Template of a page that says one thing."""
 
 VIEW = "<!-- view -->"
-"""Where the template takes the 3D view."""
+"""Mark of the place of the 3D view in the template."""
 
 
 class Page:

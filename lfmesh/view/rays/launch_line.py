@@ -16,7 +16,7 @@ FORMS = {
     "light": "light number       one of the scene's lights alone",
     "run": "run                as the scene's transport.method launches them",
 }
-"""What `launch` understands, one line each."""
+"""Words that `launch` understands, one line each."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 

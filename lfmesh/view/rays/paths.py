@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 WATT, ETENDUE = "W", "m² sr"
 
 LETTER = {Event.TRANSMITTED: "T", Event.REFLECTED: "R", Event.SCATTERED: "S"}
-"""What a sequence says happened at a surface; an end has its name alone."""
+"""Letters of a sequence for the events at a surface; an end has its name alone."""
 
 OF_VERTICES = ("position", "surface", "event", "power", "lenslet", "beyond")
 OF_PATHS = ("status", "source", "pixel", "wavelength_nm", "sequence")

@@ -17,7 +17,7 @@ from lfmesh.transport.world import World
 Floats = NDArray[np.float64]
 
 OWN_SURFACE = 32.0 * FLOAT32_GRAIN
-"""How far a field point may lie off a target to be a point of it, relative to its coordinates."""
+"""Largest distance of a field point from the target that it belongs to, relative to its coordinates."""
 
 
 def traced(world: World, tables: Tables, options: Options, source: Source, colour: int) -> tuple[Records, Records]:

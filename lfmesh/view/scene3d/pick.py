@@ -16,7 +16,7 @@ from lfmesh.view.scene3d.plotter import View
 Array = NDArray[np.float64]
 
 TOLERANCE_PX = 6.0
-"""How far beside a ray a click may be."""
+"""Largest distance of a click from a ray."""
 
 EQUALLY_NEAR_PX = 1.0
 """Of rays whose distances differ by less, the one in front is meant."""

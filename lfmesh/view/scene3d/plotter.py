@@ -36,7 +36,7 @@ SAMPLES = 8
 """A pixel, in pictures."""
 
 CUT_KINDS = ("glass", "mount", "stop", "array")
-"""What the cut takes away; sensor, targets and rays stay whole."""
+"""Kinds of actors that the cut opens; sensor, targets and rays stay whole."""
 
 
 class View:

@@ -215,4 +215,4 @@ PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
     "array": lambda world, near: (_near_lenslets(world, near), (0.6, -0.3, 0.75), False),
     "sensor": lambda world, _: (_sensor(world), (0.25, -0.2, 1.0), False),
 }
-"""What each shows: the objects' points, the direction, whether parallel."""
+"""Views by name: the objects' points, the direction, and True for a parallel projection."""

@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
+
 from lfmesh.errors import SceneError
 from lfmesh.imports.prescription import KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -184,9 +186,6 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
 
 def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
     """Return the height, at most `most`, up to which two neighbours do not cross."""
-    most = min(most, front.reach_mm, back.reach_mm)
-    for k in range(1, 257):
-        height = most * k / 256
-        if -gap_round_mm(front, back, height) > (front.thickness_mm or 0.0):
-            return most * (k - 1) / 256
-    return math.inf
+    heights = min(most, front.reach_mm, back.reach_mm) * np.arange(257) / 256
+    crossed = np.flatnonzero(-gap_round_mm(front, back, heights[1:]) > (front.thickness_mm or 0.0))
+    return float(heights[crossed[0]]) if crossed.size else math.inf

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.codev_commands import commands
@@ -354,9 +354,10 @@ class _Reader:
 
     _on_gl1 = _on_gla
 
-    def _on_mlt(self, _: list[str]) -> None:
-        how = "multilayer files (.mul) are not read, as their format is not public; the surface is traced bare"
-        self.report.add(self.at, self.text, Verdict.APPROXIMATED, how)
+    def _on_mlt(self, words: list[str]) -> None:
+        surface, rest = self._named(words)
+        name = PureWindowsPath(rest[0].strip("'\""))
+        surface.coating = (self.at, self.text, self.report.path.with_name(name.with_suffix(name.suffix or ".mul").name))
 
     def _on_cir(self, words: list[str]) -> None:
         surface, rest = self._named(words)

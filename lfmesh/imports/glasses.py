@@ -6,7 +6,7 @@ from contextlib import suppress
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, is_glass, refractive_index
+from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, is_glass, material_page, refractive_index
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
@@ -22,33 +22,13 @@ Medium = float | str | OwnGlass
 """Index without dispersion, name of a catalogue glass, or a glass by its dispersion."""
 
 
-MATERIALS = {
-    **dict.fromkeys(("GERMANIUM", "GERMLW", "GERMMW"), "main/Ge/Burnett"),
-    **dict.fromkeys(("SILICON", "SILICN"), "main/Si/Li-293K"),
-    "ZNSE": "main/ZnSe/Connolly",
-    **dict.fromkeys(("ZNS", "ZNSBROAD", "ZNSIR", "CLEARTRAN"), "main/ZnS/Debenham"),
-    "MGF2": "main/MgF2/Dodge-o",
-    **dict.fromkeys(("SAPPHIRE", "SAPHIR", "AL2O3"), "main/Al2O3/Malitson-o"),
-    "LIF": "main/LiF/Li",
-    "NACL": "main/NaCl/Li",
-    "KBR": "main/KBr/Li",
-    **dict.fromkeys(("PMMA", "ACRYLIC"), "organic/poly_methyl_methacrylate/Sultanova"),
-    **dict.fromkeys(("POLYCARB", "POLYC"), "organic/polycarbonate/Sultanova"),
-    **dict.fromkeys(("POLYSTYR", "STYRENE", "STYRE"), "organic/polystyrene/Sultanova"),
-    **dict.fromkeys(("E48R", "ZEONEXE48R"), "other/ZeonexE48R/Sultanova"),
-    "WATER": "main/H2O/Daimon-20.0C",
-}
-"""Crystals, plastics and water by the names of Zemax and CODE V, letters and digits only, and what the catalogue has of
-them. None is a maker's glass: samples differ in the third digit of the index, and crystals by polarisation; these are
-ordinary rays."""
-
 SPECIAL = "_SPECIAL"
 """Suffix that CODE V writes behind a material that is in no maker's catalogue."""
 
 
 def _material(name: str) -> tuple[str, str] | None:
     """Return the catalogue's page of a crystal or plastic, and what to say of it; None if the name is none."""
-    page = MATERIALS.get("".join(sign for sign in name.upper().removesuffix(SPECIAL) if sign.isalnum()))
+    page = material_page(name.upper().removesuffix(SPECIAL))
     if page is None:
         return None
     return page, f"{name}: no maker's glass; taken as {glass_in_words(page)} of the catalogue"

@@ -15,12 +15,12 @@ import numpy as np
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.clear_apertures import apertures_mm, stop_radius_mm, without_crossings
-from lfmesh.imports.coatings import lens_coatings
 from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.imports.decentres import START, Place, gaps, straightened
 from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.surface_coatings import lens_coatings
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial

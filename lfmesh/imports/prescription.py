@@ -58,8 +58,8 @@ class FileSurface:
     extent: float | None = None
     """Radius that rays of the file's fields fill: what its program computed and draws."""
     stop: bool = False
-    coating: tuple[int, str, str] | None = None
-    """Line, text and name of its coating."""
+    coating: tuple[int, str, str | Path] | None = None
+    """Line, text and name of its coating; or the path of a file that holds it alone."""
     focal_length: float | None = None
     """Of a thin lens in the surface's place; NaN: not given."""
     is_break: bool = False

@@ -25,6 +25,26 @@ SAME_INDEX = 1e-5
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
 """Makers in the order in which their glasses are proposed where several have the name."""
 
+MATERIALS: dict[str, str] = {
+    **dict.fromkeys(("GERMANIUM", "GERMLW", "GERMMW"), "main/Ge/Burnett"),
+    **dict.fromkeys(("SILICON", "SILICN"), "main/Si/Li-293K"),
+    "ZNSE": "main/ZnSe/Connolly",
+    **dict.fromkeys(("ZNS", "ZNSBROAD", "ZNSIR", "CLEARTRAN"), "main/ZnS/Debenham"),
+    "MGF2": "main/MgF2/Dodge-o",
+    **dict.fromkeys(("SAPPHIRE", "SAPHIR", "AL2O3"), "main/Al2O3/Malitson-o"),
+    "LIF": "main/LiF/Li",
+    "NACL": "main/NaCl/Li",
+    "KBR": "main/KBr/Li",
+    **dict.fromkeys(("PMMA", "ACRYLIC"), "organic/poly_methyl_methacrylate/Sultanova"),
+    **dict.fromkeys(("POLYCARB", "POLYC"), "organic/polycarbonate/Sultanova"),
+    **dict.fromkeys(("POLYSTYR", "STYRENE", "STYRE"), "organic/polystyrene/Sultanova"),
+    **dict.fromkeys(("E48R", "ZEONEXE48R"), "other/ZeonexE48R/Sultanova"),
+    "WATER": "main/H2O/Daimon-20.0C",
+}
+"""Crystals, plastics and water by the names of Zemax and CODE V, letters and digits only, and what the catalogue has of
+them. None is a maker's glass: samples differ in the third digit of the index, and crystals by polarisation; these are
+ordinary rays."""
+
 Page = tuple[str, str, str]
 """Shelf, book and page: how the catalogue files a material."""
 
@@ -152,6 +172,16 @@ def is_glass(name: str) -> bool:
     """
     pages = _pages(name)
     return len(pages) == 1 or (len(pages) > 1 and _are_one_glass(pages))
+
+
+def material_page(name: str) -> str | None:
+    """Return the catalogue's name of a crystal, plastic or water by a name of Zemax or CODE V; None if it is none.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return MATERIALS.get(_letters(name))
 
 
 @cache
@@ -333,6 +363,11 @@ def _suggestion(name: str) -> str:
     heirs = {page for known in names if "/" not in known and known.endswith(f"-{bare}") for page in names[known]}
     alike = _other_spellings().get(bare, [])
     close = [*sorted(close, key=_rank), *sorted(alike, key=_rank), *sorted(heirs, key=_rank)]
+    # Matter that is no glass has a book of its own, by its formula.
+    books = {bare, *map(_letters, wanted.split("/"))}
+    book = {page for pages in names.values() for page in pages if page[0] != "specs" and _letters(page[1]) in books}
+    material = material_page(bare)
+    close += [*(names[material.upper()] if material is not None else []), *sorted(book)]
     if bare in ("AIR", "VACUUM"):
         return "for air leave glass and index out"
     if len(set(close)) < 4:

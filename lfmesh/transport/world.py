@@ -270,7 +270,7 @@ class World(Shown):
         z = self.scene.camera.lens.vertices_mm[number]
         inner = surfaces[number].semi_diameter_mm or 0.0
         outer = max(1.3 * inner, *self.lens_shape.rims)
-        z += max(surfaces[number].sags_mm(inner, AZIMUTHS))
+        z += surfaces[number].sags_mm(inner, AZIMUTHS).max()
         ring = revolved(np.array([[outer, z], [inner, z]]), 96)
         return ring.moved(pose_of(self.scene.camera.lens, number)).solid()
 

@@ -7,6 +7,8 @@ from functools import lru_cache
 from itertools import zip_longest
 from typing import get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from lfmesh.optics.glass import AIR, Medium
@@ -16,6 +18,7 @@ from lfmesh.scene.camera.sections import (
     AZIMUTHS,
     Biconic,
     Form,
+    Heights,
     Toroid,
     reach_of_conic_mm,
 )
@@ -50,9 +53,8 @@ the axis of the lens then still crosses the element's surfaces in their order.""
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 """Keys that give the stop its size in place of the prescription."""
 
-# Sags of neighbouring surfaces are compared at this many heights; at fewer where they are to be at many azimuths.
+# Sags of neighbouring surfaces are compared at this many heights.
 _HEIGHTS = 256
-_HEIGHTS_ALL_ROUND = 64
 
 
 class Surface(Model):
@@ -125,7 +127,7 @@ class Surface(Model):
     def is_flat(self) -> bool:
         """True where the surface is flat all round, whatever its shape."""
         bare = self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
-        return bare and not any(self.sags_mm(self.semi_diameter_mm or 1.0, AZIMUTHS))
+        return bare and not self.sags_mm(self.semi_diameter_mm or 1.0, AZIMUTHS).any()
 
     @property
     def is_plain_stop(self) -> bool:
@@ -203,47 +205,48 @@ class Surface(Model):
         form = self.form
         return reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic) if form is None else form.reach_mm(self)
 
-    def sags_mm(self, height_mm: float, azimuths: int = 1) -> tuple[float, ...]:
-        """Return z above the vertex plane at a height from the axis, at azimuths from the y axis to the x axis and on.
+    def sags_mm(self, height_mm: float | NDArray[np.float64], azimuths: int = 1) -> NDArray[np.float64]:
+        """Return z above the vertex plane at heights from the axis, at azimuths from the y axis to the x axis and on.
 
         Their order is that of every surface: those of a quarter turn, then their mirror images in x, in y, in both.
 
         Parameters
         ----------
-        height_mm : float, mm
+        height_mm : float or array, mm
         azimuths : int
             In a quarter turn; one is enough for a surface of revolution.
 
         Returns
         -------
-        tuple of float
-            mm.
+        ndarray
+            (..., 4 azimuths), mm.
         """
         form = self.form
+        heights = np.asarray(height_mm, np.float64)[..., None]
         if form is None:
-            return (self.sag_mm(height_mm),) * (4 * azimuths)
-        turns = [0.5 * math.pi * k / max(1, azimuths - 1) for k in range(azimuths)]
-        points = [(height_mm * math.sin(turn), height_mm * math.cos(turn)) for turn in turns]
+            return np.repeat(self.sag_mm(heights), 4 * azimuths, axis=-1)
+        turns = 0.5 * math.pi * np.arange(azimuths) / max(1, azimuths - 1)
+        x, y = heights * np.sin(turns), heights * np.cos(turns)
         quarters = ((1.0, 1.0),) if form.symmetric else ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
-        sags = tuple(self.sag_at_mm(across * x, up * y) for across, up in quarters for x, y in points)
-        return sags * (4 // len(quarters))
+        sags = [self.sag_at_mm(across * x, up * y) for across, up in quarters]
+        return np.concatenate(sags * (4 // len(quarters)), axis=-1)
 
-    def sag_at_mm(self, x_mm: float, y_mm: float) -> float:
+    def sag_at_mm(self, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z of the surface above its vertex plane at a point, all in mm.
 
         Parameters
         ----------
-        x_mm, y_mm : float
+        x_mm, y_mm : float or array
 
         Returns
         -------
-        float
+        float or array
             mm.
         """
         form = self.form
-        return self.sag_mm(math.hypot(x_mm, y_mm)) if form is None else form.sag_at_mm(self, x_mm, y_mm)
+        return self.sag_mm(np.hypot(x_mm, y_mm)) if form is None else form.sag_at_mm(self, x_mm, y_mm)
 
-    def sag_mm(self, height_mm: float) -> float:
+    def sag_mm(self, height_mm: Heights) -> Heights:
         """Return z of the surface above its vertex plane, at a height from the axis, both in mm.
 
         Of a biconic or toroid it is that of the section y–z.
@@ -253,16 +256,16 @@ class Surface(Model):
 
         Parameters
         ----------
-        height_mm : float
+        height_mm : float or array
 
         Returns
         -------
-        float
+        float or array
             mm.
         """
         c, r2 = self.curvature_per_mm, height_mm * height_mm
-        root = math.sqrt(max(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
-        terms = (_term_mm(a, abs(height_mm), power) for power, a in self.powers_mm)
+        root = np.sqrt(np.maximum(0.0, 1 - (1 + self.vertex_conic) * c * c * r2))
+        terms = (_term_mm(a, height_mm, power) for power, a in self.powers_mm)
         return c * r2 / (1 + root) + sum(terms)
 
     @property
@@ -409,39 +412,35 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
     """
     radius = min(*apertures_mm, front.reach_mm, back.reach_mm)
     given = front.thickness_mm or 0.0
-    if front.section_key is not None or back.section_key is not None:
-        heights = [radius * k / _HEIGHTS_ALL_ROUND for k in range(_HEIGHTS_ALL_ROUND + 1)]
-        return max((-gap_round_mm(front, back, h), h) for h in heights)
-    if not front.powers_mm and not back.powers_mm:
+    of_revolution = front.section_key is None and back.section_key is None
+    if of_revolution and not front.powers_mm and not back.powers_mm:
         # A conic rises or falls all the way to its rim: between these bounds nothing can cross.
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
         if highest - lowest <= given:
             return given, 0.0
-    heights = [radius * k / _HEIGHTS for k in range(_HEIGHTS + 1)]
-    return max((front.sag_mm(h) - back.sag_mm(h), h) for h in heights)
+    heights = radius * np.arange(_HEIGHTS + 1) / _HEIGHTS
+    gaps = gap_round_mm(front, back, heights)
+    return -float(gaps.min()), float(heights[gaps == gaps.min()][-1])
 
 
-def gap_round_mm(front: Surface, back: Surface, height_mm: float) -> float:
-    """Return the smallest difference of sags, back less front, at a height, over the azimuths that tell, in mm.
+def gap_round_mm(front: Surface, back: Surface, height_mm: Heights) -> Heights:
+    """Return the smallest difference of sags, back less front, at heights, over the azimuths that tell, in mm.
 
     Parameters
     ----------
     front, back : Surface
         Neighbours.
-    height_mm : float
+    height_mm : float or array
         Distance from the axis.
     """
     around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
-    sags = zip(front.sags_mm(height_mm, around), back.sags_mm(height_mm, around), strict=True)
-    return min(of_back - of_front for of_front, of_back in sags)
+    return np.min(back.sags_mm(height_mm, around) - front.sags_mm(height_mm, around), axis=-1)
 
 
-def _term_mm(coefficient: float, height_mm: float, power: int) -> float:
+def _term_mm(coefficient: float, height_mm: Heights, power: int) -> Heights:
     """Return one term of an asphere's sag, infinite where it is larger than any float."""
-    try:
-        return coefficient * height_mm**power
-    except OverflowError:
-        return math.copysign(math.inf, coefficient) if coefficient else 0.0
+    with np.errstate(over="ignore"):
+        return coefficient * np.abs(height_mm if coefficient else 0.0 * height_mm) ** power
 
 
 class Element(Model):
@@ -737,8 +736,8 @@ class Lens(Model):
         """The first surface with another section in x than in y; None where all are surfaces of revolution."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
 
-    def gap_mm(self, number: int, height_mm: float) -> float:
-        """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
+    def gap_mm(self, number: int, height_mm: Heights) -> Heights:
+        """Return the distance along z from surface `number` to the next at heights from the axis, in mm.
 
         The smallest over all azimuths.
 
@@ -746,11 +745,11 @@ class Lens(Model):
         ----------
         number : int
             From 0, at the object's side; not the last.
-        height_mm : float
+        height_mm : float or array
 
         Returns
         -------
-        float
+        float or array
             mm; negative where the surfaces cross.
         """
         front, back = self.surfaces[number], self.surfaces[number + 1]

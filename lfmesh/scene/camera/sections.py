@@ -7,7 +7,10 @@ Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`rad
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Number, Radius
@@ -15,11 +18,15 @@ from lfmesh.scene.quantities import Number, Radius
 if TYPE_CHECKING:
     from lfmesh.scene.camera.lens import Surface
 
+Heights = TypeVar("Heights", float, NDArray[np.float64])
+"""One height, or coordinate, or an array of them."""
+
 AZIMUTHS = 33
 """Azimuths in a quarter turn at which gaps between surfaces are measured that are not both of revolution."""
 
-PLACES = 512
-"""Places along y at which it is sought how far a toroid reaches."""
+PLACES, PASSES = 512, 3
+"""Places along y at which it is sought how far a toroid reaches, and how often, each time between the neighbours of the
+place found before."""
 
 BEFORE_END = 1e-5
 """Share of that by which a toroid counts as ended before, for the places in between."""
@@ -33,14 +40,14 @@ class Form(Model):
     without: ClassVar[tuple[str, ...]] = ("asphere_mm", "odd_asphere_mm", "qcon", "qbfs", "mesh")
     """Keys of the surface that it does not go with."""
 
-    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point, in mm; where it has ended, a finite number.
 
         Parameters
         ----------
         surface : Surface
             Whose form it is: it has the keys of the section y–z.
-        x_mm, y_mm : float
+        x_mm, y_mm : float or array
         """
         raise NotImplementedError
 
@@ -71,7 +78,7 @@ class Biconic(Form):
     conic_x: Number = 0.0
     """Conic constant in the section x–z."""
 
-    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.
 
         Parameters
@@ -81,7 +88,7 @@ class Biconic(Form):
 
         Returns
         -------
-        float
+        float or array
             mm.
         """
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
@@ -127,7 +134,7 @@ class Toroid(Form):
     """Distance from the vertex to the line, parallel to y, about which the curve of the section y–z turns, in mm,
     positive towards the sensor: the radius of the circle that is the section x–z. inf is a cylinder's."""
 
-    def sag_at_mm(self, surface: "Surface", x_mm: float, y_mm: float) -> float:
+    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.
 
         Parameters
@@ -137,7 +144,7 @@ class Toroid(Form):
 
         Returns
         -------
-        float
+        float or array
             mm.
         """
         return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
@@ -189,20 +196,20 @@ def curvature(radius_mm: float) -> float:
     return 0.0 if math.isinf(radius_mm) else 1.0 / radius_mm
 
 
-def biconic_sag_mm(c_x: float, conic_x: float, c_y: float, conic_y: float, x: float, y: float) -> float:
+def biconic_sag_mm(c_x: float, conic_x: float, c_y: float, conic_y: float, x: Heights, y: Heights) -> Heights:
     """Return (c_x x² + c_y y²) / (1 + √(1 − (1 + k_x) c_x² x² − (1 + k_y) c_y² y²)), where it ends: at its end.
 
     Parameters
     ----------
     c_x, conic_x, c_y, conic_y : float
         Curvatures, 1/mm, and conic constants.
-    x, y : float, mm
+    x, y : float or array, mm
     """
     square = (1.0 + conic_x) * (c_x * x) ** 2 + (1.0 + conic_y) * (c_y * y) ** 2
-    return (c_x * x * x + c_y * y * y) / (1.0 + math.sqrt(max(0.0, 1.0 - square)))
+    return (c_x * x * x + c_y * y * y) / (1.0 + np.sqrt(np.maximum(0.0, 1.0 - square)))
 
 
-def toroid_sag_mm(c_x: float, along_y_mm: float, x: float) -> float:
+def toroid_sag_mm(c_x: float, along_y_mm: Heights, x: Heights) -> Heights:
     """Return the sag of a toroid, whose curve has a sag along y, at a distance x from that curve, mm.
 
     From (1/c_x − z)² + x² = (1/c_x − f)²: z = f + c_x x² / (1 − c_x f + √((1 − c_x f)² − c_x² x²)).
@@ -210,16 +217,17 @@ def toroid_sag_mm(c_x: float, along_y_mm: float, x: float) -> float:
     Parameters
     ----------
     c_x : float, 1/mm
-    along_y_mm : float
+    along_y_mm : float or array
         The curve's sag f.
-    x : float, mm
+    x : float or array, mm
     """
     rest = 1.0 - c_x * along_y_mm
-    root = math.sqrt(max(0.0, rest * rest - (c_x * x) ** 2))
-    return along_y_mm + (c_x * x * x / (rest + root) if rest + root > 0.0 else 0.0)
+    below = rest + np.sqrt(np.maximum(0.0, rest * rest - (c_x * x) ** 2))
+    divisor: Any = np.where(below > 0.0, below, np.inf)
+    return along_y_mm + c_x * x * x / divisor
 
 
-def toroid_reach_mm(c_x: float, curve: Callable[[float], float], most_mm: float) -> float:
+def toroid_reach_mm(c_x: float, curve: Callable[[NDArray[np.float64]], NDArray[np.float64]], most_mm: float) -> float:
     """Return the height up to which a toroid exists at every azimuth, a little less than measured, in mm.
 
     It exists where c_x² x² < (1 − c_x f(y))², that is up to the least y² + (1/c_x − f(y))², squared.
@@ -228,14 +236,17 @@ def toroid_reach_mm(c_x: float, curve: Callable[[float], float], most_mm: float)
     ----------
     c_x : float, 1/mm
     curve : function
-        Sag f of the section y–z by height.
+        Sags f of the section y–z by heights.
     most_mm : float
         Where that section ends.
     """
     if c_x == 0.0:
         return most_mm
     least = min(most_mm, 1.0 / abs(c_x))
-    for y in (least * k / PLACES for k in range(PLACES + 1)):
-        rest = max(0.0, 1.0 - c_x * curve(y))
-        least = min(least, math.hypot(y, rest / c_x))
-    return least * (1.0 - BEFORE_END)
+    low, high = 0.0, least
+    for _ in range(PASSES):
+        y = np.linspace(low, high, PLACES + 1)
+        ends = np.hypot(y, np.maximum(0.0, 1.0 - c_x * curve(y)) / c_x)
+        k = int(ends.argmin())
+        low, high = y[max(k - 1, 0)], y[min(k + 1, PLACES)]
+    return min(least, float(ends.min())) * (1.0 - BEFORE_END)

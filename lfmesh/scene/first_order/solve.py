@@ -3,6 +3,8 @@
 import math
 from typing import Any, TypeVar
 
+import numpy as np
+
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.camera import Camera
@@ -338,10 +340,11 @@ def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
     front, back = lens.surfaces[number], lens.surfaces[number + 1]
     if front.refractor is not None or back.refractor is not None:
         return widest_mm
-    heights = [widest_mm * k / HEIGHTS for k in range(1, HEIGHTS + 1)]
+    heights = widest_mm * np.arange(1, HEIGHTS + 1) / HEIGHTS
     inside = min(front.reach_mm, back.reach_mm, front.semi_diameter_mm or math.inf, back.semi_diameter_mm or math.inf)
-    crossing = (h for h in heights if h <= inside and not lens.gap_mm(number, h) > 0)
-    return next(crossing, widest_mm / (1 - SPARE)) * (1 - SPARE)
+    heights = heights[heights <= inside]
+    crossing = heights[~(lens.gap_mm(number, heights) > 0)]
+    return float(crossing[0]) * (1 - SPARE) if crossing.size else widest_mm
 
 
 def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:

@@ -52,7 +52,7 @@ def _glass_edges(scene: Scene, _: FirstOrder) -> list[float]:
     lens = _measurable(scene.camera.lens)
     rims = [surface.sags_mm(surface.semi_diameter_mm or 0.0, AZIMUTHS) for surface in lens.surfaces]
     return [
-        (surface.thickness_mm or 0.0) + min(back - front for front, back in zip(before, behind, strict=True))
+        (surface.thickness_mm or 0.0) + float((behind - before).min())
         for surface, before, behind in zip(lens.surfaces, rims, rims[1:], strict=False)
         if surface.medium is not None
     ]  # fmt: skip

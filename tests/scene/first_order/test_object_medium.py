@@ -165,7 +165,11 @@ def test_the_real_ray_to_the_edge_of_the_stop_is_bent_as_snell_says() -> None:
         ({}, "camera.object_medium.index: missing: give the index, or glass"),
         ({"index": 0.9}, "camera.object_medium.index = 0.9: must be 1 or more"),
         ({"index": 1.3, "glass": "SCHOTT/N-BK7"}, "camera.object_medium.glass"),
-        ({"glass": "main/H2O/Nobody"}, 'camera.object_medium.glass = "main/H2O/Nobody": not in the catalogue'),
+        (
+            {"glass": "main/H2O/Nobody"},
+            'camera.object_medium.glass = "main/H2O/Nobody": not in the catalogue; close to it are main/H2O/',
+        ),
+        ({"glass": "WATER"}, "close to it are main/H2O/Daimon-20.0C (nd 1.33340"),
         ({"index": 1.3, "absorption_per_mm": 0.1}, "camera.object_medium.absorption_per_mm: unknown key"),
         (
             {"glass": {"wavelengths_nm": [400.0, 450.0, 500.0], "values": [1.34, 1.338, 1.336]}},

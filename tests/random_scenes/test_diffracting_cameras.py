@@ -21,8 +21,8 @@ CAMERAS = (
 )  # fmt: skip
 """Numbers of the first 30 drawn cameras whose lenslets can diffract."""
 
-IN_SUITE = (1, 2)
-"""Square and hexagonal lenslets."""
+IN_SUITE = (1, 3)
+"""Square and hexagonal lenslets, so small that pictures without diffraction are told from those with it."""
 
 
 def diffracting(number: int) -> lf.Scene:

@@ -37,19 +37,8 @@ def in_short(table: Table) -> list[str]:
 
 def words_of(table: Table, row: Row) -> str:
     """Return a point in words, with the names and units that reports use."""
-    plan, point = table.plan, row.point
-    if point.number == 0 or plan.scenes:
-        return plan.label(point)
-    words = []
-    for i, axis in enumerate(plan.axes):
-        value = table.value_of(row, i)
-        if point.values[i] is not None:
-            name, unit = name_and_unit(axis.title)
-            sign = "=" if value is not None else "up to"
-            value = point.values[i] if value is None else value
-            shown = f"{value:.6g}" if isinstance(value, float) else literal(value)
-            words.append(f"{name} {sign} {shown}{unit and ' ' + unit}")
-    return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
+    searched = row.point.searched
+    return table.plan.label(row.point, None if searched is None else table.value_of(row, searched))
 
 
 def column_value(row: Row, column: Column) -> str:

@@ -29,6 +29,15 @@ LEFT = 2.0
 KEPT = 0.85
 """Share of what a weaker strength predicts that a strength predicts which is not too large."""
 
+RADII = 2
+"""Radii a voxel at which a round emission may change its slope."""
+
+PARTS = 4
+"""Parts of a voxel's side at whose middles a round emission is averaged."""
+
+SMOOTH = 0.01
+"""Weight of the bends of a round emission over that of its sums."""
+
 
 class Halved(NamedTuple):
     """Two halves of the pixels, weighted twice, and the volume of each."""
@@ -224,13 +233,26 @@ def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:
 
 
 def _round(row: Array, depth: int) -> Array:
-    """Return a round emission, (along the row, along the depth), whose sums over the depth are nearest to a row."""
-    from scipy import optimize
+    """Return a round emission, (along the row, along the depth), whose sums over the depth are nearest to a row.
+
+    It is linear between its radii, and averaged over each voxel, so that a thin mantle has the sums of a thin mantle.
+    """
+    from scipy import optimize, sparse
 
     if not row.any():
         return np.zeros((len(row), depth))
+    inside = (np.arange(PARTS) + 0.5) / PARTS - 0.5
     along = np.arange(len(row)) - np.average(np.arange(len(row)), weights=row)
-    radius = np.hypot(along[:, None], np.arange(depth) - 0.5 * (depth - 1))
-    # Linear between whole radii.
-    share = np.maximum(1.0 - np.abs(radius[..., None] - np.arange(np.ceil(radius.max()) + 1.0)), 0.0)
-    return np.asarray(share @ optimize.nnls(share.sum(axis=1), row)[0])
+    across = np.arange(depth) - 0.5 * (depth - 1)
+    x, z = (np.add.outer(each, inside) for each in (along, across))
+    radius = RADII * np.hypot(x[:, None, :, None], z[None, :, None, :]).reshape(len(row) * depth, PARTS**2)
+    below = radius.astype(np.int64)
+    count = int(below.max()) + 2
+    voxel = np.broadcast_to(np.arange(len(radius))[:, None], radius.shape)
+    weights = np.stack([1.0 - (radius - below), radius - below]) / PARTS**2
+    places = np.stack([voxel, voxel]).ravel(), np.stack([below, below + 1]).ravel()
+    share = sparse.csr_array((weights.ravel(), places), shape=(len(radius), count)).toarray()
+    sums = share.reshape(len(row), depth, count).sum(axis=1)
+    bends = SMOOTH * sums.max() * np.diff(np.eye(count), 2, axis=0)
+    emission, _ = optimize.nnls(np.concatenate([sums, bends]), np.append(row, np.zeros(len(bends))))
+    return np.asarray(share @ emission).reshape(len(row), depth)

@@ -375,7 +375,10 @@ def _chief_rays(pair: Comparison) -> Array:
     moved = _moved(pair.chief_rays, pair.reference_chief_rays)
     values = np.round(moved, TRACED_DECIMALS)[None, :] + 0.0
     pair.maps["chief_rays"] = _displacements(values, pair.reference_chief_rays)
-    return _movements(values)
+    found = _movements(values)
+    # Displacements that cancel leave rounding of their sum.
+    found[:, :2] = np.round(found[:, :2], TRACED_DECIMALS) + 0.0
+    return found
 
 
 def _moved(own: Calibration, other: Calibration) -> Array:

@@ -17,10 +17,11 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
 from lfmesh.scene.literals import literal
+from lfmesh.scene.scene import steps_of
 from lfmesh.scene.toml import table
 from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera
-from lfmesh.study.sweeps.axes import Axis, is_number
+from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused
 from lfmesh.study.tolerances.error_modes import TEMPLATES
@@ -34,6 +35,14 @@ LEAST_REPLICATES = 3
 
 FOCUS = "camera.focus_mm"
 DISTANCES = ("camera.mla.distance_mm", "camera.sensor.distance_mm")
+
+USED_UP = {
+    "camera.mla.focal_length_mm": "camera.mla.radius_mm",
+    "camera.lens.f_number": None,
+    "camera.lens.epd_mm": None,
+    "camera.lens.stop_semi_diameter_mm": None,
+}
+"""Fields that solving a scene replaces by others, and the optional field that then says the same."""
 
 
 @dataclass(frozen=True)
@@ -110,17 +119,30 @@ class Plan:
             changes["transport.seed"] = seed_of(self.base.transport.seed, point.number)
         return self.base.changed(changes) if changes else self.base
 
-    def label(self, point: Point) -> str:
-        """Return a point in words."""
+    def label(self, point: Point, found: Any = None) -> str:
+        """Return a point in words, with the names and units that reports use.
+
+        Parameters
+        ----------
+        point : Point
+        found : object, optional
+            Value that the search of a point has found.
+        """
         if point.number == 0:
             return "the reference"
         if self.scenes:
             return (self.study.scenes or ())[point.number]
-        given = zip(self.axes, point.values, strict=True)
-        if point.searched is not None:
-            return f"largest change of {self.axes[point.searched].path} up to {literal(point.values[point.searched])}"
-        words = [f"{axis.path} = {literal(value)}" for axis, value in given if value is not None]
-        return ", ".join(words) or "the reference again"
+        words = []
+        for i, (axis, value) in enumerate(zip(self.axes, point.values, strict=True)):
+            if value is None:
+                continue
+            is_searched = i == point.searched
+            name, unit = name_and_unit(axis.title)
+            sign = "up to" if is_searched and found is None else "="
+            shown = found if is_searched and found is not None else value
+            digits = f"{shown:.6g}" if isinstance(shown, float) else literal(shown)
+            words.append(f"{name} {sign} {digits}{unit and ' ' + unit}")
+        return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
 
     def search_of(self, point: Point) -> Search | None:
         """Return what is searched at a point; None where nothing is."""
@@ -204,6 +226,9 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         # Solved again at every point: lenslets keep their radii, the rest is what the scene says.
         omitted = [path for path in DISTANCES if _is_omitted(first, path)]
         ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
+    paths = [*(axis.path for axis in axes), *(each.path for each in study.compensators)]
+    ready_scene = _with_named(ready_scene, first, paths)
+    axes = tuple(_of_one_number(axis, ready_scene) for axis in axes)
     for i, axis in enumerate(axes):
         faults += [
             f"axes[{i}].{line}" for line in path_faults({axis.path: None}, ready_scene, "path", refocus=study.refocus)
@@ -252,6 +277,26 @@ def _is_omitted(scene: Scene, path: str) -> bool:
         return value_at(scene, path) is None
     except KeyError:
         return False
+
+
+def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
+    """Return a solved scene that says what a study varies as the scene does: focal lengths of lenslets, the stop."""
+    changes: dict[str, Any] = {}
+    for field, other in USED_UP.items():
+        if any(steps_of(path)[: len(steps_of(field))] == steps_of(field) for path in paths):
+            with suppress(KeyError):
+                if (value := value_at(given, field)) is not None:
+                    changes |= {field: value} | ({} if other is None else {other: None})
+    return ready.changed(changes) if changes else ready
+
+
+def _of_one_number(axis: Axis, scene: Scene) -> Axis:
+    """Return an axis of numbers of a field that holds a list of one number, as one of that number."""
+    with suppress(KeyError):
+        found = value_at(scene, axis.path)
+        if isinstance(found, tuple) and len(found) == 1 and all(map(is_number, (*found, *(axis.values or ())))):
+            return axis.model_copy(update={"path": f"{axis.path}[0]"})
+    return axis
 
 
 def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:

@@ -18,10 +18,10 @@ from lfmesh.study.sweeps.sentences import (
     column_value,
     first_column,
     in_short,
+    percent,
     ranked_by,
     tolerance_rows,
     words_of,
-    written,
 )
 from lfmesh.study.sweeps.table import CONFIDENCE, Row, Sensitivity, Table
 from lfmesh.study.tolerances.budget import budget_of
@@ -115,7 +115,10 @@ def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:
-    """Return the worst value of every metric along each axis by itself, the axis with the largest effect first."""
+    """Return the worst value of every metric along each axis by itself, the axis with the largest effect first.
+
+    Empty where no camera has one error by itself, or there is one axis.
+    """
     judged = [column for column in columns if column.worse]
     if not judged or len(axes) < 2:
         return {}
@@ -134,10 +137,12 @@ def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str,
         resolved = i in place and budget.effects[place[i]].is_resolved
         used = NOT_KNOWN if share is None else NOT_RESOLVED
         if share is not None and resolved:
-            used = written(100.0 * share.value, 100.0 * share.stderr)
+            used = percent(*share)
         cells = [column_value(row, column) if row else NOT_KNOWN for row, column in zip(worst, judged, strict=True)]
         harm = judged[0].harm(worst[0].means[judged[0].name].value) if worst[0] else -math.inf
         lines.append((float(place.get(i, len(place))), -harm, [table.plan.axes[i].title, span, used, *cells]))
+    if not lines:
+        return {}
     lines.sort(key=lambda line: line[:2])
     share_of = f"share of the budget of {judged[0].noun} / %"
     heading = ["parameter", "from, to", share_of, *(f"worst {column.title}" for column in judged)]

@@ -18,6 +18,12 @@ SMALL = 0.01
 MOST_NAMED = 6
 """Parameters that a sentence names."""
 
+DIGITS = 6
+"""Most digits of a value."""
+
+LEAST_ERROR = 5e-4
+"""Errors of shares below this one are not seen in tenths of a per cent."""
+
 
 def in_short(table: Table) -> list[str]:
     """Return the answers of a study, a sentence each."""
@@ -37,19 +43,8 @@ def in_short(table: Table) -> list[str]:
 
 def words_of(table: Table, row: Row) -> str:
     """Return a point in words, with the names and units that reports use."""
-    plan, point = table.plan, row.point
-    if point.number == 0 or plan.scenes:
-        return plan.label(point)
-    words = []
-    for i, axis in enumerate(plan.axes):
-        value = table.value_of(row, i)
-        if point.values[i] is not None:
-            name, unit = name_and_unit(axis.title)
-            sign = "=" if value is not None else "up to"
-            value = point.values[i] if value is None else value
-            shown = f"{value:.6g}" if isinstance(value, float) else literal(value)
-            words.append(f"{name} {sign} {shown}{unit and ' ' + unit}")
-    return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
+    searched = row.point.searched
+    return table.plan.label(row.point, None if searched is None else table.value_of(row, searched))
 
 
 def column_value(row: Row, column: Column) -> str:
@@ -69,10 +64,15 @@ def written(value: float, error: float) -> str:
         return NOT_KNOWN
     if math.isnan(error):
         return f"{value:.2g} ± ?"
-    if not error > 0.0 or not math.isfinite(error):
-        return f"{value:.6g}"
-    digits = max(1, min(12, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2
+    if not error > 0.5 * 10.0**-DIGITS * abs(value) or not math.isfinite(error):
+        return f"{value:.{DIGITS}g}"
+    digits = max(1, min(DIGITS, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2
     return f"{value:.{digits}g} ± {error:.2g}"
+
+
+def percent(share: float, error: float = 0.0) -> str:
+    """Return a share in per cent, with its standard error where that is seen in its digits."""
+    return f"{100.0 * share:.1f}" if error < LEAST_ERROR else written(100.0 * share, 100.0 * error)
 
 
 def first_column(table: Table) -> Column | None:
@@ -136,8 +136,8 @@ def _limit(table: Table, column: Column) -> str:
 def _yield(table: Table) -> Iterator[str]:
     if good := table.yield_share():
         yield (
-            f"Yield: {good.good} of {good.trials} cameras keep the limits, {good.value:.1%} "
-            f"({CONFIDENCE} interval {good.low:.1%} to {good.high:.1%})."
+            f"Yield: {good.good} of {good.trials} cameras keep the limits, {percent(good.value)} % "
+            f"({CONFIDENCE} interval {percent(good.low)} to {percent(good.high)} %)."
         )
     elif table.limited and table.plan.study.design == "one_at_a_time":
         yield 'No yield: every error is studied by itself; design = "sobol" with a count draws all of them together.'
@@ -243,7 +243,7 @@ def budget_in_words(table: Table, budget: Budget) -> str:
     resolved = [effect for effect in budget.effects if effect.is_resolved]
     large = [effect for effect in resolved if budget.share(effect).value >= SMALL][:MOST_NAMED]
     small = len(resolved) - len(large)
-    shares = [f"{names[e.axis]} {budget.share(e).value:.1%} (± {budget.share(e).stderr:.1%})" for e in large]
+    shares = [f"{names[e.axis]} {percent(*budget.share(e))} %" for e in large]
     words = f"The mean square {_what(column)} is used up by {', '.join(shares)}" if shares else (
         f"No parameter has a resolved effect on {column.noun}"
     )  # fmt: skip
@@ -279,7 +279,7 @@ def budget_rows(table: Table, budget: Budget) -> list[list[str]]:
         [
             table.plan.axes[effect.axis].title,
             _amount(budget, effect.square.value) if effect.is_resolved else NOT_RESOLVED,
-            written(100.0 * budget.share(effect).value, 100.0 * budget.share(effect).stderr),
+            percent(*budget.share(effect)),
             written(*effect.linear),
             written(*effect.quadratic),
         ]

@@ -161,8 +161,10 @@ def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
         return None
     off = x - x.mean()
     spread = float((off**2).sum())
-    value = float((off * y).sum() / spread)
-    residual = y - y.mean() - value * off
+    # Of equal values exactly 0.
+    from_mean = y - y.mean()
+    value = float((off * from_mean).sum() / spread)
+    residual = from_mean - value * off
     scatter = float((residual**2).sum()) / (n - 2) / spread
     noise = float(((off * stderr) ** 2).sum()) / spread**2
     reach = float(student.ppf(0.975, n - 2)) * math.sqrt(max(scatter, noise))

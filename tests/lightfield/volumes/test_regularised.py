@@ -2,7 +2,6 @@
 
 import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +10,8 @@ from scipy import optimize, sparse
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.volumes import regularised, volume_error
-from lfmesh.optics.cie import planck_radiance
 from tests.lightfield.volumes.test_projection import box, camera
 from tests.lightfield.volumes.test_reconstruction import system
-from tools.make_flame import HEIGHT_MM, LINE_NM, soot_and_temperature
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def matrix_of(full, shape, sensor_pixels=None, pixels=None):
@@ -210,14 +205,28 @@ def test_the_stated_error_holds_for_depth_that_is_not_resolved():
     assert np.mean(noises) < 0.6
 
 
-def test_volumes_as_deep_as_wide_are_round_and_have_the_same_sums():
-    """Disks that are round in x and z, smeared along z, are found again from their sums; so are those in y and z."""
-    radius = np.hypot(*np.meshgrid(np.arange(9) - 4.0, np.arange(7) - 3.0, indexing="ij"))
-    disk = np.interp(radius, np.arange(7.0), [5.0, 4.0, 3.5, 1.0, 0.5, 0.0, 0.0])
+def voxels_of_revolution(emission, shape, parts=12):
+    """Return the voxel means of an emission by its radius, voxels, about the middle of (x, z)."""
+    x, z = ((np.arange(n * parts) + 0.5) / parts - 0.5 * n for n in shape)
+    values = emission(np.hypot(x[:, None], z[None, :]))
+    return values.reshape(shape[0], parts, shape[1], parts).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("kind", ["ball", "mantle"])
+def test_volumes_as_deep_as_wide_are_round_and_have_the_same_sums(kind):
+    """Round emissions, smeared along z, are found again from their sums; so are those in y and z.
+
+    A mantle is one voxel thick: by values at whole radii and at the middles of voxels it is off by a fifth.
+    """
+    emission = {"ball": lambda r: np.exp(-((r / 2.5) ** 2)), "mantle": lambda r: np.exp(-(((r - 2.2) / 0.5) ** 2))}[
+        kind
+    ]
+    disk = voxels_of_revolution(emission, (9, 7))
     true = disk[:, None, :] * np.array([1.0, 0.0, 2.0])[None, :, None]
     smeared = np.broadcast_to(true.mean(axis=2, keepdims=True), true.shape)
     first, other = volume_error.as_deep_as_wide(smeared, 2)
-    np.testing.assert_allclose(first, true, atol=1e-9)
+    assert np.linalg.norm(first - true) < 0.08 * np.linalg.norm(true)
+    assert np.linalg.norm((first - true).sum(axis=2)) < 0.01 * np.linalg.norm(true.sum(axis=2))
     assert other.shape == true.shape
     # The depth may be any axis.
     turned = volume_error.as_deep_as_wide(np.transpose(smeared, (2, 0, 1)), 0)
@@ -454,42 +463,3 @@ def test_noise_has_the_shape_of_the_image():
         lf.reconstruct(whole, b, "tikhonov", noise=np.ones((4, 3)))
     with pytest.raises(LfmeshError, match="the noise is complex"):
         lf.reconstruct(whole, b, "tikhonov", noise=np.ones(12) * 1j)
-
-
-def flame(grid):
-    """Return the soot flame of `tools/make_flame.py`, as tall as a grid, (nx, ny, nz), 1 where it is brightest."""
-    x, y, z = grid.axes_mm
-    up = y - y[0] + 0.5 * grid.spacing_mm[1]
-    smaller = HEIGHT_MM / (grid.shape[1] * grid.spacing_mm[1])
-    soot, temperature = soot_and_temperature(
-        smaller * np.hypot(x[:, None, None], z[None, None, :]), smaller * up[None, :, None]
-    )
-    glow = soot * np.vectorize(lambda kelvin: float(planck_radiance(LINE_NM, kelvin)))(np.round(temperature, 1))
-    return glow / glow.max()
-
-
-@pytest.mark.long
-def test_a_flame_of_which_no_depth_is_resolved_is_as_near_as_the_best_strength_brings_it():
-    """An axisymmetric flame in 16 × 24 × 16 mm before first light's camera; noise of 1 % of the brightest pixel."""
-    scene = lf.load(ROOT / "assets" / "scenes" / "first_light.toml")
-    scene = scene.changed({"targets": (), "lights": (), "transport.split": "transmit", "transport.threads": 1})
-    grid = lf.VoxelBox.of_size((16, 24, 16), (16.0, 24.0, 16.0), (0.0, 0.0, -500.0))
-    matrix = lf.projection_matrix(scene, grid)
-    assert 25.0 < matrix.resolved_mm[2] < 100.0
-    assert 1000 < matrix.effective_rank < 3000
-    true = flame(grid)
-    clean = matrix.image(true)
-    noise = 0.01 * clean.max()
-    image = clean + noise * np.random.default_rng(2).standard_normal(len(clean))
-    with pytest.warns(lf.FineVoxelsWarning, match="along z 44"):
-        found = lf.reconstruct(matrix, image, "tikhonov", noise=noise)
-    off = np.linalg.norm(found.volume - true)
-    chosen = int(np.flatnonzero(found.tried[:, 0] == found.strength)[0])
-    assert 0 < chosen < len(found.tried) - 1
-    sweep = [
-        np.linalg.norm(lf.reconstruct(matrix, image, "tikhonov", noise=noise, strength=strength).volume - true)
-        for strength in found.tried[[chosen - 1, chosen + 1], 0]
-    ]
-    assert off < 1.1 * min(sweep)
-    assert off < 0.85 * np.linalg.norm(true)
-    assert 0.8 < found.total_error / off < 1.25

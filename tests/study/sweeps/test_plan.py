@@ -6,7 +6,8 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
-from lfmesh.study.sweeps.plan import seed_of
+from lfmesh.study.sweeps.paths import value_at
+from lfmesh.study.sweeps.plan import DISTANCES, seed_of
 from tests.study.studies import SHIFT, shifted, small_scene
 
 STUDY = """
@@ -59,17 +60,17 @@ def test_points_that_give_an_invalid_camera_are_named() -> None:
         lf.Study(small_scene(), axes=axes, metrics=["light"])
     lines = str(told.value).splitlines()
     assert "3 faults" in lines[0]
-    assert "point 2 (camera.mla.pitch_mm = -0.5)" in lines[1]
+    assert "point 2 (camera.mla.pitch_mm = -0.5 mm)" in lines[1]
     assert "must be above 0" in lines[1]
-    assert "point 3 (camera.mla.pitch_mm = 9.0)" in lines[2]
+    assert "point 3 (camera.mla.pitch_mm = 9 mm)" in lines[2]
     assert "does not reach the corner" in lines[2]
-    assert "point 5 (camera.lens.surfaces[0].thickness_mm = 0.1)" in lines[3]
+    assert "point 5 (camera.lens.surfaces[0].thickness_mm = 0.1 mm)" in lines[3]
     assert "cross inside their clear aperture" in lines[3]
 
 
 def test_a_camera_that_cannot_be_focused_is_found_where_it_is_focused_anew() -> None:
     axes = [{"path": "camera.focus_mm", "values": [70.0, 5.0]}]
-    with pytest.raises(lf.LfmeshError, match=r"point 2 \(camera.focus_mm = 5.0\): .*no real image"):
+    with pytest.raises(lf.LfmeshError, match=r"point 2 \(camera.focus_mm = 5 mm\): .*no real image"):
         lf.Study(small_scene(), axes=axes, refocus=True, metrics=["light"])
 
 
@@ -127,3 +128,31 @@ def test_a_dry_run_lists_points_and_computes_none(tmp_path: Path, capsys: pytest
     assert "3 points, 3 units" in printed
     assert "GB of memory" in printed
     assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "study.toml"]
+
+
+FOCAL, STOP = "camera.mla.focal_length_mm", "camera.lens.stop_semi_diameter_mm"
+
+
+@pytest.mark.parametrize("path", [FOCAL, f"{FOCAL}[0]", STOP, "camera.lens.f_number"])
+def test_what_solving_replaces_is_varied_as_the_scene_says_it(path: str) -> None:
+    """The reference stays the same camera; relative changes are added to the scene's own number."""
+    field = path.removesuffix("[0]")
+    scene = small_scene() if field == FOCAL else small_scene().changed({field: 2.5})
+    axes = [{"path": path, "values": [-0.05], "relative": True}]
+    plan = lf.Study(scene, axes=axes, metrics=["chief_rays"], limits={"chief_rays_rms_px": 1.0}).plan
+    reference, moved, searched = (lf.solved(plan.scene_of(point)) for point in plan.points)
+    assert reference == lf.solved(scene)
+    distances = {path: value_at(reference, path) for path in DISTANCES}
+    wanted = {FOCAL: 2.6 - 0.05} if field == FOCAL else {field: 2.45}
+    assert moved == searched == lf.solved(scene.changed(wanted | distances))
+
+
+def test_points_are_told_with_the_names_and_units_of_reports() -> None:
+    axes = [{"path": SHIFT, "values": [0.1 / 3.0], "relative": True, "label": "array: decentre / mm"}]
+    plan = lf.Study(small_scene(), axes=axes, metrics=["chief_rays"], limits={"chief_rays_rms_px": 1.0}).plan
+    told = [plan.label(point) for point in plan.points]
+    assert told == [
+        "the reference",
+        "array: decentre = 0.0333333 mm",
+        "largest change, array: decentre up to 0.0333333 mm",
+    ]

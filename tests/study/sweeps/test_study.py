@@ -450,8 +450,8 @@ def test_progress_counts_units_and_names_best_and_worst(tmp_path: Path) -> None:
     shifted(3).run(tmp_path, workers=0, progress=told.append)
     assert [now.done for now in told] == [0, 1, 2, 3, 4]
     assert all(now.total == 4 for now in told)
-    assert told[-1].best == f"{SHIFT} = 0.0"
-    assert told[-1].worst in (f"{SHIFT} = -0.1", f"{SHIFT} = 0.1")
+    assert told[-1].best == f"{SHIFT} = 0 mm"
+    assert told[-1].worst in (f"{SHIFT} = -0.1 mm", f"{SHIFT} = 0.1 mm")
     assert told[-1].seconds_left == 0.0
 
 

@@ -1,5 +1,6 @@
 """The budget of errors: contributions add up to what cameras with all errors have, and are ranked by their size."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,11 @@ def test_contributions_add_up_to_that_of_all_errors_together(tmp_path: Path) -> 
     page = (tmp_path / "report.html").read_text()
     assert f"The mean square of chief rays: displacement, rms is used up by {SHIFT_Y} " in page
     assert "Budget of chief rays: displacement, rms" in page
+    # No camera has one error by itself; the shares of quantities without noise have no error that is seen.
+    assert "Which error matters" not in page
+    shares = re.findall(r"is used up by (.*?)\. All together", page)
+    assert shares
+    assert not any("±" in each for each in shares)
 
 
 def test_one_error_at_a_time_gives_the_same_sensitivities(tmp_path: Path) -> None:
@@ -67,6 +73,7 @@ def test_rounding_of_metrics_without_noise_is_no_effect(tmp_path: Path) -> None:
     moved, aside = budget(table).effects
     assert moved.linear == aside.linear == aside.quadratic == (0.0, 0.0)
     assert not aside.is_resolved
+    assert all(each.slope.value == 0.0 or abs(each.slope.value) > 1e-6 for each in table.sensitivities())
     assert "e-2" not in " ".join(cell for row in budget_rows(table, budget(table)) for cell in row)
 
 

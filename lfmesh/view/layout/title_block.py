@@ -47,8 +47,9 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     angle = math.degrees(math.atan(full * drawn.distance_mm / (drawn.distance_mm + pupil) if real else full))
     size = f"±{abs(full * drawn.distance_mm):.4g} mm, " if real else ""
     focus = "infinity" if math.isinf(drawn.distance_mm) else length_in_words(drawn.distance_mm, 5)
+    surfaces = len(camera.lens.surfaces)
     first = [
-        (2.4, "lens", camera.lens.name or f"{len(camera.lens.surfaces)} surfaces"),
+        (2.4, "lens", camera.lens.name or f"{surfaces} surface{'s' if surfaces > 1 else ''}"),
         (1.2, "effective focal length", f"{facts.efl_mm:.5g} mm"),
         (1.0, "working f-number", f"f/{facts.working_f_number:.3g}"),
         (1.2, "plane in focus", focus),

@@ -89,11 +89,14 @@ DARK = {
     "lamp behind the target": ({"light_z_mm": -900.0}, ["no light reaches it there, and it does not emit"]),
     "target out of the field": (
         {"target_x_mm": 400.0},
-        ["None of them reached a target; ", " left the lens and met nothing."],
+        ["None of the paths traced back from the sensor reached a target; ", " left the lens and met nothing."],
     ),
     "lens cap": (
         {"stop_mm": 1e-4},
-        ["None of them reached a target, none even got out of the lens.", "ended on the stop"],
+        [
+            "None of the paths traced back from the sensor reached a target, none even got out of the lens.",
+            "ended on the stop",
+        ],
     ),
 }
 

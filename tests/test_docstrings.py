@@ -142,7 +142,7 @@ def test_what_is_missing_is_explained_by_the_first_sentence_of_its_docstring() -
 
 
 def test_a_question_is_found_in_every_place() -> None:
-    module = '"""What it is."""\n\nclass A:\n    """How it is."""\n\n    x: int\n    """Where."""\n'
+    module = '"""What it is."""\n\nclass Thing:\n    """How it is."""\n\n    x: int\n    """Where."""\n'
     assert list(asking(module)) == ["What it is.", "How it is.", "Where."]
 
 

@@ -185,10 +185,9 @@ def _coatings(image: Image) -> list[str]:
 
 
 def where_the_light_went(image: Image) -> list[str]:
-    """Return sentences on where the packets ended that did not make the picture, from the ledger."""
+    """Return sentences on where the packets ended that did not make the picture, from the ledger: the cause first."""
     ledger = image.ledger
     adjoint = image.scene.transport.method == "adjoint"
-    traced = "the paths traced back from the sensor" if adjoint else "the light"
     ends = _ends(image)
     total = sum(share for _, share in ends)
     if total <= 0.0 and ledger.lamps is not None and ledger.lamps.emitted > 0.0:
@@ -201,10 +200,9 @@ def where_the_light_went(image: Image) -> list[str]:
     if total <= 0.0:
         return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
     parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]
-    lines = [f"Of {traced}, {', '.join(parts)}."]
-    if adjoint and ledger.emitted > 0.0:
-        lines.append(_reached(ledger, image.scene))
-    return lines
+    if not adjoint:
+        return [f"Of the light, {', '.join(parts)}."]
+    return [_reached(ledger, image.scene), f"Of all these paths, {', '.join(parts)}."]
 
 
 def duration(seconds: float) -> str:
@@ -312,20 +310,22 @@ def _ended(name: str) -> str:
 
 
 def _reached(ledger: Ledger, scene: Scene) -> str:
+    """Return a sentence on whether the paths from the sensor reached targets, and these have light."""
+    paths = "of the paths traced back from the sensor"
     if ledger.reached_target <= 0.0:
         opaque = [f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is None]
         black = sum(ledger.absorbed.get(name, 0.0) for name in opaque)
         if black > 0.0:
             return (
-                f"{percent(black / ledger.emitted)} of them met a target from its black side, which neither emits nor "
+                f"{percent(black / ledger.emitted)} {paths} met a target from its black side, which neither emits nor "
                 "scatters; none reached another side."
             )
         if ledger.escaped <= 0.0:
-            return "None of them reached a target, none even got out of the lens."
+            return f"None {paths} reached a target, none even got out of the lens."
         return (
-            f"None of them reached a target; {percent(ledger.escaped / ledger.emitted)} left the lens and met nothing."
+            f"None {paths} reached a target; {percent(ledger.escaped / ledger.emitted)} left the lens and met nothing."
         )
-    reached = f"{percent(ledger.reached_target / ledger.emitted)} of the paths reached a target"
+    reached = f"{percent(ledger.reached_target / ledger.emitted)} {paths} reached a target"
     if ledger.lit <= 0.0:
         return f"{reached}, but no light reaches it there, and it does not emit."
     return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."

@@ -21,8 +21,14 @@ READERS = {
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
 
 
-def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
+def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, tuple[float, ...]]:
     """Return the lens of a file of another program, with a LensFileWarning of what is not exactly the file's.
+
+    Returns
+    -------
+    lens : Lens
+    wavelengths_nm : tuple of float
+        Of the file, the primary one first; empty where it has none.
 
     Raises
     ------
@@ -31,7 +37,10 @@ def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
     """
     lens, report = read_lens_file(path, choices)
     report.warn()
-    return lens
+    if report.conditions is None:
+        return lens, ()
+    lines, primary = report.conditions.wavelengths_nm, report.conditions.primary
+    return lens, (lines[primary], *lines[:primary], *lines[primary + 1 :])
 
 
 def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:

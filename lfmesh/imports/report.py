@@ -124,9 +124,10 @@ class Report:
             warnings.warn(f"{self.path}: {text}", LensFileWarning, stacklevel=2)
 
     def text(self, every_line: bool = False) -> list[str]:
-        """Return the report as lines: what needs a look, or with `every_line` everything, then counts and notes."""
+        """Return the report as lines, in the file's order: what needs a look, or all of them, then counts and notes."""
         look = (Verdict.APPROXIMATED, Verdict.UNKNOWN, Verdict.REFUSED)
-        listed = [str(line) for line in self.lines if every_line or line.verdict in look]
+        in_order = sorted(self.lines, key=lambda line: line.number)
+        listed = [str(line) for line in in_order if every_line or line.verdict in look]
         counts = Counter(line.verdict for line in self.lines)
         summary = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict if counts[verdict])
         return [*listed, f"lines: {summary}", *self.notes]

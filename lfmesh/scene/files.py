@@ -1,6 +1,7 @@
 """Reading scene files, with every fault of a file in one error."""
 
 import tomllib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
-from lfmesh.errors import FileError, LfmeshError, SceneError
+from lfmesh.errors import FileError, LensFileWarning, LfmeshError, SceneError
 from lfmesh.regular_file import open_regular
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FILE_CHOICES, STOP_SIZES, FileChoices, Lens
 from lfmesh.scene.camera.lens_readers import endings, reader_of
@@ -26,6 +27,9 @@ MOST_BYTES = 20_000_000
 
 DEEPEST_TABLE = 32
 """Tables and lists in one another that a file may have; scenes have some six."""
+
+SAME_LINE_NM = 1.0
+"""Difference of wavelengths, in nm, that other programs' roundings of one spectral line stay below."""
 
 _LENS = "camera.lens"
 _TOO_DEEP = "tables or lists stand too deep in one another; no scene needs that"
@@ -96,7 +100,7 @@ def load_lens(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> Lens:
     """
     path = _lens_path(str(path), Path())
     if reader := reader_of(path):
-        return reader(path, choices)
+        return reader(path, choices)[0]
     data = _own_table(path, choices)
     _refuse_other_kind("lens", data, path)
     try:
@@ -197,7 +201,7 @@ def _check_bounds(data: dict[str, Any], name: str) -> None:
 
 def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
     lens_table = _lens_with_file(data)
-    lens_faults, origin = _inline_lens(data, folder)
+    lens_faults, origin, wavelengths_nm = _inline_lens(data, folder)
     gltf, gltf_faults = take_keys(data, folder)
     try:
         scene = Scene.model_validate(data, context={"folder": folder})
@@ -210,12 +214,28 @@ def _scene(data: dict[str, Any], folder: Path, name: str) -> Scene:
         raise _refused(name, lens_faults + gltf_faults)
     scene = scene.in_folder(folder)
     scene._lens_table = lens_table
+    if wavelengths_nm and lens_table is not None:
+        _warn_of_other_light(scene, str(lens_table["file"]), wavelengths_nm)
     if gltf is None:
         return scene
     try:
         return gltf_reader()(scene, gltf)
     except LfmeshError as error:
         raise _refused(name, str(error).split("\n")) from None
+
+
+def _warn_of_other_light(scene: Scene, file: str, wavelengths_nm: tuple[float, ...]) -> None:
+    """Warn where a scene without wavelengths of its own is traced at another one than its lens file's primary."""
+    chosen = scene.camera.sensor.bands is not None or "wavelengths_nm" in scene.transport.model_fields_set
+    if chosen or abs(wavelengths_nm[0] - scene.primary_nm) <= SAME_LINE_NM:
+        return
+    lines = ", ".join(f"{line:.10g}" for line in sorted(wavelengths_nm))
+    warnings.warn(
+        f"{file}: its primary wavelength is {wavelengths_nm[0]:.10g} nm, but the scene names none and is traced at "
+        f"{scene.primary_nm:g} nm; the file's are transport.wavelengths_nm = [{lines}]",
+        LensFileWarning,
+        stacklevel=2,
+    )
 
 
 def _lens_with_file(data: dict[str, Any]) -> dict[str, Any] | None:
@@ -225,7 +245,7 @@ def _lens_with_file(data: dict[str, Any]) -> dict[str, Any] | None:
     return dict(lens) if isinstance(lens, dict) and isinstance(lens.get("file"), str) else None
 
 
-def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str]]:
+def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[str, str], tuple[float, ...]]:
     """Put the contents of a lens file into the scene's tables, before these are checked.
 
     Returns
@@ -234,29 +254,31 @@ def _inline_lens(data: dict[str, Any], folder: Path) -> tuple[list[str], dict[st
         Why the file could not be read.
     origin : dict
         Which paths of the scene now come from which file.
+    wavelengths_nm : tuple of float
+        Of a file of another program, the primary one first.
     """
     camera = data.get("camera")
     lens = camera.get("lens") if isinstance(camera, dict) else None
     if not isinstance(lens, dict) or not isinstance(lens.get("file"), str) or "surfaces" in lens:
-        return [], {}
+        return [], {}, ()
     file = lens.pop("file")
     chosen = {key: lens.pop(key) for key in FILE_CHOICES if key in lens}
     try:
         choices = _choices_in(folder, Lens(file=file, **chosen))
     except SceneError as error:
-        return [f"{_LENS}: {error}"], {}
+        return [f"{_LENS}: {error}"], {}, ()
     try:
-        held = _lens_table(_lens_path(file, folder), choices)
+        held, wavelengths_nm = _lens_table(_lens_path(file, folder), choices)
     except SceneError as error:
-        return [f"{_LENS}.file = {literal(file)}: {error}"], {}
+        return [f"{_LENS}.file = {literal(file)}: {error}"], {}, ()
     if "file" in held:
-        return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}
+        return [f"{_LENS}.file = {literal(file)}: a lens file holds surfaces itself and may not name another"], {}, ()
     if any(key in lens for key in STOP_SIZES):
         held = {key: value for key, value in held.items() if key not in STOP_SIZES}
     if isinstance(lens.get("coatings"), dict):
         lens["coatings"] = {**held.get("coatings", {}), **lens["coatings"]}
     camera["lens"] = {**held, **lens}  # type: ignore[index]
-    return [], {f"{_LENS}.surfaces": file}
+    return [], {f"{_LENS}.surfaces": file}, wavelengths_nm
 
 
 def _choices_in(folder: Path, lens: Lens) -> FileChoices:
@@ -290,11 +312,12 @@ def _library() -> dict[str, Path]:
         raise SceneError(str(error)) from None
 
 
-def _lens_table(path: Path, choices: FileChoices) -> dict[str, Any]:
-    """Return the keys of a lens file, whatever program it is of."""
+def _lens_table(path: Path, choices: FileChoices) -> tuple[dict[str, Any], tuple[float, ...]]:
+    """Return the keys of a lens file, whatever program it is of, and the wavelengths of another program's, in nm."""
     if reader := reader_of(path):
-        return reader(path, choices).model_dump(exclude_defaults=True)
-    return _own_table(path, choices)
+        lens, wavelengths_nm = reader(path, choices)
+        return lens.model_dump(exclude_defaults=True), wavelengths_nm
+    return _own_table(path, choices), ()
 
 
 def _own_table(path: Path, choices: FileChoices) -> dict[str, Any]:

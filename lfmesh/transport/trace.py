@@ -56,7 +56,7 @@ def trace(
     world: World,
     origins: ArrayLike,
     directions: ArrayLike,
-    wavelength_nm: float = 587.6,
+    wavelength_nm: float | None = None,
     split: str = "both",
     record: bool = False,
     *,
@@ -77,7 +77,8 @@ def trace(
         start a little beyond it.
     directions : (n, 3) float64
         Any length but zero.
-    wavelength_nm : float
+    wavelength_nm : float, optional
+        The scene's primary wavelength if left out.
     split : {"both", "roulette", "transmit"}
         Follow both children at an interface, one at random, or the refracted one with weight T.
     record : bool
@@ -121,6 +122,7 @@ def trace(
         are not those of light, or the scene has none; or a setting is out of range.
     """
     p, d = _arrays(origins, directions)
+    wavelength_nm = world.scene.primary_nm if wavelength_nm is None else wavelength_nm
     given = {name: value for name, value in settings.items() if value is not None}
     _check_whole(seed=seed, threads=threads, **{name: given[name] for name in ("max_events",) if name in given})
     _check_numbers(wavelength_nm=wavelength_nm, **{name: given[name] for name in ("weight_cutoff",) if name in given})

@@ -1,5 +1,6 @@
 """lfmesh lens list and convert: what they print, what they write, what they refuse."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,35 @@ def test_a_glass_may_be_replaced_in_conversion(tmp_path: Path, capsys):
     assert "SCHOTT/N-BK7" in capsys.readouterr().err
     assert main([*words, "--glass", "BK7_SCHOTT=SCHOTT/N-BK7"]) == 0
     assert load_lens(tmp_path / "out.zmx").surfaces[0].glass == "SCHOTT/N-BK7"
+
+
+def test_every_line_is_listed_in_the_order_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "in.zmx").write_text(SINGLET_ZMX)
+    assert main(["lens", "convert", str(tmp_path / "in.zmx"), str(tmp_path / "out.toml"), "--lines"]) == 0
+    numbers = [int(number) for number in re.findall(r"^line (\d+):", capsys.readouterr().out, flags=re.MULTILINE)]
+    assert len(numbers) > 40
+    assert numbers == sorted(numbers)
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "noted"),
+    [
+        ("", True),
+        ("\n[transport]\nwavelengths_nm = [587.6]", False),
+        ("\n[transport]\nwavelengths_nm = [850.0]", False),
+    ],
+)
+def test_a_scene_without_wavelengths_is_told_those_of_its_lens_file(
+    wavelengths: str, noted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wave = re.compile(r"^WAVM 2 .*$", flags=re.MULTILINE)
+    (tmp_path / "in.zmx").write_text(wave.sub("WAVM 2 0.850 1", SINGLET_ZMX))
+    (tmp_path / "scene.toml").write_text(SCENE.format("in.zmx") + wavelengths)
+    assert main(["check", str(tmp_path / "scene.toml")]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert (
+        "in.zmx: its primary wavelength is 850 nm, but the scene names none and is traced at 587.6 nm" in said
+    ) == noted
 
 
 def test_a_command_notes_what_is_doubtful_in_the_scenes_lens_file(tmp_path: Path, capsys):

@@ -99,16 +99,18 @@ def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of:
     ledger = lf.Ledger(emitted=4.0, absorbed={"stop": 3.0, "targets[0]": 1.0}, reached_target=1.0, lit=0.0)
     lines = text(image_of(mean=black, stderr=black, ledger=ledger))
     assert "75 % ended on the stop, 25 % ended on targets[0]" in lines
-    assert "25 % of the paths reached a target, but no light reaches it there" in lines
+    cause = lines.index("25 % of the paths traced back from the sensor reached a target, but no light reaches it there")
+    assert cause < lines.index("75 % ended on the stop"), "the cause comes first"
     nowhere = lf.Ledger(emitted=4.0, escaped=4.0)
-    assert "None of them reached a target" in text(image_of(mean=black, stderr=black, ledger=nowhere))
+    said = text(image_of(mean=black, stderr=black, ledger=nowhere))
+    assert "None of the paths traced back from the sensor reached a target" in said
 
 
 def test_a_picture_from_within_a_target_says_that_its_inside_is_black(image_of: Build) -> None:
     ledger = lf.Ledger(emitted=1.0, escaped=0.1, absorbed={"targets[0]": 0.75, "stop": 0.15})
     said = text(image_of(mean=np.zeros((60, 80, 1)), stderr=np.zeros((60, 80, 1)), ledger=ledger))
-    assert "75 % of them met a target from its black side" in said
-    assert "None of them reached a target" not in said
+    assert "75 % of the paths traced back from the sensor met a target from its black side" in said
+    assert "reached a target" not in said
 
 
 def test_a_well_lit_picture_does_not_speak_of_losses(image_of: Build) -> None:

@@ -299,7 +299,6 @@ FORWARD = [[0.0, 0.0, 1.0]]
         ([[0.0, 0.0, -9.0]], FORWARD, {"threads": -1}, "threads = -1"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": -1}, "seed = -1"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": None}, "seed = None: must be a whole number"),
-        ([[0.0, 0.0, -9.0]], FORWARD, {"wavelength_nm": None}, "wavelength_nm = None: must be a number"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": "a"}, 'seed = "a": must be a whole number'),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": 1.5}, "seed = 1.5: must be a whole number"),
         ([[0.0, 0.0, -9.0]], FORWARD, {"seed": True}, "seed = true: must be a whole number"),
@@ -332,6 +331,18 @@ def test_a_tree_of_reflections_without_an_end_is_refused_in_bounded_memory(world
 def test_whole_numbers_of_numpy_are_whole_numbers(world):
     whole = {"seed": np.uint64(3), "threads": np.int64(1), "max_events": np.int32(20)}
     assert len(lf.trace(world, [[0.0, 0.0, -9.0]], FORWARD, wavelength_nm=np.float32(550), **whole))
+
+
+def test_rays_have_the_primary_wavelength_of_the_scene_where_none_is_given() -> None:
+    lens, lines = load_lens("lib:achromat_100mm"), {"transport.wavelengths_nm": (450.0, 656.3, 700.0)}
+    world = lf.build(lf.load(asset_path("scenes/lit_chart.toml")).changed(lines | {"camera.lens": lens}))
+    rays = [[0.0, 0.0, -100.0]], [[0.05, 0.0, 1.0]]
+    omitted, red, blue = (
+        lf.trace(world, *rays, split="transmit", **given)
+        for given in ({}, {"wavelength_nm": 656.3}, {"wavelength_nm": 450.0})
+    )
+    assert np.array_equal(omitted.position, red.position)
+    assert not np.array_equal(omitted.position, blue.position)
 
 
 def test_a_path_that_was_not_recorded_is_refused(world):

@@ -6,9 +6,6 @@ against what the file says.
 """
 
 import json
-import os
-import re
-import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,8 +13,9 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from lfmesh.errors import LensFileWarning, MeshError
-from lfmesh.geometry.files import cad_file
+from lfmesh.errors import MeshError
+from lfmesh.geometry.files import cad_file, obj_file
+from lfmesh.geometry.files.companion import check_companion
 from lfmesh.geometry.files.gltf_nodes import (
     REPEAT,
     WRAP,
@@ -162,13 +160,7 @@ def companions(path: Path) -> list[str]:
     names: list[str] = []
     ending = path.suffix.lower()
     if ending == ".obj":
-        for name in _MATERIAL_FILE.findall(read_text(path, errors="replace")):
-            names.append(name)
-            library = path.parent / name
-            if library.is_file():
-                text = read_text(library, errors="replace")
-                pictures = [_picture_name(value) for value in _PICTURE_FILE.findall(text)]
-                names += [(Path(name).parent / picture).as_posix() for picture in pictures]
+        names += obj_file.companions(path)
     elif ending == ".gltf":
         try:
             document = json.loads(read_bytes(path))
@@ -179,15 +171,10 @@ def companions(path: Path) -> list[str]:
     return [name for name in dict.fromkeys(names) if (path.parent / name).is_file()]
 
 
-def _picture_name(value: str) -> str:
-    """Return the file of a map_Kd line: options such as -s 1 1 1 stand before the name."""
-    return value.split()[-1] if value.startswith("-") else value
-
-
 def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | int | None) -> list[Piece]:
     unit = _agreed(path, UNIT_OF_FORMAT.get(ending), units)
     if ending == ".obj":
-        _check_obj(path)
+        obj_file.check(path)
     document = gltf_document(path) if ending in UNIT_OF_FORMAT else None
     try:
         placed = _placed(path) if document is None else _placed_nodes(path, document, node)
@@ -364,54 +351,6 @@ def _colour(material: Any, pictures: dict[int, Texture], alpha: bool) -> tuple[T
     return pictures[id(image)], colour
 
 
-_FACET_OF_VERTEX_ZERO = re.compile(r"^[ \t]*f[ \t](?:.*[ \t])?0(?:[/ \t].*)?$", re.MULTILINE)
-_MATERIAL_FILE = re.compile(r"^[ \t]*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
-_USED, _DEFINED = (re.compile(rf"^[ \t]*{key}[ \t]+(.+?)\s*$", re.MULTILINE) for key in ("usemtl", "newmtl"))
-_PICTURE_FILE = re.compile(r"^[ \t]*map_Kd[ \t]+(.+?)\s*$", re.MULTILINE)
-
-
-def _check_obj(path: Path) -> None:
-    """Raise what trimesh passes over, a corner numbered 0 or a missing picture; warn of missing materials."""
-    text = read_text(path, errors="replace")
-    if zero := _FACET_OF_VERTEX_ZERO.search(text):
-        line = text.count("\n", 0, zero.start()) + 1
-        raise MeshError(f"{path}: line {line}: a facet names vertex 0; OBJ counts from 1 (or back from -1)")
-    missing, defined = [], set[str]()
-    for name in _MATERIAL_FILE.findall(text):
-        library = path.parent / name
-        _check_inside(path, name, "material file")
-        if not library.is_file():
-            missing.append(f"its material file {name} is not there")
-            continue
-        materials = read_text(library, errors="replace")
-        defined.update(_DEFINED.findall(materials))
-        for value in _PICTURE_FILE.findall(materials):
-            picture = _picture_name(value)
-            _check_inside(path, (Path(name).parent / picture).as_posix(), "picture")
-            if not (library.parent / picture).is_file():
-                raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
-    if not missing and _MATERIAL_FILE.search(text):
-        missing = [f"its material {name[:60]} is not defined" for name in sorted(set(_USED.findall(text)) - defined)]
-    for what in missing:
-        said = f"{path}: {what}: its facets have the material that the scene gives"
-        warnings.warn(said, LensFileWarning, stacklevel=2)
-
-
-def _check_inside(path: Path, name: str, kind: str) -> None:
-    """Raise if a file that a mesh names lies outside its folder: a mesh from elsewhere must not open other files."""
-    inside = "\0" not in name and Path(os.path.normpath(path.parent / name)).is_relative_to(
-        os.path.normpath(path.parent)
-    )
-    if not inside:
-        raise MeshError(f"{path}: its {kind} {name!r} is outside the mesh's folder; put it beside the mesh")
-    try:
-        irregular = (path.parent / name).exists() and not (path.parent / name).is_file()
-    except OSError as error:
-        raise MeshError(f"{path}: its {kind} {_shortened(name)!r}: {error.strerror}") from None
-    if irregular:
-        raise MeshError(f"{path}: its {kind} {name} is no regular file")
-
-
 def _shortened(text: str) -> str:
     return text if len(text) <= 200 else f"{text[:197]}..."
 
@@ -450,7 +389,7 @@ def _check_gltf(path: Path, document: dict[str, Any]) -> None:
             if not isinstance(uri, str) or uri.startswith("data:"):
                 continue
             name = unquote(uri)
-            _check_inside(path, name, kind)
+            check_companion(path, name, kind)
             if not (path.parent / name).is_file():
                 raise MeshError(f"{path}: its {kind} {name} is not there; put it beside the mesh")
     for accessor in _objects(document, "accessors"):

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from lfmesh.scene.camera.lens import FileChoices, Lens
 
-Reader = Callable[[Path, FileChoices], Lens]
+Reader = Callable[[Path, FileChoices], tuple[Lens, tuple[float, ...]]]
+"""Function that returns the lens of a file and the file's wavelengths in nm, the primary one first."""
 
 _PARTS = dict.fromkeys((".zmx", ".seq", ".len", ".json", ".csv"), "lfmesh.imports")
 """Part that registers the reader of an ending when it is imported; by name, for the scene knows nothing of it."""

@@ -253,9 +253,9 @@ class View:
         """Draw the line and its arrows: between its ends, or pointing at them from outside where there is no room."""
         middle = 0.5 * (x0 + x1)
         if cut:
-            self.sheet.line([x0, middle], [y, y], lw=0.5)
+            # One line from end to end: pieces that meet may be drawn a pixel apart.
+            self._arrow((x0, y), (x1, y))
             self.sheet.break_marks(x0 + 0.16, y, 0.05)
-            self._arrow((middle, y), (x1, y))
             return
         for tail, tip in [(x0 - 0.14, x0), (x1 + 0.14, x1)] if outside else [(middle, x0), (middle, x1)]:
             self._arrow((tail, y), (tip, y))

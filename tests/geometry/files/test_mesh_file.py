@@ -279,8 +279,11 @@ def broken_files(folder):
         whole = whole if isinstance(whole, bytes) else whole.encode()
         yield write(f"short.{ending}", whole[: int(0.8 * len(whole))]), "no facets|broken|cut short"
     yield write("solid.stl", "solid nothing\nendsolid nothing\n"), "no facets"
-    yield write("index.obj", TRIANGLE + "f 1 2 9\n"), "broken"
-    yield write("zero.obj", TRIANGLE + "f 1 2 3\nf 0 1 2\n"), "line 8: a facet names vertex 0"
+    for number in (9, -4, 0):
+        said = f"line 8: a facet names vertex {number}, but there are 3, counted from 1"
+        yield write(f"vertex{number}.obj", TRIANGLE + f"f 1 2 3\nf 1 {number} 2\n"), said
+    yield write("uv.obj", TRIANGLE + "f 1/1 2/2 3/7\n"), "line 7: a facet names texture coordinate 7, but there are 3"
+    yield write("normal.obj", TRIANGLE + "f 1//1 2//1 3//1\n"), "line 7: a facet names normal 1, but there is none"
     yield write("points.obj", TRIANGLE), "no facets"
     yield write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "1 of 1 facets"
     yield write("inf.off", "OFF\n3 1 0\n0 0 0\ninf 0 0\n0 1 0\n3 0 1 2\n"), "1 of 1 facets"

@@ -106,6 +106,13 @@ def test_the_svg_is_xml_that_holds_its_labels_as_text():
     assert "L7" not in texts
 
 
+@pytest.mark.parametrize(("change", "said"), [({}, "500 mm"), ({"index": 1.333}, "500 mm in n = 1.333")])
+def test_the_medium_of_the_objects_stands_beside_the_plane_in_focus(change, said):
+    given = {"camera.object_medium": change} if change else {}
+    figure = sheet_figure(layout(lf.load(asset_path("scenes/emitting_plane.toml")).changed(given)))
+    assert said in [text.get_text() for text in figure.findobj(Text)]
+
+
 def test_names_are_written_as_they_are():
     name = "A $x^2$ & <tag> \\alpha"
     drawn = replace(first_light(), scene=first_light().scene.changed({"name": name}))

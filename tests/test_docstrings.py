@@ -126,13 +126,14 @@ def asking(source: str) -> Iterator[str]:
     """Yield the texts of a module, docstrings and what stands below a field, that begin as a question does."""
     for node in ast.walk(ast.parse(source)):
         text = node.value.value if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) else None
-        if isinstance(text, str) and re.match(r"(What|Where|How|Whether)\b", text):
+        if isinstance(text, str) and re.match(r"(What|Where|How|Whether|Which|Why)\b", text):
             yield text.splitlines()[0]
 
 
 def test_no_docstring_begins_as_a_question_does() -> None:
     package = Path(lfmesh.__file__).parent
-    found = {str(path.relative_to(package)): list(asking(path.read_text())) for path in package.rglob("*.py")}
+    files = [*package.rglob("*.py"), *(package.parent / "tools").glob("*.py")]
+    found = {str(path): list(asking(path.read_text(encoding="utf-8"))) for path in files}
     assert {path: texts for path, texts in found.items() if texts} == {}
 
 

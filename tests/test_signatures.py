@@ -136,22 +136,3 @@ def test_public_functions_of_three_parameters_describe_them() -> None:
     paths = [path for path in PACKAGE.rglob("*.py") if path.parent.name != "cli"]
     found = {str(path): list(undescribed(ast.parse(path.read_text(encoding="utf-8")))) for path in paths}
     assert not {path: names for path, names in found.items() if names}
-
-
-RIDDLES = ("What ", "Where ", "How ", "Whether ", "Which ", "Why ")
-
-
-def riddles(source: str) -> Iterator[str]:
-    """Yield the first lines of docstrings that begin as a question and name no thing."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            text = ast.get_docstring(node) or ""
-            if text.startswith(RIDDLES):
-                yield text.splitlines()[0]
-
-
-def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
-    assert list(riddles('"""What it is."""')) == ["What it is."]
-    tools = sorted((PACKAGE.parent / "tools").glob("*.py"))
-    found = {path: list(riddles(path.read_text(encoding="utf-8"))) for path in [*PACKAGE.rglob("*.py"), *tools]}
-    assert not {path: lines for path, lines in found.items() if lines}

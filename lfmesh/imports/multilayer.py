@@ -30,7 +30,7 @@ LABEL = 10
 """Letters of a label, and of the number before the first one of a line."""
 
 _WITHOUT_E = re.compile(r"(?<=[\d.])(?:[Dd]|(?=[+-]))(?=[+-]?\d+$)")
-"""Where a real of Fortran has no E before its exponent."""
+"""Place of the missing E before the exponent of a real of Fortran."""
 
 _ORDER = (
     "its layers are taken from its incident medium on: from the air to the glass, between two glasses from the object "

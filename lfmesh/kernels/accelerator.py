@@ -19,7 +19,7 @@ import numba
 PLAIN = "LFMESH_PLAIN_NUMBA"
 
 _faults: list[str] = []
-"""Why the private classes are left alone."""
+"""Reasons to leave the private classes alone."""
 
 
 def private(part: str) -> ModuleType | None:

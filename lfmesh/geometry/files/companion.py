@@ -7,7 +7,17 @@ from lfmesh.errors import MeshError
 
 
 def check_companion(path: Path, name: str, kind: str) -> None:
-    """Raise if a file that a mesh names lies outside its folder: a mesh from elsewhere must not open other files."""
+    """Raise if a file that a mesh names lies outside its folder: a mesh from elsewhere must not open other files.
+
+    Parameters
+    ----------
+    path : Path
+        Of the mesh.
+    name : str
+        Name of the other file, as the mesh has it.
+    kind : str
+        Word for what that file is.
+    """
     inside = "\0" not in name and Path(os.path.normpath(path.parent / name)).is_relative_to(
         os.path.normpath(path.parent)
     )

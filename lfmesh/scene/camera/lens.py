@@ -513,7 +513,7 @@ class Lens(Model):
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
-    """Which configuration of the file, from 1; if left out, the one whose values stand in its surfaces."""
+    """Number of the configuration of the file, from 1; if left out, the one whose values stand in its surfaces."""
     coating_file: Text | None = None
     """Zemax's coating file that defines the coatings which a .zmx file names, relative to the scene file; if left out,
     the one beside the lens file."""

@@ -38,7 +38,7 @@ class ArrayForm(Model):
     radius_error: NonNegative = Field(default=0.0, lt=0.5)
     """Rms relative error of a lenslet's radius of curvature (no unit)."""
     seed: Whole = 0
-    """Which array of this quality: the random errors follow from it alone."""
+    """Number of an array of this quality: the random errors follow from it alone."""
 
 
 class MicrolensArray(Model):
@@ -82,7 +82,7 @@ class MicrolensArray(Model):
     flat_finish: AnyFinish = POLISHED
     """Finish of the flat face, or of that of `back`."""
     curved_side: Literal["lens", "sensor"] = "lens"
-    """Which way the curved face looks."""
+    """Side that the curved face looks to."""
     back: BackFace | None = None
     """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. With it the
     curved face is given by `radius_mm`."""

@@ -20,7 +20,7 @@ class LinearPolarisation(Model):
     """
 
     kind: Literal["linear"] = "linear"
-    """Which state this is."""
+    """Kind of polarisation."""
     angle_deg: Number
     """From the world's x axis, in degrees, counter-clockwise as seen by somebody whom the light comes to."""
 
@@ -35,7 +35,7 @@ class CircularPolarisation(Model):
     """A field that turns."""
 
     kind: Literal["circular"] = "circular"
-    """Which state this is."""
+    """Kind of polarisation."""
     handedness: Literal["right", "left"] = "right"
     """"right": somebody whom the light comes to sees the field turn counter-clockwise (IEEE, IAU); "left":
     clockwise."""
@@ -60,7 +60,7 @@ class PointLight(_Shines):
     """A point that shines alike in every direction, or by an angular profile."""
 
     kind: Literal["point"] = "point"
-    """Which light this is."""
+    """Kind of light."""
     position_mm: Vector
     """Position, in mm."""
     power_w: Positive
@@ -94,7 +94,7 @@ class DirectionalLight(_Directed):
     """Parallel light from far away."""
 
     kind: Literal["directional"] = "directional"
-    """Which light this is."""
+    """Kind of light."""
     irradiance_w_m2: Positive
     """On a plane square to the direction, in W/m²: at each wavelength of `transport.wavelengths_nm`, or with bands over
     the whole range of wavelengths from the first band's beginning to the last one's end."""
@@ -106,7 +106,7 @@ class DiskLight(_Directed):
     """A disk that shines to one side by Lambert's law."""
 
     kind: Literal["disk"] = "disk"
-    """Which light this is."""
+    """Kind of light."""
     position_mm: Vector
     """Its centre, in mm."""
     radius_mm: Positive
@@ -120,7 +120,7 @@ class SpotLight(_Directed):
     """A point that shines into a cone, evenly but for a soft edge, or by an angular profile."""
 
     kind: Literal["spot"] = "spot"
-    """Which light this is."""
+    """Kind of light."""
     position_mm: Vector
     """Position, in mm."""
     half_angle_deg: HalfAngle | None = None

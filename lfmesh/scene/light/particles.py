@@ -90,7 +90,7 @@ class UniformDisplacement(Model):
     """All particles move alike."""
 
     kind: Literal["uniform"] = "uniform"
-    """Which field this is."""
+    """Kind of displacement field."""
     vector_mm: Vector
     """From one frame to the next, in mm."""
 
@@ -111,7 +111,7 @@ class RotationDisplacement(_AboutAxis):
     """All particles turn about an axis together."""
 
     kind: Literal["rotation"] = "rotation"
-    """Which field this is."""
+    """Kind of displacement field."""
     angle_deg: Number
     """From one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
 
@@ -120,7 +120,7 @@ class VortexDisplacement(_AboutAxis):
     """A vortex of Lamb and Oseen: particles go round an axis on circles, fastest near the core's radius."""
 
     kind: Literal["vortex"] = "vortex"
-    """Which field this is."""
+    """Kind of displacement field."""
     core_mm: Positive
     """Radius of the core, in mm: along circles the displacement is Γ (1 − exp(−r² / core²)) / (2 π r)."""
     circulation_mm2: Number
@@ -131,7 +131,7 @@ class MeasuredDisplacement(Model):
     """Displacements from a file, linear between the nodes of a grid."""
 
     kind: Literal["file"] = "file"
-    """Which field this is."""
+    """Kind of displacement field."""
     file: FilePath
     """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm, whose places
     are all nodes of a grid with edges along x, y, z, in any order; particles beyond it are not moved."""

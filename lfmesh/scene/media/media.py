@@ -18,7 +18,7 @@ class MeshBounds(BodyFile):
     """A closed mesh, which what it bounds fills up to its flat facets."""
 
     kind: Literal["mesh"] = "mesh"
-    """Which shape this is; may be left out beside `file`."""
+    """Kind of shape; may be left out beside `file`."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the file's name and what is said of it."""

@@ -15,14 +15,14 @@ class IsotropicPhase(Model):
     """Light is scattered alike in all directions."""
 
     kind: Literal["isotropic"] = "isotropic"
-    """Which phase function this is."""
+    """Kind of phase function."""
 
 
 class HenyeyGreensteinPhase(Model):
     """Henyey and Greenstein's phase function, by its mean cosine."""
 
     kind: Literal["henyey_greenstein"] = "henyey_greenstein"
-    """Which phase function this is."""
+    """Kind of phase function."""
     g: Annotated[float, Field(strict=True, gt=-1, lt=1)]
     """Mean cosine of the scattering angle (no unit), between -1, all thrown back, and 1, all straight on."""
 
@@ -31,14 +31,14 @@ class RayleighPhase(Model):
     """Spheres far smaller than the wavelength, in unpolarised light."""
 
     kind: Literal["rayleigh"] = "rayleigh"
-    """Which phase function this is."""
+    """Kind of phase function."""
 
 
 class MiePhase(Model):
     """Homogeneous spheres of one size or of log-normally distributed sizes (Mie), in unpolarised light."""
 
     kind: Literal["mie"] = "mie"
-    """Which phase function this is."""
+    """Kind of phase function."""
     diameter_um: Positive
     """Diameter of the spheres, or the median of their diameters, in µm."""
     index: SphereIndex
@@ -61,7 +61,7 @@ class TabulatedPhase(Model):
     """A phase function from a file."""
 
     kind: Literal["table"] = "table"
-    """Which phase function this is."""
+    """Kind of phase function."""
     file: FilePath
     """A CSV file, relative to the scene file, with the columns angle_deg, from 0 (straight on) to 180, and value, in
     any unit; linear in the cosine of the angle between its rows."""

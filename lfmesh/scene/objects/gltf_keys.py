@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 ENDINGS = (".glb", ".gltf")
 
 _PART = "lfmesh.imports"
-"""Which registers the reader when it is imported."""
+"""Module that registers the reader when it is imported."""
 
 
 class GltfFile(Model):

@@ -22,7 +22,7 @@ class Plane(Model):
     """
 
     kind: Literal["plane"] = "plane"
-    """Which shape this is."""
+    """Kind of shape."""
     width_mm: Positive
     """Extent along x, in mm."""
     height_mm: Positive
@@ -33,7 +33,7 @@ class Disk(Model):
     """A disk in its own xy plane, facing +z. The square round it carries the texture, mirrored if seen from behind."""
 
     kind: Literal["disk"] = "disk"
-    """Which shape this is."""
+    """Kind of shape."""
     radius_mm: Positive
     """Radius, in mm."""
 
@@ -42,7 +42,7 @@ class Sphere(Model):
     """A sphere. Its texture is an equirectangular map: centre towards +z, top towards +y."""
 
     kind: Literal["sphere"] = "sphere"
-    """Which shape this is."""
+    """Kind of shape."""
     radius_mm: Positive
     """Radius, in mm."""
 
@@ -51,7 +51,7 @@ class Box(Model):
     """A box, centred, with its edges along x, y and z. Every face carries the whole texture."""
 
     kind: Literal["box"] = "box"
-    """Which shape this is."""
+    """Kind of shape."""
     size_mm: tuple[Positive, Positive, Positive]
     """Lengths of the edges along x, y, z, in mm."""
 
@@ -64,7 +64,7 @@ class Cylinder(Model):
     """
 
     kind: Literal["cylinder"] = "cylinder"
-    """Which shape this is."""
+    """Kind of shape."""
     radius_mm: Positive
     """Radius, in mm."""
     height_mm: Positive

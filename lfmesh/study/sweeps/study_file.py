@@ -42,7 +42,7 @@ class StudyFile(Model):
     paired: Flag = True
     """Use the same random numbers at every point, so that differences are sharp."""
     design: Design = "one_at_a_time"
-    """Which points are taken: every combination of values ("grid"), every value by itself ("one_at_a_time"), or `count`
+    """Points that are taken: every combination of values ("grid"), every value by itself ("one_at_a_time"), or `count`
     points that fill the space ("latin_hypercube", "sobol")."""
     count: Count | None = None
     """Number of points of a "latin_hypercube" or "sobol" design."""

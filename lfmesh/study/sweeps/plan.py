@@ -45,6 +45,10 @@ USED_UP = {
 """Fields that solving a scene replaces by others, and the optional field that then says the same."""
 
 
+CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
+"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
+
+
 @dataclass(frozen=True)
 class Point:
     """A point of a study.
@@ -143,6 +147,11 @@ class Plan:
             digits = f"{shown:.6g}" if isinstance(shown, float) else literal(shown)
             words.append(f"{name} {sign} {digits}{unit and ' ' + unit}")
         return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
+
+    def cameras_of(self, point: Point) -> int:
+        """Return how many cameras are traced at a point, by rule of thumb: a search and adjustments take several."""
+        adjusted = 1 + CAMERAS_ADJUSTED * (len(self.study.compensators) if point.number else 0)
+        return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
 
     def search_of(self, point: Point) -> Search | None:
         """Return what is searched at a point; None where nothing is."""

@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass, replace
 
 from lfmesh.study.metrics.metrics import pictures_of
-from lfmesh.study.sweeps.plan import Plan, Point
+from lfmesh.study.sweeps.plan import Plan
 from lfmesh.study.sweeps.study import cores, default_workers
 from lfmesh.study.sweeps.unit import Unit, reference_films, run_unit
 
@@ -37,9 +37,6 @@ PROBE_SHARES = (1, 3)
 PROCESS_BYTES = 4e8
 """Of a process that has traced something, without its films."""
 
-CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
-"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
-
 
 def probe(plan: Plan, workers: int | None = None) -> Probe:
     """Estimate time and memory of a study from a short trace of its reference."""
@@ -63,15 +60,8 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
     # The camera's own films, the reference's, and what comparing them takes.
     memory = workers * (PROCESS_BYTES + 4.0 * film)
-    seconds = one * sum(_cameras_of(plan, point) for point in plan.points) * plan.study.batches / workers
+    seconds = one * sum(plan.cameras_of(point) for point in plan.points) * plan.study.batches / workers
     return Probe(len(plan.points), len(plan.units), workers, one, seconds, memory)
-
-
-def _cameras_of(plan: Plan, point: Point) -> int:
-    """Return how many cameras are traced at a point, by rule of thumb: a search and adjustments take several."""
-    adjustable = len(plan.study.compensators) if point.number else 0
-    adjusted = 1 + CAMERAS_ADJUSTED * adjustable
-    return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
 
 
 def _reference_unit(plan: Plan, threads: int) -> Unit:

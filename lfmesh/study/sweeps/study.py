@@ -46,6 +46,8 @@ class Progress:
         Of this run.
     best, worst : str
         Points by the first metric, in words; "" where there are none.
+    size_left : float
+        Cameras that a unit traces which is left, over those of one that was done in this run, in the mean.
     """
 
     done: int
@@ -55,11 +57,12 @@ class Progress:
     seconds: float
     best: str = ""
     worst: str = ""
+    size_left: float = 1.0
 
     @property
     def seconds_left(self) -> float | None:
         """Time left at the rate of this run."""
-        return self.seconds / self.new * (self.total - self.done) if self.new else None
+        return self.seconds / self.new * (self.total - self.done) * self.size_left if self.new else None
 
 
 Report = Callable[[Progress], None]
@@ -265,7 +268,7 @@ class Run:
         self.outcomes: dict[tuple[int, int], Outcome] = {}
         self.faults: dict[int, str] = {}
         self.began = time.perf_counter()
-        self.new = 0
+        self.new = self.cameras = 0
 
     def complete(self, workers: int | None, dask: str | None, shard: Shard | None) -> Table:
         """Compute what is missing, and write the table.
@@ -282,14 +285,14 @@ class Run:
         units = self.plan.units if shard is None else self.plan.units[shard[0] - 1 :: shard[1]]
         missing = self._missing(units)
         self.folder.log("started", units=len(units), missing=len(missing), shard=shard)
-        self._say(len(units))
+        self._say(units)
         if workers is None:
             workers = default_workers(len(missing))
         threads = max(1, cores() // max(workers, 1)) if dask is None else 1
         try:
             for result in self._results(missing, threads, workers, dask):
                 self._take(result)
-                self._say(len(units))
+                self._say(units)
         except KeyboardInterrupt:
             self.folder.log("interrupted", done=self.new)
             self.written()
@@ -356,6 +359,7 @@ class Run:
         """Keep a unit's outcome, or note why there is none."""
         point, batch = result.unit.point, result.unit.batch
         self.new += 1
+        self.cameras += self.plan.cameras_of(self.plan.points[point])
         reason = result.reason
         if result.content is not None:
             outcome = unpacked(result.content, self.plan.digest, point, batch, self.plan.metrics)
@@ -380,13 +384,19 @@ class Run:
         if not self.plan.scenes:
             warn_caller(map(UserWarning, beyond_limits(table_of(self.plan, self.outcomes, {}))))
 
-    def _say(self, total: int) -> None:
+    def _say(self, units: list[tuple[int, int]]) -> None:
         if self.progress is None:
             return
+        cameras = [
+            self.plan.cameras_of(self.plan.points[point])
+            for point, batch in units
+            if (point, batch) not in self.outcomes
+        ]
+        size = sum(cameras) / len(cameras) * self.new / self.cameras if cameras and self.cameras else 1.0
         best, worst = self._ends()
         seconds = time.perf_counter() - self.began
         failed = len({point for (point, _), outcome in self.outcomes.items() if outcome.fault} | set(self.faults))
-        self.progress(Progress(len(self.outcomes), total, self.new, failed, seconds, best, worst))
+        self.progress(Progress(len(self.outcomes), len(units), self.new, failed, seconds, best, worst, size))
 
     def _ends(self) -> tuple[str, str]:
         """Return the best and the worst point so far by the first column that has a worse side, in words."""

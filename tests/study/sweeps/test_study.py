@@ -455,6 +455,16 @@ def test_progress_counts_units_and_names_best_and_worst(tmp_path: Path) -> None:
     assert told[-1].seconds_left == 0.0
 
 
+def test_the_time_left_knows_that_searches_trace_many_cameras(tmp_path: Path) -> None:
+    told: list[Any] = []
+    study = shifted(2, metrics=("chief_rays",), limits={"chief_rays_rms_px": 0.3})
+    study.run(tmp_path, workers=0, progress=told.append)
+    # Reference, two points, and a search to either side, each of which is ninefold.
+    assert [now.size_left for now in told] == pytest.approx([1.0, 5.0, 19.0 / 3.0, 9.0, 18.0 / 6.0, 1.0])
+    now = told[3]
+    assert now.seconds_left == pytest.approx(now.seconds / 3.0 * 2.0 * 9.0)
+
+
 def test_scenes_are_compared_with_the_first(tmp_path: Path) -> None:
     dim = {**PLANE, "material": {"reflectance": 0.0, "radiance_w_m2_sr": 0.5}}
     scenes = [small_scene(), small_scene().changed({"targets": [dim], "name": "dim"})]

@@ -63,7 +63,7 @@ Array = NDArray[np.float64]
 
 LENSES = ("spheres", "aspheres")
 CONIC, TERMS_MM = -0.3, (1e-7, 1e-10)
-"""What makes an asphere of every second surface, and of the others with the opposite sign: some µm of sag."""
+"""Terms that make an asphere of every second surface, and of the others with the opposite sign: some µm of sag."""
 
 RAYS, QUICK_RAYS = 1 << 17, 1 << 12
 ROUNDS, QUICK_ROUNDS = 11, 2

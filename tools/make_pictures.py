@@ -64,7 +64,7 @@ VIEWS: dict[str, dict[str, Any]] = {
         "cut": True,
     },
 }
-"""What lf.show shows of a scene."""
+"""View that lf.show opens of a scene."""
 MEDIA = ("flame", "particles", "tank")
 """Names of scenes of which the view is a picture."""
 

@@ -41,7 +41,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "particles": {"particles[0].count": 200, "particles[0].samples": 16},
     "lytro_class": {"camera.mla.count": [41, 34]},
 }
-"""What else is changed in scenes of the assets, so that they take less time."""
+"""Changes of scenes of the assets, beside those of all, so that they take less time."""
 
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "forward": ("first_light", {"transport.method": "forward"}),

@@ -22,17 +22,22 @@ from lfmesh.imports.glasses import Medium, formula_glass, private_glass
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths, refuse_choices
 from lfmesh.imports.numbers import is_number, may_matter, number, numbers
 from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
-from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.report import OTHER_AIR, Report, Verdict
 from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
 _UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 
+TEMPERATURES_C, PRESSURES = (20.0, 22.0), (1.0, 760.0)
+"""Those of catalogues, °C, and of the air at sea level in atmospheres or mm of mercury."""
+
+MIRRORS = "mirrors are not supported: the lens refracts"
+
 COEFFICIENTS = "ABCDEFGHJ"
 """Of r⁴, r⁶, ... r²⁰."""
 
 _WITHOUT_EFFECT = command_names(
-    "LEN GO CA INI WTW WTF TEM PRE SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
+    "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
     "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
 )
 """Labels, weights, what an optimisation may vary, solves whose present value stands in the surface's line, drawing."""
@@ -221,6 +226,7 @@ class _Reader:
     # Surfaces.
 
     def _surface_line(self, command: str, words: list[str]) -> None:
+        command = "SO" if command == "S0" and not self.made.surfaces else command
         if command not in ("S", "SO", "SI"):
             raise ValueError("lines that change a surface that is there already are not supported; write S")
         if len(self.made.surfaces) >= MOST_SURFACES:
@@ -250,7 +256,7 @@ class _Reader:
 
     def _glass(self, surface: FileSurface, name: str) -> None:
         if name.upper() == "REFL":
-            raise ValueError("mirrors are not supported: the lens refracts")
+            raise ValueError(MIRRORS)
         if name.upper() in ("REFR", "AIR"):
             return
         if re.fullmatch(r"\d{3,}\.\d+", name):
@@ -346,6 +352,22 @@ class _Reader:
         if is_number(rest[0]):
             surface.thickness = number(rest[0])
         self._taken("" if is_number(rest[0]) else "a solve: the present value")
+
+    def _on_rmd(self, words: list[str]) -> None:
+        _, rest = self._named(words)
+        if not rest[0].upper().startswith("REFR"):
+            raise ValueError(MIRRORS)
+        self._taken()
+
+    def _on_tem(self, words: list[str]) -> None:
+        self._environment(number(words[0]), TEMPERATURES_C)
+
+    def _on_pre(self, words: list[str]) -> None:
+        self._environment(number(words[0]), PRESSURES)
+
+    def _environment(self, value: float, usual: tuple[float, ...]) -> None:
+        """Say of another temperature or pressure that indices are the catalogue's."""
+        self.report.add(self.at, self.text, *((Verdict.WITHOUT_EFFECT,) if value in usual else OTHER_AIR))
 
     def _on_gla(self, words: list[str]) -> None:
         surface, rest = self._named(words)

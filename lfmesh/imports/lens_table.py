@@ -54,7 +54,7 @@ _MILLIMETRES = re.compile(r"(1/)?mm(\W*\d*)")
 _UNIT = re.compile(r"(.+?)\s*[\[(]([^\])]*)[\])]\s*")
 """Name of a column with its unit behind it."""
 _AIR = ("", "air", "vacuum")
-_FLAT = ("", "inf", "infinity", "plano", "flat")
+_FLAT = ("", "inf", "infinity", "∞", "plano", "flat")
 _DELIMITERS = ";\t,"
 _TERM = re.compile(r"a([0-9]{1,3})")
 _POWERS = range(4, 2 * MOST_ASPHERE_TERMS + 3, 2)
@@ -95,6 +95,8 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
             report.refuse(at, line, f"more cells than the {len(columns)} columns of the first line")
             continue
         values = {column: cell.strip() for column, cell in zip(columns, cells, strict=False) if cell.strip()}
+        # Tables that are copied from print have the sign for minus, which no hyphen is.
+        values = {column: cell.replace("\N{MINUS SIGN}", "-") for column, cell in values.items()}
         # A comma that parts no columns is a decimal one.
         if delimiter != ",":
             values = {column: cell.replace(",", ".") for column, cell in values.items()}

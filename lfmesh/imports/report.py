@@ -29,6 +29,10 @@ class Verdict(Enum):
     """It changes the image in a way that the lens cannot have."""
 
 
+OTHER_AIR = Verdict.APPROXIMATED, "indices are those of the catalogue, at its own temperature and pressure"
+"""Verdict on a temperature or pressure that is not the catalogues'."""
+
+
 @dataclass(frozen=True)
 class Line:
     """A line of the file, a command on it, or a part of a file without lines, and what became of it."""

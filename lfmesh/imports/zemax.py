@@ -22,7 +22,7 @@ from lfmesh.imports.conditions import FieldPoint
 from lfmesh.imports.lens_making import lens_of, note_focal_lengths
 from lfmesh.imports.numbers import number, numbers
 from lfmesh.imports.prescription import MOST_CONFIGURATIONS, Prescription
-from lfmesh.imports.report import Report, Verdict
+from lfmesh.imports.report import OTHER_AIR, Report, Verdict
 from lfmesh.imports.text import read_lines
 from lfmesh.imports.zemax_configurations import Configurations
 from lfmesh.imports.zemax_surfaces import SurfaceReader
@@ -183,7 +183,7 @@ class _Reader(SurfaceReader):
 
     def _on_envd(self, words: list[str]) -> None:
         if len(words) > 1 and tuple(numbers(words[:2])) != THERMAL:
-            self._approximated("indices are those of the catalogue, at its own temperature and pressure")
+            self.report.add(self.at, self.text, *OTHER_AIR)
         else:
             self._taken()
 

@@ -230,6 +230,23 @@ def test_multilayers_are_said_to_be_left_out():
     assert ["the surface is traced bare" in line.how for line in report.of(Verdict.APPROXIMATED)] == [True]
 
 
+def test_a_surface_that_reflects_by_its_mode_is_refused():
+    with pytest.raises(SceneError, match="line 9: RMD REFL: mirrors are not supported"):
+        read(Path("lens.seq"), singlet().replace("  STO\n", "  RMD REFL\n").splitlines())
+    _, report = read(Path("lens.seq"), singlet().replace("  STO\n", "  STO\n  RMD REFR\n").splitlines())
+    assert not report.of(Verdict.UNKNOWN)
+
+
+@pytest.mark.parametrize(("line", "said"), [("TEM 20", 0), ("PRE 760", 0), ("TEM 60", 1), ("PRE 0", 1)])
+def test_another_temperature_or_pressure_than_the_catalogues_is_said(line, said):
+    _, report = read(Path("lens.seq"), SINGLET_SEQ.replace("GO\n", f"{line}\nGO\n").splitlines())
+    assert sum(each.text == line for each in report.of(Verdict.APPROXIMATED)) == said
+
+
+def test_an_object_may_be_named_by_its_number():
+    assert lens_of(SINGLET_SEQ.replace("\nSO ", "\nS0 ")) == lens_of(SINGLET_SEQ)
+
+
 ZOOM = SINGLET_SEQ.replace("GO\n", "ZOO 3\nZOO THI S1 5.0 6.0 7.5\nZOO THC S1 0 0 0\nZOO EPD 10.0 9.0 8.0\nGO\n")
 
 

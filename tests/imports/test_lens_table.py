@@ -41,6 +41,11 @@ def test_a_table_is_a_lens_however_it_is_parted(delimiter: str, decimal: str) ->
     assert any("image: 45 mm" in note for note in report.notes)
 
 
+def test_signs_of_printed_tables_are_understood() -> None:
+    printed = [line.replace("-80.0", "\N{MINUS SIGN}80.0").replace("inf", "\N{INFINITY}") for line in text(";")]
+    assert read(FILE, printed)[0] == read(FILE, text(";"))[0]
+
+
 def test_curvatures_diameters_and_an_object_row_are_understood() -> None:
     lines = ["Curvature, Thickness (mm), n, Diameter, Colour", ",1e10,,,", "0.02,4.0,1.5,16,red", "-0.0125,45.0,,16,"]
     lens, report = read(FILE, lines)

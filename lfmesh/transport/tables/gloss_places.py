@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.objects.targets import TargetMesh
+from lfmesh.optics.gltf_material import DIELECTRIC_INDEX
 from lfmesh.scene import Scene
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.tables import AIR, OPAQUE
@@ -26,7 +27,8 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
     Raises
     ------
     SceneError
-        A glossy target stands in media of several indices, or its gloss has no higher index than the medium.
+        A glossy target stands in media of several indices, or its gloss, or its file's, has no higher index than the
+        medium.
     """
     numbers = np.full(len(targets), AIR)
     for i, (given, target) in enumerate(zip(scene.targets, targets, strict=True)):
@@ -46,9 +48,14 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
             )
         numbers[i] = media[0]
         most = float(indices[0].max())
+        where = "camera.object_medium" if bodies[0] < 0 else hosts.names[bodies[0]]
         if gloss is not None and gloss.index is not None and not gloss.index > most:
-            where = "camera.object_medium" if bodies[0] < 0 else hosts.names[bodies[0]]
             raise SceneError(
                 f"targets[{i}].material.gloss.index = {gloss.index:g}: must be above that of {where}, {most:.6g}"
+            )
+        if any(each.metallic < 1.0 for each in target.materials) and not most < DIELECTRIC_INDEX:
+            raise SceneError(
+                f"targets[{i}].file = {given.file!r}: the gloss of glTF materials has the index {DIELECTRIC_INDEX:g}, "
+                f'which must be above that of {where}, {most:.6g}; give materials = "ignore", and material'
             )
     return numbers

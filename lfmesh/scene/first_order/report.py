@@ -9,7 +9,7 @@ from lfmesh.notebook import Shown
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of
+from lfmesh.scene.first_order.focused import FocusedLenslets, focused_lenslets, middle_of, sensor_over_focal_length
 from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslets import LensletSection, lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
@@ -102,6 +102,9 @@ class FirstOrder(Shown):
     microlens_fresnel_number: float | None
     """Square of half a lenslet's width over wavelength and distance from the sensor (no unit): below some ten,
     diffraction blurs much of the micro-image."""
+    kick_error: KickError | None
+    """Errors of pictures of extended light without and with the lenslets' diffraction; None where they are not known:
+    beyond the tables, and of lenslets with round apertures or cylinders. Hexagons are taken for squares."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
     of what lenslets of any type image sharply to a pixel."""
@@ -232,15 +235,6 @@ class FirstOrder(Shown):
         """Diffraction at the lenslets, in words."""
         return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
 
-    @property
-    def kick_error(self) -> KickError | None:
-        """Errors of pictures of extended light without and with the lenslets' diffraction; None where not known."""
-        if self.microlens_fresnel_number is None:
-            return None
-        # Over the focal length: 1/a + 1/d = 1/f.
-        distance = 1.0 + 1.0 / middle_of(self.focused).virtual_depth if self.focused else 1.0
-        return kick_error(self.microlens_fresnel_number, distance)
-
     def _waves_in_words(self) -> Iterator[tuple[str, str]]:
         """Yield what the lenslets' diffraction changes, and the setting that is advised."""
         if self.microlens_fresnel_number is None:
@@ -285,7 +279,8 @@ class FirstOrder(Shown):
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         names = ("by_wavelength", "focused", "lenslet_sections")
         nested = {name: tuple(asdict(at) for at in values[name]) for name in names}
-        return values | nested
+        error = None if self.kick_error is None else self.kick_error._asdict()
+        return values | nested | {"kick_error": error}
 
 
 def first_order(scene: Scene) -> FirstOrder:
@@ -369,6 +364,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
+    fresnel, beyond = clear / (4e-6 * longest * own) if own else None, sensor_over_focal_length(camera, wavelength)
+    is_round = camera.mla is not None and camera.mla.clear_diameter_mm is not None
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -395,7 +392,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_mm=airy,
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
-        microlens_fresnel_number=clear / (4e-6 * longest * own) if own else None,
+        microlens_fresnel_number=fresnel,
+        kick_error=kick_error(fresnel, beyond, in_focus=not focused) if fresnel and beyond and not is_round else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,

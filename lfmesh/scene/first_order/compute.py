@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.first_order.focused import focused_lenslets, middle_of
+from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
+from lfmesh.scene.first_order.kick_error import kick_error
 from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
@@ -98,6 +99,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
+    fresnel, beyond = clear / (4e-6 * longest * own) if own else None, sensor_over_focal_length(camera, wavelength)
+    is_round = camera.mla is not None and camera.mla.clear_diameter_mm is not None
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -124,7 +127,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_mm=airy,
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
-        microlens_fresnel_number=clear / (4e-6 * longest * own) if own else None,
+        microlens_fresnel_number=fresnel,
+        kick_error=kick_error(fresnel, beyond, in_focus=not focused) if fresnel and beyond and not is_round else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,

@@ -13,7 +13,9 @@ lenslets: on the total covering plane and beyond, that holds a lenslet of each t
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
@@ -66,6 +68,9 @@ class FocusedLenslets:
     """Size of a pixel on the plane in focus, through a lenslet: the lateral resolution of rendered pictures."""
 
 
+Type = TypeVar("Type", LensletOptics, FocusedLenslets)
+
+
 def focused_lenslets(
     camera: Camera, wavelength_nm: float, lens: Paraxial, cone: float, pupil_mm: float
 ) -> tuple[FocusedLenslets, ...]:
@@ -89,11 +94,29 @@ def focused_lenslets(
     if mla is None or mla.cylinder_axis is not None:
         return ()
     types = [lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)]
-    middle = sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]
+    middle = middle_of(types)
     blur = abs(_per_depth(camera, wavelength_nm, middle)) * mla.pitch_mm / camera.sensor.pixel_mm
     if not blur > FOCUSED_BLUR_PX or not lenslet_to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
         return ()
     return tuple(_of_type(camera, wavelength_nm, at, lens, (cone, pupil_mm)) for at in types)
+
+
+def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | None:
+    """Return the distance of the sensor behind the lenslets, those of the middle focal length, over that.
+
+    None without lenslets, or where these are cylinders.
+
+    Parameters
+    ----------
+    camera : Camera
+        Solved.
+    wavelength_nm : float
+    """
+    mla = camera.mla
+    if mla is None or mla.cylinder_axis is not None:
+        return None
+    middle = middle_of([lenslet_optics(mla, wavelength_nm, kind) for kind in range(mla.types)])
+    return 1.0 + _per_depth(camera, wavelength_nm, middle)
 
 
 def _per_depth(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
@@ -143,6 +166,6 @@ def _of_type(
     )
 
 
-def middle_of(types: tuple[FocusedLenslets, ...]) -> FocusedLenslets:
+def middle_of(types: Sequence[Type]) -> Type:
     """Return the type of the middle focal length, by which a multi-focus camera is said to be in focus."""
     return sorted(types, key=lambda at: at.focal_length_mm)[len(types) // 2]

@@ -8,7 +8,7 @@ from typing import Any
 from lfmesh.notebook import Shown
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.first_order.focused import FocusedLenslets, middle_of
-from lfmesh.scene.first_order.kick_error import KickError, kick_error
+from lfmesh.scene.first_order.kick_error import KickError
 from lfmesh.scene.first_order.lenslets import LensletSection
 
 CONVENTIONAL, STANDARD = "conventional", "standard plenoptic"
@@ -94,6 +94,9 @@ class FirstOrder(Shown):
     microlens_fresnel_number: float | None
     """Square of half a lenslet's width over wavelength and distance from the sensor (no unit): below some ten,
     diffraction blurs much of the micro-image."""
+    kick_error: KickError | None
+    """Errors of pictures of extended light without and with the lenslets' diffraction; None where they are not known:
+    beyond the tables, and of lenslets with round apertures or cylinders. Hexagons are taken for squares."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
     of what lenslets of any type image sharply to a pixel."""
@@ -224,15 +227,6 @@ class FirstOrder(Shown):
         """Diffraction at the lenslets, in words."""
         return f"{self.microlens_airy_disk_px:.3g} pixels, Fresnel number {self.microlens_fresnel_number:.3g}"
 
-    @property
-    def kick_error(self) -> KickError | None:
-        """Errors of pictures of extended light without and with the lenslets' diffraction; None where not known."""
-        if self.microlens_fresnel_number is None:
-            return None
-        # Over the focal length: 1/a + 1/d = 1/f.
-        distance = 1.0 + 1.0 / middle_of(self.focused).virtual_depth if self.focused else 1.0
-        return kick_error(self.microlens_fresnel_number, distance)
-
     def _waves_in_words(self) -> Iterator[tuple[str, str]]:
         """Yield what the lenslets' diffraction changes, and the setting that is advised."""
         if self.microlens_fresnel_number is None:
@@ -277,7 +271,8 @@ class FirstOrder(Shown):
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         names = ("by_wavelength", "focused", "lenslet_sections")
         nested = {name: tuple(asdict(at) for at in values[name]) for name in names}
-        return values | nested
+        error = None if self.kick_error is None else self.kick_error._asdict()
+        return values | nested | {"kick_error": error}
 
 
 def _section_row(at: LensletSection) -> tuple[str, str]:

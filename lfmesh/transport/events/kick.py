@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.diffraction import (
     HEXAGON,
+    NEAR_SHARE,
     ROUND,
     distance_in_body,
-    hexagon_share,
+    frequency_in_cells,
+    hexagon_spectrum,
+    is_beyond_cells,
     proposed_in_tail,
     rhombus_frequency,
 )
@@ -50,18 +53,17 @@ def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -
     """
     own = derived(key, IN_KICK + events)
     trial = 0
-    # Each of a hexagon's trials succeeds with a chance of 1/3.
     while True:
-        accepted, a, b = _drawn_frequency(apertures, own, _DIMENSIONS * trial)
+        a, b = _drawn_frequency(apertures, own, _DIMENSIONS * trial)
         trial += 1
         kx, ky = apertures.spread[colour, 0] * a, apertures.spread[colour, 1] * b
-        if accepted and kx * kx + ky * ky < 1.0:
+        if kx * kx + ky * ky < 1.0:
             return kx, ky
 
 
 @inlined
-def _drawn_frequency(apertures: Apertures, key: np.uint64, first: int) -> tuple[bool, float, float]:
-    """Return whether a frequency drawn for an aperture is accepted, and it, in cycles over the aperture's widths.
+def _drawn_frequency(apertures: Apertures, key: np.uint64, first: int) -> tuple[float, float]:
+    """Return a frequency drawn for an aperture, in cycles over its widths.
 
     Parameters
     ----------
@@ -74,21 +76,48 @@ def _drawn_frequency(apertures: Apertures, key: np.uint64, first: int) -> tuple[
     if apertures.shape == ROUND:
         radius = _drawn_distance(apertures, uniform(key, first), key, first + 1)
         angle = 2.0 * np.pi * uniform(key, second)
-        return True, radius * np.cos(angle), radius * np.sin(angle)
-    a = _drawn_on_line(apertures, key, first)
-    b = _drawn_on_line(apertures, key, second)
+        return radius * np.cos(angle), radius * np.sin(angle)
     if apertures.shape == HEXAGON:
-        a, b = rhombus_frequency(int(3.0 * uniform(key, first + _DIMENSIONS - 1)), a, b)
-        return uniform(key, first + _DIMENSIONS - 2) < hexagon_share(a, b), a, b
-    return True, a, b
+        inside, a, b = frequency_in_cells(
+            apertures.cells, uniform(key, first), uniform(key, first + 1), uniform(key, first + 2)
+        )
+        return (a, b) if inside else _drawn_beyond_cells(apertures, derived(key, first))
+    return _drawn_on_line(apertures, key, first, 0.0), _drawn_on_line(apertures, key, second, 0.0)
 
 
 @inlined
-def _drawn_on_line(apertures: Apertures, key: np.uint64, first: int) -> float:
-    """Return a number with the density sinc², by random numbers from the given one on."""
+def _drawn_on_line(apertures: Apertures, key: np.uint64, first: int, least: float) -> float:
+    """Return a number with the density sinc², by random numbers from the given one on.
+
+    Parameters
+    ----------
+    least : float
+        It is none of this share of the least ones.
+    """
     side = 2.0 * uniform(key, first) - 1.0
-    distance = _drawn_distance(apertures, abs(side), key, first + 1)
+    distance = _drawn_distance(apertures, least + (1.0 - least) * abs(side), key, first + 1)
     return distance if side > 0.0 else -distance
+
+
+@kernel
+def _drawn_beyond_cells(apertures: Apertures, key: np.uint64) -> tuple[float, float]:
+    """Return a frequency drawn for a hexagon beyond the table of cells, by rejection from its rhombi."""
+    _, near = distance_in_body(apertures.quantiles, NEAR_SHARE)
+    trial = 0
+    while True:
+        own = derived(key, trial)
+        trial += 1
+        a = _drawn_on_line(apertures, own, 0, NEAR_SHARE)
+        b = _drawn_on_line(apertures, own, _DIMENSIONS // 2, 0.0)
+        # Two far numbers may be drawn either way round.
+        ways, choice = 2.0 if abs(b) > near else 1.0, 6.0 * uniform(own, _DIMENSIONS)
+        a, b = (b, a) if choice < 3.0 else (a, b)
+        x, y = rhombus_frequency(int(choice) % 3, a, b)
+        if not is_beyond_cells(x, y):
+            continue
+        spectrum, of_rhombi = hexagon_spectrum(x, y)
+        if ways * of_rhombi * uniform(own, _DIMENSIONS + 1) < spectrum:
+            return x, y
 
 
 @inlined

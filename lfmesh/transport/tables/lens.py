@@ -18,7 +18,7 @@ from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
-from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, sinc2_quantiles
+from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
 from lfmesh.transport.packets.packet import (
@@ -45,6 +45,9 @@ from lfmesh.transport.tables.tables import (
 
 SLOPE_INTERVALS = 1024
 """Intervals of the radius, on each of which the slope of a surface is bounded."""
+
+NO_CELLS = np.empty((0, 2), np.float32)
+"""In place of the table of a hexagon's cells."""
 
 LEAST_LEVER = 0.2
 """Least slope behind an array with two faces, over that before it, from which `Apertures.lever` is computed."""
@@ -322,7 +325,8 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
     # A cylinder ends with the array along its axis.
     axis = given.cylinder_axis if face.row == CURVED_ROW or given.back is None else given.back.cylinder_axis
     spread = np.outer(np.array(wavelengths_nm) * 1e-6, [float(axis != each) for each in "xy"]) / width
-    apertures = Apertures(shape, spread, quantiles, int(face.row), bool(face.curved_to_lens), lever)
+    cells = hexagon_cells() if shape == HEXAGON else NO_CELLS
+    apertures = Apertures(shape, spread, quantiles, cells, int(face.row), bool(face.curved_to_lens), lever)
     return with_media(mla, mla.media, apertures=apertures)
 
 
@@ -341,7 +345,9 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
     if lens.stop_space < 0:
         radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
     spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
-    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), -1, False, 0.0))
+    return lens._replace(
+        aperture=Apertures(ROUND, spread, airy_quantiles(), np.empty((0, 2), np.float32), -1, False, 0.0)
+    )
 
 
 def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:

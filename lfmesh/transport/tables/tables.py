@@ -91,6 +91,7 @@ class Apertures(NamedTuple):
     shape: int  # RECTANGLE, HEXAGON or ROUND
     spread: Array  # (wavelengths, 2) wavelength over width, in x and y; 0: the aperture has no end in that direction
     quantiles: Array  # see `diffraction.sinc2_quantiles`
+    cells: NDArray[np.float32]  # of a hexagon, see `diffraction.hexagon_cells`; else without rows
     row: int  # of the face that has them among the array's interfaces; of the stop −1
     to_lens: bool  # that face looks to the lens
     # Shift of a point of the sensor that turns a ray through a given point of the lenslets aimed at, by one radian

@@ -3,10 +3,19 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import j0, j1
+from scipy.special import j0, j1, sici
 
 from lfmesh.kernels.decorators import kernel
-from lfmesh.optics.diffraction import HEXAGON, PARTS, RECTANGLE, ROUND, airy_quantiles, sinc2_quantiles
+from lfmesh.optics.diffraction import (
+    HEXAGON,
+    NEAR_SHARE,
+    PARTS,
+    RECTANGLE,
+    ROUND,
+    airy_quantiles,
+    hexagon_cells,
+    sinc2_quantiles,
+)
 from lfmesh.transport.events.kick import drawn_kick
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables.tables import Apertures
@@ -25,7 +34,8 @@ def _fill(apertures: Apertures, key: np.uint64, kicks: np.ndarray) -> None:
 def apertures(shape: int, spread: tuple[float, float]) -> Apertures:
     """Apertures of a shape, with wavelengths over their widths."""
     quantiles = airy_quantiles() if shape == ROUND else sinc2_quantiles()
-    return Apertures(shape, np.array([spread]), quantiles, row=0, to_lens=True, lever=1.0)
+    cells = hexagon_cells() if shape == HEXAGON else np.empty((0, 2), np.float32)
+    return Apertures(shape, np.array([spread]), quantiles, cells, row=0, to_lens=True, lever=1.0)
 
 
 def kicks_of(shape: int, spread: float) -> np.ndarray:
@@ -79,6 +89,58 @@ def test_hexagons_transfer_contrast_as_their_overlap_with_themselves(shift: floa
     across = quad(lambda x: max(height(x) - shift, 0.0), -0.5, 0.5, points=[0.0], limit=200)[0] / area
     assert near(np.cos(2.0 * np.pi * shift * HEXAGONAL[:, 0]), along)
     assert near(np.cos(2.0 * np.pi * shift * HEXAGONAL[:, 1]), across)
+
+
+def hexagons_share(within: float) -> tuple[float, float]:
+    """Share of a hexagon's light within a distance of the middle, across two of the sides and along them.
+
+    A chord of width w sends w sinc²(w q) of its light there, summed over the other direction.
+    """
+
+    def share(width: float) -> float:
+        x = width * within
+        return float(2.0 / np.pi * (sici(2.0 * np.pi * x)[0] - np.sin(np.pi * x) ** 2 / (np.pi * x)))
+
+    area, side = 0.5 * np.sqrt(3.0), 1.0 / np.sqrt(3.0)
+    tip = quad(lambda y: 2.0 * np.sqrt(3.0) * y * share(2.0 * np.sqrt(3.0) * y), 0.0, 0.5 * side, limit=200)[0]
+    half = quad(lambda x: 2.0 * (1.0 - x) * side * share(2.0 * (1.0 - x) * side), 0.0, 0.5, limit=200)[0]
+    return (side * share(1.0) + 2.0 * tip) / area, 2.0 * half / area
+
+
+@pytest.mark.parametrize("within", [0.3, 1.0, 2.5, 5.9, 6.1, 12.0, 100.0])
+def test_hexagons_diffract_as_all_their_chords_do(within: float) -> None:
+    """In the table of cells and beyond."""
+    across, along = hexagons_share(within)
+    assert near((np.abs(HEXAGONAL[:, 0]) < within).astype(float), across)
+    assert near((np.abs(HEXAGONAL[:, 1]) < within).astype(float), along)
+
+
+def test_cells_of_a_hexagons_table_hold_its_light() -> None:
+    """Some cells against the transform of all chords, squared; and light within a distance, even in between."""
+    cells = hexagon_cells()
+    chances = np.zeros(len(cells))
+    np.add.at(chances, np.arange(len(cells)), cells[:, 0])
+    np.add.at(chances, cells[:, 1].astype(np.int64), 1.0 - cells[:, 0])
+    chances /= len(cells)
+    across = round(np.sqrt(len(cells) - 1))
+    # Frequencies beyond the table have a product with a side that the search for them starts at.
+    assert sinc2_quantiles()[int(PARTS * NEAR_SHARE) + 1] < 0.25 * 6.0
+    x, weights = np.polynomial.legendre.leggauss(60)
+    # Half of the chords, as their heights have a kink in the middle.
+    x, weights, nodes = 0.25 * (x + 1.0), 0.25 * weights, np.polynomial.legendre.leggauss(4)
+    height = 2.0 * (1.0 - x) / np.sqrt(3.0)
+    for row, column in ((0, 0), (3, 20), (25, 25), (70, 1), (0, 100), (140, 90)):
+        found = 0.0
+        for u, at_u in zip(*nodes, strict=True):
+            for v, at_v in zip(*nodes, strict=True):
+                qx, qy = (np.array([column, row]) + 0.5 + 0.5 * np.array([u, v])) * 6.0 / across
+                field = 2.0 * (weights * height * np.sinc(height * qy) * np.cos(2.0 * np.pi * qx * x)).sum()
+                found += 0.25 * at_u * at_v * field**2 / (0.5 * np.sqrt(3.0))
+        # Gaussian quadrature, of three points there and four here, and the four quarters.
+        assert chances[across * row + column] == pytest.approx(4.0 * found * (6.0 / across) ** 2, rel=1e-3)
+    edges = np.array([hexagons_share(max(at, 1e-9)) for at in np.linspace(0.0, 3.0, across // 2 + 1)])
+    middles = np.array([hexagons_share(at) for at in 3.0 * (np.arange(across // 2) + 0.5) / (across // 2)])
+    assert np.abs(0.5 * (edges[1:] + edges[:-1]) - middles).max() < 3.5e-4
 
 
 @pytest.mark.parametrize(("within_um", "printed"), [(0.7, 0.6170), (1.4, 0.8379)])

@@ -140,7 +140,10 @@ def refuse_maker(what: str, form: int, found: object, maker: object) -> None:
         The formats or the programs differ.
     """
     if other := f"format {found} in place of {form}" if found != form else difference(maker):
-        raise FileError(f"{what} was written by another program ({other}), which may have had other bits")
+        raise FileError(
+            f"{what} was written by another program ({other}), which may have had other bits: begin anew elsewhere, "
+            "or go on with that program"
+        )
 
 
 def _digest(array: NDArray[Any]) -> str:

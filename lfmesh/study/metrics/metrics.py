@@ -567,10 +567,16 @@ METRICS: Mapping[str, Metric] = {
     "refocus": Metric(
         (
             Column("refocus_mm", "refocus distance, decoded as built to plan / mm"),
-            Column("refocus_shift_mm", "refocus distance less the reference's / mm"),
-            Column("refocus_error_mm", "size of this shift / mm", "root", magnitude=True, worse="high"),
+            Column("refocus_shift_mm", "refocus shift, decoded as built to plan / mm"),
+            Column("refocus_error_mm", "size of the refocus shift / mm", "root", magnitude=True, worse="high"),
             Column("refocus_calibrated_shift_mm", "refocus shift, calibrated by its white image / mm"),
-            Column("refocus_calibrated_error_mm", "size of this shift / mm", "root", magnitude=True, worse="high"),
+            Column(
+                "refocus_calibrated_error_mm",
+                "size of the refocus shift, calibrated / mm",
+                "root",
+                magnitude=True,
+                worse="high",
+            ),
         ),
         ("edge", "white"),
         _refocus,

@@ -21,6 +21,9 @@ MOST_NAMED = 6
 DIGITS = 6
 """Most digits of a value."""
 
+LEAST_PLAIN, MOST_PLAIN = 1e-4, 1e6
+"""Values between these are written without an exponent."""
+
 LEAST_ERROR = 5e-4
 """Errors of shares below this one are not seen in tenths of a per cent."""
 
@@ -67,7 +70,15 @@ def written(value: float, error: float) -> str:
     if not error > 0.5 * 10.0**-DIGITS * abs(value) or not math.isfinite(error):
         return f"{value:.{DIGITS}g}"
     digits = max(1, min(DIGITS, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2
-    return f"{value:.{digits}g} ± {error:.2g}"
+    return f"{_rounded(value, digits)} ± {_rounded(error, 2)}"
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Return a value with so many digits, without an exponent where it is neither large nor small."""
+    rounded = float(f"{value:.{digits}g}")
+    if not LEAST_PLAIN <= abs(rounded) < MOST_PLAIN:
+        return f"{rounded:.{digits}g}"
+    return f"{rounded:.{max(0, digits - 1 - math.floor(math.log10(abs(rounded))))}f}"
 
 
 def percent(share: float, error: float = 0.0) -> str:

@@ -1,6 +1,7 @@
 """The report stands by itself, and a designer finds in it what was asked."""
 
 import html
+import math
 import re
 import subprocess
 from pathlib import Path
@@ -9,9 +10,10 @@ import pytest
 from pyarrow import parquet
 
 import lfmesh as lf
-from lfmesh.study.metrics.metrics import columns_of
+from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.sweeps.figures import TITLE_LETTERS
 from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE
+from lfmesh.study.sweeps.sentences import written
 from tests.conftest import chromium
 from tests.processor_time import HANGS_S
 from tests.study.studies import SHIFT, shifted, small_scene
@@ -125,3 +127,27 @@ def test_numbers_are_resolved_ones(folder: Path) -> None:
         numbers = texts[texts.index("lenslet row") + 2 : texts.index("pixels")]
         assert float(numbers[0]) == 0.0
         assert max(map(float, numbers)) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (100.2, 13.0, "100 ± 13"),
+        (93.21, 2.97, "93.2 ± 3.0"),
+        (-3012.0, 2200.0, "-3000 ± 2200"),
+        (0.0012467, 0.00014, "0.0012 ± 0.00014"),
+        (81.0920946, 1e-6, "81.0921"),
+        (6.87e-8, 1.9e-7, "6.9e-08 ± 1.9e-07"),
+        (8.7e6, 1.1e6, "8.7e+06 ± 1.1e+06"),
+        (0.0, 0.35, "0 ± 0.35"),
+        (2.5, 0.0, "2.5"),
+        (1.9, math.nan, "1.9 ± ?"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_error_leaves(value: float, error: float, text: str) -> None:
+    assert written(value, error) == text
+
+
+def test_no_two_columns_have_one_title() -> None:
+    titles = [column.title for column in columns_of(tuple(METRICS))]
+    assert len(set(titles)) == len(titles)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import shutil
 import time
 import warnings
@@ -61,9 +62,13 @@ def gallery(kept: Path, place: Path, program: str, *, quick: bool) -> str:
 
 
 def reduced(scene: lf.Scene) -> lf.Scene:
-    """Return the scene with few samples, and the middle of a large sensor."""
-    pixels = [min(count, MOST_PIXELS) for count in scene.camera.sensor.pixels]
+    """Return the scene with few samples, and the middle of a large sensor with the lenslets before it."""
+    sensor, mla = scene.camera.sensor, scene.camera.mla
+    pixels = [min(count, MOST_PIXELS) for count in sensor.pixels]
     changes = {"camera.sensor.pixels": pixels, "transport.samples": SAMPLES, "transport.replicates": 4}
+    if mla is not None:
+        wide = [n * sensor.pixel_mm / pitch for n, pitch in zip(pixels, (mla.pitch_mm, mla.row_pitch_mm), strict=True)]
+        changes["camera.mla.count"] = [min(all_, math.ceil(n) + 2) for all_, n in zip(mla.count, wide, strict=True)]
     return scene.changed(changes)
 
 

@@ -43,7 +43,7 @@ TASKS = {
 
 
 def arrange(app: App) -> None:
-    """Put every command under its heading, and its example before its help.
+    """Put every command under its heading, its example before its help, and each paragraph of that on one line.
 
     Parameters
     ----------
@@ -57,6 +57,8 @@ def arrange(app: App) -> None:
             for word in words.split():
                 command = command[word]
             command.help_prologue = f"Example: {example}"
+            # The lines of the source are longer than a terminal's.
+            command.help = "\n\n".join(" ".join(part.split()) for part in command.help.split("\n\n"))
             if " " not in words:
                 command.group = group
                 command.sort_key = place

@@ -12,6 +12,7 @@ from lfmesh.lightfield.photographs.depth import DepthMap
 from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.views.field import mosaic
 from lfmesh.lightfield.views.upright import ON_SENSOR, UPRIGHT
+from lfmesh.scene.literals import percent
 
 VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
 
@@ -118,6 +119,9 @@ def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) 
         axes.plot(ends, ends, color=GREY, lw=0.8, zorder=0)
         margin = 0.1 * max(float(np.ptp(x)), 0.05 * float(x.max()))
         axes.set(xlim=(ends[0] - margin, ends[1] + margin), ylim=(ends[0] - margin, ends[1] + margin))
+        beyond = float(((y < ends[0] - margin) | (y > ends[1] + margin)).mean())
+        if beyond:
+            axes.set_title(f"{percent(beyond)} of the samples are beyond", fontsize=10, loc="left")
     axes.set(xlabel="truth / mm", ylabel="from the light field / mm")
 
 

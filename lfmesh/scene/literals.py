@@ -39,6 +39,11 @@ def literal(value: Any, depth: int = 0) -> str:
     return repr(value)
 
 
+def counted(number: int, noun: str) -> str:
+    """Write a number of things whose plural ends in s: ``1 path``, ``2,000 paths``."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def percent(share: float) -> str:
     """Write a share as a percentage of three digits, 0 % and 100 % only where it is exactly that."""
     if 0.0 < share < 1e-6:

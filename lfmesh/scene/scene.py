@@ -23,6 +23,7 @@ from lfmesh.scene.inputs import digest_of, file_stamp, files_of, found
 from lfmesh.scene.light.lights import Light
 from lfmesh.scene.light.particles import Particles
 from lfmesh.scene.light.spectra import Spectrum, curve_of
+from lfmesh.scene.literals import counted
 from lfmesh.scene.materials.coatings import Coating, name_fault, unknown_fault
 from lfmesh.scene.materials.finishes import Finish
 from lfmesh.scene.materials.glass_in_air import in_its_air
@@ -728,7 +729,7 @@ class Scene(Model, Shown):
             yield Fault(
                 ("camera", "sensor", "pixels"),
                 list(sensor.pixels),
-                f"with {channels} channel{'s' if channels > 1 else ''} the film takes {_gigabytes(film)} of "
+                f"with {counted(channels, 'channel')} the film takes {_gigabytes(film)} of "
                 f"memory, and this machine has {_gigabytes(_physical_memory())}",
             )
         lenslets = LENSLET_BYTES * mla.count[0] * mla.count[1] if mla is not None else 0

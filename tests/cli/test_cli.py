@@ -12,6 +12,7 @@ import time
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -428,6 +429,18 @@ def test_help_fits_80_columns(
     out = capsys.readouterr().out
     assert "Usage: lfmesh" in out
     assert max(len(line) for line in out.splitlines()) <= 80
+
+
+def test_paragraphs_of_help_are_broken_at_the_terminals_width_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["render", "--help"]) == 0
+    (paragraph,) = re.findall(r"^Ctrl-C keeps .*?$\n\n", capsys.readouterr().out, flags=re.MULTILINE | re.DOTALL)
+    lines = paragraph.split("\n")[:-2]
+    assert len(lines) == 3
+    for line, after in pairwise(lines):
+        assert len(line.rstrip()) + 1 + len(after.split()[0]) > 80
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

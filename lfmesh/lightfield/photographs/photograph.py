@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfmesh.notebook import Pictured
+from lfmesh.scene.literals import counted
 
 Array = NDArray[np.float64]
 
@@ -105,7 +106,7 @@ class AllInFocus(Pictured):
 
 def _samples(mean: Array) -> str:
     height, width, channels = mean.shape
-    return f"{width} × {height} samples, {channels} wavelength{'s' if channels > 1 else ''}"
+    return f"{width} × {height} samples, {counted(channels, 'wavelength')}"
 
 
 def all_in_focus(stack: FocalStack) -> AllInFocus:

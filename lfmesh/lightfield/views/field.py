@@ -11,6 +11,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import counted
 
 if TYPE_CHECKING:
     import xarray
@@ -67,10 +68,7 @@ class LightField(Pictured):
 
     def __repr__(self) -> str:
         v, u, t, s, channels = self.data.shape
-        return (
-            f"<LightField: {u} × {v} views of {s} × {t} samples, {channels} wavelength{'s' if channels > 1 else ''}, "
-            f"{self.unit}>"
-        )
+        return f"<LightField: {u} × {v} views of {s} × {t} samples, {counted(channels, 'wavelength')}, {self.unit}>"
 
     @cached_property
     def model(self) -> RayModel:

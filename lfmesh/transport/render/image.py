@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError, PictureWarning
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import counted
 from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.order_check import OrderCheck
@@ -100,7 +101,7 @@ class Image(Pictured):
     def __repr__(self) -> str:
         rows, columns, channels = self.mean.shape
         return (
-            f"<Image: {columns} × {rows} pixels, {channels} wavelength{'s' if channels > 1 else ''}, "
+            f"<Image: {columns} × {rows} pixels, {counted(channels, 'wavelength')}, "
             f"{self.replicates} of {self.scene.transport.replicates} replicates, {self.samples:g} samples a pixel, "
             f"{self.mean.sum():.4g} W in all>"
         )

@@ -8,6 +8,7 @@ import pyvista as pv
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
+from lfmesh.scene.literals import counted
 from lfmesh.transport.world import World
 from lfmesh.view.browser.ghost_rows import GHOST_HEADS, ghost_cells, origin_in_words
 from lfmesh.view.browser.replies import Replies
@@ -231,7 +232,8 @@ class RaysPanel:
         self._state.heads = [[name, head.format(unit=unit)] for name, head in HEADS.items()]
         self._state.kept = f"{self._kept.sum():,} of {len(self._rays):,} paths, {self._table.power:.4g} {unit}"
         rest = len(self._table) - len(self._state.rows)
-        self._state.table_note = f"{len(self._table):,} sequences; power at the sensor. Click one to draw it alone." + (
+        sequences = counted(len(self._table), "sequence")
+        self._state.table_note = f"{sequences}; power at the sensor. Click one to draw it alone." + (
             f" {rest:,} more are in the CSV." if rest else ""
         )
         if any(row.exact for row in self._table):

@@ -7,6 +7,7 @@ import numpy as np
 from lfmesh.optics.glass import AIR
 from lfmesh.scene.first_order.lenslets import LensletSection
 from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
+from lfmesh.scene.literals import counted
 from lfmesh.view.layout.content import Layout
 from lfmesh.view.layout.sheet import LEAST_TEXT, Sheet, length_in_words
 from lfmesh.view.style import GREY
@@ -49,9 +50,8 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
     size = f"±{abs(full * drawn.distance_mm):.4g} mm, " if real else ""
     focus = "infinity" if math.isinf(drawn.distance_mm) else length_in_words(drawn.distance_mm, 5)
     medium = f" in n = {facts.object_index:.4g}" if facts.object_index != AIR else ""
-    surfaces = len(camera.lens.surfaces)
     first = [
-        (2.4, "lens", camera.lens.name or f"{surfaces} surface{'s' if surfaces > 1 else ''}"),
+        (2.4, "lens", camera.lens.name or counted(len(camera.lens.surfaces), "surface")),
         (1.2, "effective focal length", f"{facts.efl_mm:.5g} mm"),
         (1.0, "working f-number", f"f/{facts.working_f_number:.3g}"),
         (1.2, "plane in focus", f"{focus}{medium}"),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.scene.literals import counted
 from lfmesh.transport.packets.book import LOST_PREFIX
 from lfmesh.transport.packets.ledger import loss_in_words
 from lfmesh.transport.packets.packet import Event, Status
@@ -186,7 +187,7 @@ class PathTable(Sequence[PathRow]):
             lines.append(f"and {len(rest)} more sequences with {left:.3e} {unit}")
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
-        whole = f"{len(self)} sequences, {paths} paths, {self.power:.4e} {unit} {where}"
+        whole = f"{counted(len(self), 'sequence')}, {counted(paths, 'path')}, {self.power:.4e} {unit} {where}"
         if self.exact is not None and any(row.exact for row in self.rows):
             known = f"image path and ghosts of two reflections in the {self.exact.mirrors}"
             lines.append(f"{known} by quadrature, the others from paths")

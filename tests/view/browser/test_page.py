@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -245,6 +246,18 @@ def fresh(page: Page) -> Page:
     page.tab.fill("#point-z", "-420")
     page.redrawn(lambda: page.tab.click("#go"))
     return page
+
+
+def test_on_a_narrow_screen_each_panel_has_the_whole_width(fresh: Page) -> None:
+    fresh.tab.set_viewport_size({"width": 390, "height": 844})
+    try:
+        fresh.wait("document.querySelector('#view3d').getBoundingClientRect().height > 400")
+        boxes = [each.bounding_box() for each in fresh.tab.locator("section.panel").all() if each.is_visible()]
+        assert len(boxes) == 4
+        assert all(box["x"] >= 0.0 and box["width"] > 350.0 and box["x"] + box["width"] <= 390.0 for box in boxes)
+        assert all(above["y"] + above["height"] <= below["y"] for above, below in pairwise(boxes))
+    finally:
+        fresh.redrawn(lambda: fresh.tab.set_viewport_size({"width": 1280, "height": 800}))
 
 
 def test_a_click_on_a_ray_shows_its_history(fresh: Page) -> None:

@@ -124,7 +124,7 @@ class _Reader:
         self.private: list[str] = []
         self.private_nm: list[float] = []
         self.fields: dict[str, list[float]] = {}
-        self.reference: int | None = None
+        self.reference: tuple[int, str, int] | None = None
         self.ended = False
         self.moves: dict[int, dict[str, float]] = {}
         self.returns: dict[int, list[tuple[int, str]]] = {}
@@ -189,8 +189,13 @@ class _Reader:
             if any(surface.glass == name for surface in made.surfaces):
                 self.report.add(at, text, Verdict.APPROXIMATED, how)
         lines = made.wavelengths_nm
-        middle = len(lines) // 2
-        made.primary = max(0, min(self.reference - 1 if self.reference is not None else middle, len(lines) - 1))
+        made.primary = len(lines) // 2
+        if self.reference is not None:
+            at, text, wanted = self.reference
+            made.primary = max(0, min(wanted, len(lines)) - 1)
+            if lines and made.primary != wanted - 1:
+                how = f"there is no wavelength {wanted}; {made.primary + 1} is the primary one"
+                self.report.add(at, text, Verdict.APPROXIMATED, how)
         count = max((len(values) for key, values in self.fields.items() if key in "xy"), default=0)
         for i in range(count):
             up, low = (1.0 - self._entry(key, i) for key in ("vuy", "vly"))
@@ -359,15 +364,12 @@ class _Reader:
             raise ValueError(MIRRORS)
         self._taken()
 
-    def _on_tem(self, words: list[str]) -> None:
-        self._environment(number(words[0]), TEMPERATURES_C)
+    def _on_tem(self, words: list[str], usual: tuple[float, ...] = TEMPERATURES_C) -> None:
+        known = number(words[0]) in usual
+        self.report.add(self.at, self.text, *((Verdict.WITHOUT_EFFECT,) if known else OTHER_AIR))
 
     def _on_pre(self, words: list[str]) -> None:
-        self._environment(number(words[0]), PRESSURES)
-
-    def _environment(self, value: float, usual: tuple[float, ...]) -> None:
-        """Say of another temperature or pressure that indices are the catalogue's."""
-        self.report.add(self.at, self.text, *((Verdict.WITHOUT_EFFECT,) if value in usual else OTHER_AIR))
+        self._on_tem(words, PRESSURES)
 
     def _on_gla(self, words: list[str]) -> None:
         surface, rest = self._named(words)
@@ -439,7 +441,7 @@ class _Reader:
         self._taken()
 
     def _on_ref(self, words: list[str]) -> None:
-        self.reference = int(number(words[0]))
+        self.reference = self.at, self.text, int(number(words[0]))
         self._taken()
 
     def _of_fields(self, axis: str, kind: str, words: list[str]) -> None:

@@ -28,7 +28,7 @@ SPECIAL = "_SPECIAL"
 
 def _material(name: str) -> tuple[str, str] | None:
     """Return the catalogue's page of a crystal or plastic, and what to say of it; None if the name is none."""
-    page = material_page(name.upper().removesuffix(SPECIAL))
+    page = material_page(name)
     if page is None:
         return None
     return page, f"{name}: no maker's glass; taken as {glass_in_words(page)} of the catalogue"
@@ -49,6 +49,7 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
     GlassError
         There is no such glass; the message names close ones.
     """
+    name = name[: -len(SPECIAL)] if name.upper().endswith(SPECIAL) else name
     for maker in catalogues:
         if is_glass(full := f"{maker}/{name}"):
             return full, ""

@@ -243,6 +243,18 @@ def test_another_temperature_or_pressure_than_the_catalogues_is_said(line, said)
     assert sum(each.text == line for each in report.of(Verdict.APPROXIMATED)) == said
 
 
+def test_a_reference_wavelength_that_is_not_there_is_said():
+    _, report = read(Path("lens.seq"), SINGLET_SEQ.replace("REF 2", "REF 7").splitlines())
+    assert [each.how for each in report.of(Verdict.APPROXIMATED)] == ["there is no wavelength 7; 3 is the primary one"]
+    assert report.conditions.primary == 2
+
+
+@pytest.mark.parametrize("name", ["SILICA_SPECIAL", "silica_special", "SILICA"])
+def test_fused_silica_of_no_maker_is_known(name):
+    lens, _ = read(Path("lens.seq"), singlet(glass=name).splitlines())
+    assert refractive_index(lens.surfaces[0].glass, 587.5618) == pytest.approx(1.45846, abs=1e-5)
+
+
 def test_an_object_may_be_named_by_its_number():
     assert lens_of(SINGLET_SEQ.replace("\nSO ", "\nS0 ")) == lens_of(SINGLET_SEQ)
 

@@ -123,14 +123,14 @@ class Spectrum:
         means = [float(power.sum(axis=axis) @ off[axis] ** 2) / max(float(power.sum()), 1e-300) for axis in (0, 1)]
         return np.maximum(np.sqrt(means), 1e-6)
 
-    def through_relief(self, height: Array, amplitude: Sequence[Array], index: float) -> "Spectrum":
+    def through_relief(self, height: Array, amplitude: Sequence[Waves], index: float) -> "Spectrum":
         """Return the light behind a face in relief over the plane, as waves of that plane.
 
         Parameters
         ----------
         height : (n, n) float64, mm
             z of the face above the plane, at the grid's places.
-        amplitude : (3,) of (n, n) float64
+        amplitude : (3,) of (n, n) complex128
             That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
         index : float
             Of the medium behind.

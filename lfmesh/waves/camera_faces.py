@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.array.lattice import cell_of, is_inside
 from lfmesh.geometry.array.lenslets import Lenslets
-from lfmesh.geometry.array.relief import fill_relief
+from lfmesh.geometry.array.relief import CELLS, SUMS, fill_relief
 from lfmesh.optics.coatings import Stack, coated
 from lfmesh.optics.glass import absorption_per_mm, refractive_index
 from lfmesh.optics.share_table import looked_up
@@ -19,7 +19,7 @@ from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME,
 from lfmesh.transport.tables.coatings import coating_table
 from lfmesh.transport.tables.interfaces import Face, array_faces, cover_faces
 from lfmesh.transport.tables.tables import CURVED_ROW, Tables
-from lfmesh.waves.angular_spectrum import Spectrum
+from lfmesh.waves.angular_spectrum import Spectrum, Waves
 
 Array = NDArray[np.float64]
 
@@ -76,11 +76,15 @@ class WaveFace:
             px, py = grid.directions
             return light.through_plane(np.interp(np.hypot(px[None, :], py[:, None]), sines, amplitude), self.index)
         x, y = light.at_mm[0] + grid.places, light.at_mm[1] + grid.places
-        height, slope, inside = self._relief(self.lenslets, x, y)
+        per_mm = 2.0 * np.pi / grid.wavelength_mm * (grid.middle_z(light.index) - grid.middle_z(self.index))
+        height, slope, share = self._relief(self.lenslets, x, y, per_mm)
         # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
-        # waves within the grid's, keeps these out to the second order of the grid's step.
-        clear = inside > 0.0
-        height = height - (_second_difference(height, clear, 0) + _second_difference(height, clear, 1)) / 24.0
+        # waves within the grid's, keeps these out to the second order of the grid's step. Where lenslets meet in a
+        # step, slopes tell the kink alone.
+        clear = share != 0.0
+        bend = _central_difference(slope[0], clear, 1) + _central_difference(slope[1], clear, 0)
+        height = height - grid.step_mm / 24.0 * bend
+        share = _sharpened(share, per_mm * height, per_mm * grid.step_mm * slope)
         # What a place passes differs from direction to direction, which is followed to the first order: where light is
         # out of focus, its directions go with the places.
         steps = np.diag(light.spread)
@@ -90,7 +94,7 @@ class WaveFace:
                 self._passed_at(slope, light.index, grid.middle + way, sines, amplitude) for way in (step, -step)
             )
             passed.append((more - less) / (2.0 * step.sum()))
-        return light.through_relief(height, [inside * each for each in passed], self.index)
+        return light.through_relief(height, [share * each for each in passed], self.index)
 
     def _passed_at(self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array) -> Array:
         """Return the amplitude that each place of the relief passes of light of one direction, (n, n).
@@ -136,16 +140,26 @@ class WaveFace:
         cells = {cell_of(lattice, float(x), float(y)) for x, y in own}
         return sum(is_inside(lattice, *cell) for cell in cells)
 
-    def _relief(self, lenslets: Lenslets, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return height and slope of the lenslets (camera frame) on an even grid, and the share that is clear."""
+    def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> tuple[Array, Array, Waves]:
+        """Return height and slope of the lenslets (camera frame) on an even grid, and the share of a wave that passes.
+
+        Parameters
+        ----------
+        lenslets : Lenslets
+        x, y : (columns,), (rows,) float64, mm
+        per_mm : float, rad/mm
+            Phase that the wave gains by a face that is higher.
+        """
         xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
         turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
         own = turn @ np.stack([xs, ys]) + self.frame[:2, 3:]
-        relief = np.zeros((4, len(xs)))
-        fill_relief(lenslets, np.ascontiguousarray(own[0]), np.ascontiguousarray(own[1]), abs(x[1] - x[0]), relief)
+        relief, parts = np.zeros((5, len(xs))), np.zeros((CELLS, SUMS))
+        places = np.ascontiguousarray(own[0]), np.ascontiguousarray(own[1])
+        fill_relief(lenslets, *places, abs(x[1] - x[0]), sense * per_mm, parts, relief)
         shape = len(y), len(x)
         slope = sense * (turn.T @ relief[1:3])
-        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), relief[3].reshape(shape)
+        share = (relief[3] + 1j * relief[4]).reshape(shape)
+        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), share
 
     def _amplitudes(self, light: Spectrum, scene: Scene) -> tuple[Array, Array]:
         """Return n sin θ, and the amplitude that the face passes there, both (angles,)."""
@@ -212,10 +226,30 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
     return found
 
 
-def _second_difference(values: Array, given: NDArray[np.bool_], axis: int) -> Array:
-    """Return the second difference on a grid in the order of transforms; 0 where a value of the three is not given."""
-    found = np.roll(values, 1, axis) + np.roll(values, -1, axis) - 2.0 * values
+def _central_difference(values: Array, given: NDArray[np.bool_], axis: int) -> Array:
+    """Return half the difference of both neighbours on a grid in the order of transforms; 0 where one is not given."""
+    found = 0.5 * (np.roll(values, -1, axis) - np.roll(values, 1, axis))
     return np.where(given & np.roll(given, 1, axis) & np.roll(given, -1, axis), found, 0.0)
+
+
+def _sharpened(share: Waves, phase: Array, change: Array) -> Waves:
+    """Return the share of a wave that passes, without what its mean over a place lacks at steps and rims.
+
+    Parameters
+    ----------
+    share : (n, n) complex128
+        In the order of transforms.
+    phase : (n, n) float64
+        Of the wave that passes.
+    change : (2, n, n) float64
+        Of the phase from place to place along x and y, by the slope.
+    """
+    wave, bent = share * np.exp(1j * phase), -4.0 * share
+    for axis, own in ((1, change[0]), (0, change[1])):
+        for way in (1, -1):
+            slope = 0.5 * (own + np.roll(own, way, axis))
+            bent += np.roll(wave, way, axis) * np.exp(1j * (way * slope - phase))
+    return np.asarray(share - bent / 24.0)
 
 
 def _refuse_tilt(move: Array, where: str, value: list[float], *, turn: bool = False) -> None:

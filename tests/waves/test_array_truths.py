@@ -7,6 +7,7 @@ from thin lenses in one plane is an error of the point spread, or of the grid.
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.fft import dct
 from scipy.special import fresnel, j1
 
 import lfmesh as lf
+from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME
 from lfmesh.waves.point_spread import TOLERANCE
 from tests.instances import instances
 
@@ -72,19 +74,35 @@ def on_pixels(nodes: int, count: int) -> tuple[Array, Callable[[Waves], Array]]:
     return (middles[:, None] + 0.5 * PIXEL * inner).ravel(), summed
 
 
-def through_lenslets(u: Array, s: Array, array_mm: float, gap_mm: float, count: int) -> Waves:
-    """Return light at s on the sensor from u in the pupil, in one dimension: Fresnel's integral over each lenslet."""
+def through_lenslet(u: Array, s: Array, array_mm: float, gap_mm: float, middle: float, apex: float, f: float) -> Waves:
+    """Return light at s on the sensor from u in the pupil, in one dimension: Fresnel's integral over a lenslet."""
     u, s = u[None, :], s[:, None]
-    bend = 1.0 / array_mm - 1.0 / FOCAL + 1.0 / gap_mm
+    bend = 1.0 / array_mm - 1.0 / f + 1.0 / gap_mm
     scale = math.sqrt(2.0 * abs(bend) / WAVE)
-    found = np.zeros((s.size, u.size), np.complex128)
-    for centre in (np.arange(count) - 0.5 * (count - 1)) * PITCH:
-        middle = (u / array_mm - centre / FOCAL + s / gap_mm) / bend
-        (high_s, high_c), (low_s, low_c) = (fresnel(scale * (centre + a - middle)) for a in (0.5 * PITCH, -0.5 * PITCH))
-        path = u * u / array_mm - centre**2 / FOCAL + s * s / gap_mm - bend * middle**2
-        integral = high_c - low_c + 1j * math.copysign(1.0, bend) * (high_s - low_s)
-        found += integral / scale * np.exp(1j * np.pi / WAVE * path)
-    return found / (WAVE * math.sqrt(array_mm * gap_mm))
+    still = (u / array_mm - apex / f + s / gap_mm) / bend
+    (high_s, high_c), (low_s, low_c) = (fresnel(scale * (middle + a - still)) for a in (0.5 * PITCH, -0.5 * PITCH))
+    path = u * u / array_mm - apex**2 / f + s * s / gap_mm - bend * still**2
+    integral = high_c - low_c + 1j * math.copysign(1.0, bend) * (high_s - low_s)
+    return np.asarray(integral / scale * np.exp(1j * np.pi / WAVE * path) / (WAVE * math.sqrt(array_mm * gap_mm)))
+
+
+def through_lenslets(u: Array, s: Array, array_mm: float, gap_mm: float, count: int) -> Waves:
+    """Return the same of a row of lenslets."""
+    middles = (np.arange(count) - 0.5 * (count - 1)) * PITCH
+    return np.asarray(sum(through_lenslet(u, s, array_mm, gap_mm, each, each, FOCAL) for each in middles))
+
+
+def chebyshev_series(values: Waves, at: float) -> Waves:
+    """Return series across the pupil of light (sensor, terms) at Chebyshev's points, of a point's image at a place."""
+    terms = values.shape[1]
+    values = values * np.exp(-1j * np.pi / (WAVE * IMAGE) * (pupil_points(terms) - at) ** 2)
+    series = (dct(values.real) + 1j * dct(values.imag)) / terms
+    series[:, 0] *= 0.5
+    return np.asarray(series)
+
+
+def pupil_points(terms: int, stop_mm: float = STOP) -> Array:
+    return np.asarray(stop_mm * np.cos((np.arange(terms) + 0.5) / terms * np.pi))
 
 
 def over_disk(terms: int) -> Array:
@@ -105,14 +123,9 @@ def square_truth(array_mm: float, gap_mm: float, place: Place, count: int, terms
     faster than any power of their terms.
     """
     sensor, summed = on_pixels(nodes, 10 * count)
-    u = STOP * np.cos((np.arange(terms) + 0.5) / terms * np.pi)
-    series = []
-    for at in place:
-        lens = np.exp(-1j * np.pi / (WAVE * IMAGE) * (u - at) ** 2)
-        values = through_lenslets(u, sensor, array_mm, gap_mm, count) * lens
-        series.append((dct(values.real) + 1j * dct(values.imag)) / terms)
-        series[-1][:, 0] *= 0.5
-    return summed(series[1] @ (over_disk(terms) * STOP**2) @ series[0].T) / (math.pi * STOP**2)
+    row = through_lenslets(pupil_points(terms), sensor, array_mm, gap_mm, count)
+    x, y = (chebyshev_series(row, at) for at in place)
+    return summed(y @ (over_disk(terms) * STOP**2) @ x.T) / (math.pi * STOP**2)
 
 
 CENTRE, CORNER, ASIDE = (0.0, 0.0), (0.5 * PITCH, 0.5 * PITCH), (2.3 * PITCH, -1.25 * PITCH)
@@ -146,19 +159,89 @@ SHIFTED, BRIGHTER = 0.9589, 1.0439
 """Brightest place of an evenly lit square at Fresnel number 3.5636, over its focal length, and the light there."""
 
 
-def peak_of_one_lenslet(distance: float) -> float:
+@cache
+def peak_of_one_lenslet(distance: float, tolerance: float) -> float:
     """Return the peak of a lone lenslet, lit evenly by a wide lens, at a distance over the focal length."""
     array, stop = 4250.0, 20.0
     # Light converges on the lenslet: behind both, its focus is at FOCAL.
     mla = {"focal_length_mm": 1.0 / (1.0 / FOCAL - 1.0 / (IMAGE - array))}
     given = camera(array, FOCAL * distance, 1, mla).changed({"camera.lens.stop_semi_diameter_mm": stop})
-    return lf.point_spread(given, (0.0, 0.0, -FAR), WAVE_NM, tolerance=COARSE).peak_w_mm2
+    return lf.point_spread(given, (0.0, 0.0, -FAR), WAVE_NM, tolerance=tolerance).peak_w_mm2
 
 
-def test_a_lone_lenslet_is_brightest_before_its_focus() -> None:
+def evenly_lit(distance: Array) -> Array:
+    """Return the light on the axis behind an evenly lit square at distances, over its focal length; 1 there."""
+    out_of_focus = PITCH * np.sqrt(0.5 * (1.0 / distance - 1.0) / (WAVE * FOCAL)) + 1e-9
+    s, c = fresnel(out_of_focus)
+    return np.asarray(((c * c + s * s) / out_of_focus**2) ** 2 / distance**2)
+
+
+def test_both_figures_of_the_focal_shift_are_those_of_an_evenly_lit_square() -> None:
     fresnel_number = PITCH**2 / (4.0 * WAVE * FOCAL)
     assert fresnel_number == pytest.approx(3.5636, abs=1e-4)
-    assert peak_of_one_lenslet(SHIFTED) / peak_of_one_lenslet(1.0) == pytest.approx(BRIGHTER, abs=0.002)
+    distance = np.linspace(0.9, 1.0, 10_001)
+    light = evenly_lit(distance)
+    assert distance[light.argmax()] == pytest.approx(SHIFTED, abs=1e-4)
+    assert light.max() == pytest.approx(BRIGHTER, abs=1e-4)
+    assert light[-1] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("distance", [0.92, SHIFTED])
+def test_a_lone_lenslet_is_as_bright_before_its_focus_as_a_square(distance: float) -> None:
+    """On the slope before the brightest place, where light tells that place, and in it."""
+    found = peak_of_one_lenslet(distance, COARSE) / peak_of_one_lenslet(1.0, COARSE)
+    assert found == pytest.approx(float(evenly_lit(np.array(distance))), abs=0.002)
+
+
+@pytest.mark.long
+def test_the_brightest_place_of_a_lone_lenslet_is_that_of_a_square() -> None:
+    places = np.array([0.92, 0.95, 0.975, 1.0])
+    curve = np.polynomial.Polynomial.fit(places, [peak_of_one_lenslet(z, TOLERANCE) for z in places], 3)
+    fine = np.linspace(places[0], places[-1], 4001)
+    assert fine[curve(fine).argmax()] == pytest.approx(SHIFTED, abs=0.001)
+    assert curve(fine).max() / curve(1.0) == pytest.approx(BRIGHTER, abs=0.002)
+
+
+FORM = {"decenter_mm": 0.1 * PITCH, "radius_error": 0.1, "seed": 3}
+"""Lenslets of different radii, beside the middles of their cells: they meet in steps of up to some waves."""
+FAR_FROM_LIGHT = 5.0
+"""Pitches from the light's middle at which lenslets are dark."""
+
+
+def steps_truth(scene: lf.Scene, array_mm: float, place: Place, count: int, terms: int, nodes: int) -> Array:
+    """Return the share of the pupil's light on each pixel behind square lenslets, each with a form of its own."""
+    world = lf.build(scene)
+    shape = world.tables.mla.lenslets
+    sense = np.sign(np.diag(world.tables.frames[CAMERA_FRAME, MLA_FRAME][:2, :2]))
+    middles, apexes = (each.reshape(-1, 2) * sense for each in (shape.lattice.centres(), shape.apexes))
+    focal = 1.0 / ((GLASS - 1.0) * abs(shape.curvature[0]) * shape.stretch)
+    sensor, summed = on_pixels(nodes, 10 * count)
+    u, disk = pupil_points(terms), over_disk(terms) * STOP**2
+    light = np.zeros((sensor.size, sensor.size), np.complex128)
+    for middle, apex, f in zip(middles, apexes, focal, strict=True):
+        if math.dist(middle, place) < FAR_FROM_LIGHT * PITCH:
+            x, y = (
+                chebyshev_series(through_lenslet(u, sensor, array_mm, FOCAL, middle[axis], apex[axis], f), place[axis])
+                for axis in (0, 1)
+            )
+            light += y @ disk @ x.T
+    return summed(light) / (math.pi * STOP**2)
+
+
+STEPS: list[tuple[int, Place, float]] = [(0, CENTRE, 0.0075), (0, CORNER, 0.04), (2, CENTRE, 0.0075)]
+"""Pitches more that the light spreads over, its place, and the largest difference.
+
+In focus on a corner steps send 0.02 of the light beyond the grid's directions.
+"""
+
+
+@pytest.mark.parametrize("case", instances(STEPS, long=STEPS[1:]))
+def test_lenslets_that_meet_in_steps_are_fresnels(case: tuple[int, Place, float]) -> None:
+    (pitches, place, most), count = case, 9
+    array = IMAGE + pitches * SPREAD
+    given = camera(array, FOCAL, count, {"form": FORM})
+    found, _ = shares(given, place, COARSE)
+    assert np.abs(found - steps_truth(given, array, place, count, 300, 6)).sum() < most
 
 
 class Plane:

@@ -1,4 +1,8 @@
-"""The relief of lenslets over a plane: height and slope at points; at the borders of cells means of a small box."""
+"""The relief of lenslets over a plane: height and slope at points; at the borders of cells means of a small box.
+
+Where cells meet in a step, heights of both sides have no mean that a wave would know. So the mean of the wave goes with
+the height.
+"""
 
 from typing import Any
 
@@ -11,12 +15,18 @@ from lfmesh.kernels.decorators import inlined, kernel
 
 Array = NDArray[np.float64]
 
-PARTS = 8
-"""Points along each side of a box that a border crosses."""
+POINTS, TURN = 89, 55
+"""Points of a box that a border crosses: Fibonacci's lattice, which has no two of them in a row or a column."""
+
+CELLS = 4
+"""Cells that a box may touch: those of a corner of squares. What lies in more of them counts to the last one."""
+
+SUMS = 8
+"""Quantities that are known of each of them."""
 
 
 @kernel
-def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) -> None:
+def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, parts: Array, relief: Array) -> None:
     """Fill in the relief of lenslets at points of the array's frame.
 
     Parameters
@@ -25,9 +35,14 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
     x, y : (n,) float64, mm
     box : float, mm
         Side of the square about each point that is averaged over, where it is not all of one cell.
-    relief : (4, n) float64
-        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; and its share. All are 0
-        where no part is clear.
+    per_mm : float, rad/mm
+        Phase that a wave gains by a face that is higher.
+    parts : (CELLS, SUMS) float64
+        Room for sums over the parts of a box in different cells.
+    relief : (5, n) float64
+        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; and the real and the
+        imaginary part of the wave that passes, over one that passes a whole box of this sag. The sag is the mean, moved
+        along the slope to the point. All are 0 where no part is clear.
     """
     half = 0.5 * box
     for i in range(len(x)):
@@ -38,33 +53,61 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, relief: Array) ->
             other_column, other_row = cell_of(mla.lattice, x[i] + sx, y[i] + sy)
             whole = whole and other_column == column and other_row == row
         whole = whole and not _near_mask(mla.clear_radius, mla, column, row, x[i], y[i], box)
-        parts = 1 if whole else PARTS
-        for part in range(parts * parts):
-            px = x[i] + box * ((part % parts + 0.5) / parts - 0.5)
-            py = y[i] + box * ((part // parts + 0.5) / parts - 0.5)
-            _add(mla, px, py, 1.0 / (parts * parts), relief, i)
-        if relief[3, i] > 0.0:
-            for quantity in range(3):
-                relief[quantity, i] /= relief[3, i]
+        points = 1 if whole else POINTS
+        parts[:] = 0.0
+        for point in range(points):
+            dx = box * ((point + 0.5) / points - 0.5)
+            dy = box * ((point * TURN % points + 0.5) / points - 0.5)
+            _add(mla, x[i], y[i], dx, dy, parts)
+        relief[:, i] = 0.0
+        clear = parts[:, 0].sum()
+        if clear == 0.0:
+            continue
+        sag, slope_x, slope_y = parts[:, 1].sum() / clear, parts[:, 2].sum() / clear, parts[:, 3].sum() / clear
+        relief[0, i] = sag - (slope_x * parts[:, 4].sum() + slope_y * parts[:, 5].sum()) / clear
+        relief[1, i], relief[2, i] = slope_x, slope_y
+        for part in range(CELLS):
+            share = parts[part, 0]
+            if share > 0.0:
+                phase = per_mm * (parts[part, 1] / share - sag)
+                relief[3, i] += share / points * np.cos(phase)
+                relief[4, i] += share / points * np.sin(phase)
 
 
 @inlined
-def _add(mla: Lenslets, x: float, y: float, share: float, relief: Array, i: int) -> None:
-    """Add a share of the relief at a point, if it is clear."""
-    column, row = cell_of(mla.lattice, x, y)
+def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) -> None:
+    """Add a point of a box, if it is clear, to the part of its cell.
+
+    Parameters
+    ----------
+    mla : Lenslets
+    x, y : float, mm
+        Middle of the box.
+    dx, dy : float, mm
+        From there to the point.
+    parts : (CELLS, SUMS) float64
+        Of each cell: number of points, sums of sag, slopes and `dx` and `dy`, column and row.
+    """
+    column, row = cell_of(mla.lattice, x + dx, y + dy)
     if not is_inside(mla.lattice, column, row):
         return
     cx, cy = centre(mla.lattice, column, row)
-    if not _is_clear(mla.clear_radius, x - cx, y - cy):
+    if not _is_clear(mla.clear_radius, x + dx - cx, y + dy - cy):
         return
     curvature, ex, ey = shape_of(mla, column, row)
-    dx, dy = x - cx - ex, y - cy - ey
-    sag = face_sag(mla, column, row, curvature, dx, dy)
-    nx, ny, nz = face_normal(mla, column, row, curvature, dx, dy, sag)
-    relief[0, i] += share * sag
-    relief[1, i] -= share * nx / nz
-    relief[2, i] -= share * ny / nz
-    relief[3, i] += share
+    own_x, own_y = x + dx - cx - ex, y + dy - cy - ey
+    sag = face_sag(mla, column, row, curvature, own_x, own_y)
+    nx, ny, nz = face_normal(mla, column, row, curvature, own_x, own_y, sag)
+    part = 0
+    while part < CELLS - 1 and parts[part, 0] > 0.0 and (parts[part, 6] != column or parts[part, 7] != row):
+        part += 1
+    parts[part, 0] += 1.0
+    parts[part, 1] += sag
+    parts[part, 2] -= nx / nz
+    parts[part, 3] -= ny / nz
+    parts[part, 4] += dx
+    parts[part, 5] += dy
+    parts[part, 6], parts[part, 7] = column, row
 
 
 @inlined

@@ -48,7 +48,7 @@ class TermResult:
 
     @property
     def share_left(self) -> float:
-        """What a term adds to the merit after the search; 0 if that is rounding."""
+        """Part of the merit that a term makes after the search; 0 if that is rounding."""
         goal = self.goal
         rounding = isinstance(goal, Term) and is_rounding(goal, self.share_after, self.share_before)
         return 0.0 if rounding else self.share_after

@@ -382,7 +382,14 @@ def share_of(term: Term, rated: Rated) -> float:
 
 
 def is_rounding(term: Term, share: float, first: float) -> bool:
-    """Tell whether what a term adds to the merit is rounding, beside what it added at first and its target."""
+    """Tell whether what a term adds to the merit is rounding, beside what it added at first and its target.
+
+    Parameters
+    ----------
+    term : Term
+    share, first : float
+        What it adds to the merit of a camera, and to that of the one to begin with.
+    """
     return share <= ROUNDING**2 * max(first, (term.weight * term.wanted) ** 2)
 
 

@@ -175,7 +175,9 @@ def _pictures(table: Table, done: list[Row]) -> list[dict[str, str]]:
     column = first_column(table)
     ranked = ranked_by(done, column) if column is not None else []
     shown = [("", table.rows[0])]
-    if column is not None and ranked:
+    if column is not None and len(ranked) == 1:
+        shown += [("", ranked[0])]
+    elif column is not None and ranked:
         shown += [(f"best by {column.noun}: ", ranked[0]), (f"worst by {column.noun}: ", ranked[-1])]
     return [
         {"words": f"{words}{words_of(table, row)}", "source": figures.picture(row.preview)}

@@ -299,21 +299,22 @@ def budget_rows(table: Table, budget: Budget) -> list[list[str]]:
 
 
 def _adjustments(table: Table) -> Iterator[str]:
+    nouns = {column.name: column.noun for column in table.columns}
     for i, each in enumerate(table.plan.study.compensators):
         changes = [row.adjusted[i] for row in table.rows if row.adjusted]
         name, unit = name_and_unit(each.title)
         if changes:
-            yield (
-                f"{name} was adjusted at every camera to the best {each.metric}, by {min(changes):+.3g} to "
-                f"{max(changes):+.3g}{unit and ' ' + unit}."
-            )
+            reach = " to ".join(dict.fromkeys(f"{change:+.3g}" for change in (min(changes), max(changes))))
+            best = nouns[each.metric]
+            yield f"{name} was adjusted at every camera to the best {best}, by {reach}{unit and ' ' + unit}."
 
 
 def _ends(table: Table) -> Iterator[str]:
     column = first_column(table)
     rows = [row for row in table.rows if row.estimates and row.point.searched is None]
     ranked = ranked_by(rows, column) if column is not None else []
-    if column is None or not ranked:
+    # Of a single camera neither is said.
+    if column is None or len(ranked) < 2:
         return
     for which, row in (("Best", ranked[0]), ("Worst", ranked[-1])):
         value = column_value(row, column)

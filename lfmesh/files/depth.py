@@ -115,9 +115,11 @@ def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) 
     x, y = true[both], depth.distance_mm[both]
     axes.plot(x, y, ".", ms=2, alpha=0.4, color="#1f4e8c")
     if len(x):
-        ends = np.array([x.min(), x.max()])
+        # All of the truth, and at least half of what was found.
+        quarters = np.percentile(y, [25.0, 75.0])
+        ends = np.array([min(x.min(), quarters[0]), max(x.max(), quarters[1])])
         axes.plot(ends, ends, color=GREY, lw=0.8, zorder=0)
-        margin = 0.1 * max(float(np.ptp(x)), 0.05 * float(x.max()))
+        margin = 0.1 * max(float(np.ptp(ends)), 0.05 * float(x.max()))
         axes.set(xlim=(ends[0] - margin, ends[1] + margin), ylim=(ends[0] - margin, ends[1] + margin))
         beyond = float(((y < ends[0] - margin) | (y > ends[1] + margin)).mean())
         if beyond:

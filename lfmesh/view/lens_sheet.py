@@ -138,7 +138,7 @@ def sheet_of(analysis: LensAnalysis) -> Figure:
 
 def _lens_part(figure: Any, analysis: LensAnalysis) -> None:
     grid = GridSpec(
-        5, 6, figure, left=0.045, right=0.975, top=0.92, bottom=0.04, wspace=0.46, hspace=0.4,
+        5, 6, figure, left=0.045, right=0.965, top=0.92, bottom=0.04, wspace=0.46, hspace=0.4,
         height_ratios=(1.0, 1.15, 1.15, 1.15, 1.5),
     )  # fmt: skip
     _header(figure, analysis)
@@ -304,7 +304,7 @@ def _path_maps(figure: FigureBase, places: list[Axes], analysis: LensAnalysis) -
         drawn = np.full((WAVEFRONT_ACROSS, WAVEFRONT_ACROSS), np.nan)
         drawn[number[:, 1], number[:, 0]] = front.opd_waves
         image = axes.imshow(drawn, origin="lower", extent=(-1.0, 1.0, -1.0, 1.0), cmap="viridis")
-        figure.colorbar(image, ax=axes, fraction=0.04, pad=0.03)
+        figure.colorbar(image, ax=axes, fraction=0.04, pad=0.03, format="%.3g")
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_xlabel(f"rms {front.rms_waves:.3f}, P-V {front.pv_waves:.2f}, Strehl {front.strehl:.3f}")
@@ -352,6 +352,7 @@ def _foci(axes: Axes, analysis: LensAnalysis) -> None:
     axes.set_ylim(0.0, curves.height_mm[-1])
     axes.set_title("foci: tangential —, sagittal - -")
     axes.set_xlabel("from image plane, mm")
+    axes.xaxis.set_major_locator(MaxNLocator(3))  # long numbers
     axes.set_ylabel("image height, mm")
 
 

@@ -12,11 +12,16 @@ def check_companion(path: Path, name: str, kind: str) -> None:
     Parameters
     ----------
     path : Path
-        Of the mesh.
+        The mesh file.
     name : str
-        Name of the other file, as the mesh has it.
+        Of the other file, relative to the mesh's folder.
     kind : str
-        Word for what that file is.
+        What it is in messages, such as "picture".
+
+    Raises
+    ------
+    MeshError
+        It lies elsewhere, is no regular file, or its name is impossible.
     """
     inside = "\0" not in name and Path(os.path.normpath(path.parent / name)).is_relative_to(
         os.path.normpath(path.parent)

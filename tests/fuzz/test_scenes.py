@@ -74,6 +74,7 @@ weight_cutoff = 0.3
 wavelengths_nm = [587.6]
 seed = 0
 threads = 0
+diffraction = "lenslets"
 """
 
 VALUES = [

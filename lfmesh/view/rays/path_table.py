@@ -184,7 +184,7 @@ class PathTable(Sequence[PathRow]):
         rest = self.rows[most:]
         if rest:
             left = sum(row.power for row in rest)
-            lines.append(f"and {len(rest)} more sequences with {left:.3e} {unit}")
+            lines.append(f"and {counted(len(rest), 'more sequence')} with {left:.3e} {unit}")
         where = "between sensor and scene" if self.rays.from_sensor else "on the sensor"
         paths = sum(row.count for row in self.rows)
         whole = f"{counted(len(self), 'sequence')}, {counted(paths, 'path')}, {self.power:.4e} {unit} {where}"

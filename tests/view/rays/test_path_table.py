@@ -138,10 +138,10 @@ def test_lines_fit_80_columns_and_name_the_reflections(world, rays, launched):
     lines = table.lines(most=len(table))
     assert max(map(len, lines)) <= 80
     assert len(lines) == len(table) + 2
-    assert f"{len(rays)} paths" in lines[-1]
+    assert f"{len(rays):,} paths" in lines[-1]
     shortened = table.lines(most=4)
     assert len(shortened) == 7
-    assert f"{len(table) - 4} more sequences" in shortened[-2]
+    assert f"{len(table) - 4:,} more sequences" in shortened[-2]
 
 
 def test_short_forms_name_reflections_in_the_order_of_light(world):

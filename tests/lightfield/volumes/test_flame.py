@@ -50,7 +50,7 @@ def test_a_rendered_flame_is_as_near_as_the_best_strength_brings_it_and_its_erro
     """A flame in 16 × 24 × 16 mm, its values trilinear between points 1 mm apart, and a matrix by rays of its own.
 
     The noise is that of render and model: voxels do not show what lies between the flame's points. With the render's
-    alone nobody can tell the error, and that is said.
+    alone nobody can tell the error of coarse voxels, and that is said.
     """
     fine = lf.VoxelBox.of_size((16, 24, 16), (16.0, 24.0, 16.0), (0.0, 0.0, -500.0))
     values = flame(fine)
@@ -77,12 +77,13 @@ def test_a_rendered_flame_is_as_near_as_the_best_strength_brings_it_and_its_erro
         off = np.linalg.norm(found.volume - true)
         best = least_by_neighbours(matrix, seen, noise, found, true, 4.0)
         best = min(best, least_by_neighbours(matrix, seen, noise, found, true, 16.0))
-        with pytest.warns(lf.UnknownErrorWarning, match="of the noise's variance are left of the image"):
-            unsure = lf.reconstruct(matrix, seen, "tikhonov", noise=own, strength=found.strength)
     assert off < 1.1 * best
     assert off < 0.9 * np.linalg.norm(true)
     assert 0.8 < found.total_error / off < 1.25
-    assert np.isnan(unsure.total_error)
+    if side > 1:
+        with pytest.warns(lf.UnknownErrorWarning, match="of the noise's variance are left of the image"):
+            unsure = lf.reconstruct(matrix, seen, "tikhonov", noise=own, strength=found.strength)
+        assert np.isnan(unsure.total_error)
 
 
 @pytest.mark.long

@@ -257,7 +257,7 @@ def vti(path: Path, binary: bool = False) -> None:
 
 
 def as_lens(ending: str) -> bytes:
-    triplet = read_lens(asset_path("lenses/cooke_triplet_50mm.toml"))
+    triplet, _ = read_lens(asset_path("lenses/cooke_triplet_50mm.toml"))
     return by_writing(ending, lambda path: write_lens_file(triplet, path))
 
 

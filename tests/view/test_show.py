@@ -183,7 +183,7 @@ def test_reports_need_no_display(
     assert "image path" not in printed
     assert str(csv) in printed
     assert main(["view", str(scene_file), *spec, "--path", "0", "--table"]) == 0
-    assert "1 sequences" in capsys.readouterr().out
+    assert "1 sequence," in capsys.readouterr().out
 
 
 @pytest.mark.drawing

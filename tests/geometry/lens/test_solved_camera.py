@@ -12,8 +12,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.lens import solved_camera as module
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.scene import Camera, Lens, Scene, Sensor, solved
-from lfmesh.scene.first_order import report
+from lfmesh.scene import Camera, Lens, Scene, Sensor, first_order, solved
 from lfmesh.scene.first_order.paraxial import Paraxial
 
 LENS = """
@@ -39,7 +38,7 @@ def ball(path: Path, radius: float) -> None:
 def test_it_is_what_solving_and_first_order_optics_say() -> None:
     camera, by_hand = solved_camera(asset()), solved(asset())
     assert camera.scene == by_hand
-    assert camera.report == report.first_order(asset())
+    assert camera.report == first_order(asset())
     assert camera.paraxial == Paraxial.of(by_hand.camera.lens, 587.6)
 
 

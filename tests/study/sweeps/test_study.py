@@ -158,7 +158,7 @@ def test_a_point_that_cannot_be_traced_is_named_and_the_others_go_on(
     assert main(["study", str(tmp_path / "study.toml"), "-o", str(out), "--workers", "0"]) == 1
     printed = capsys.readouterr()
     assert "2 of 3 points are done" in printed.out
-    assert "camera.mla.pose.shift_mm[2] = -400.0" in printed.err
+    assert "camera.mla.pose.shift_mm[2] = -400 mm" in printed.err
     (failed,) = (line for line in logged(out) if line["event"] == "failed")
     assert failed["point"] == 2
     assert failed["reason"]

@@ -345,9 +345,7 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
     if lens.stop_space < 0:
         radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
     spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
-    return lens._replace(
-        aperture=Apertures(ROUND, spread, airy_quantiles(), np.empty((0, 2), np.float32), -1, False, 0.0)
-    )
+    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, 0.0))
 
 
 def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:

@@ -9,7 +9,7 @@ from lfmesh.geometry.files.companion import check_companion
 from lfmesh.regular_file import read_text
 
 _FACET = re.compile(r"^[ \t]*f[ \t]([^#\n]*)", re.MULTILINE)
-_CORNER = re.compile(r"(?<!\S)(-?\d{1,18})(?:/(-?\d{1,18})?)?(?:/(-?\d{1,18})?)?(?!\S)")
+_CORNER = re.compile(r"(-?\d{1,18})(?:/(-?\d{1,18})?)?(?:/(-?\d{1,18})?)?")
 _KINDS = {"v": "vertex", "vt": "texture coordinate", "vn": "normal"}
 """Names of what the numbers of a corner count, by the key of their lines."""
 
@@ -38,8 +38,7 @@ def check(path: Path) -> None:
             continue
         materials = read_text(library, errors="replace")
         defined.update(_DEFINED.findall(materials))
-        for value in _PICTURE_FILE.findall(materials):
-            picture = _picture_name(value)
+        for picture in _pictures(materials):
             check_companion(path, (Path(name).parent / picture).as_posix(), "picture")
             if not (library.parent / picture).is_file():
                 raise MeshError(f"{library}: its picture {picture} is not there; add it or delete the map_Kd line")
@@ -57,8 +56,7 @@ def companions(path: Path) -> list[str]:
         names.append(name)
         library = path.parent / name
         if library.is_file():
-            text = read_text(library, errors="replace")
-            pictures = [_picture_name(value) for value in _PICTURE_FILE.findall(text)]
+            pictures = _pictures(read_text(library, errors="replace"))
             names += [(Path(name).parent / picture).as_posix() for picture in pictures]
     return names
 
@@ -66,15 +64,29 @@ def companions(path: Path) -> list[str]:
 def _check_corners(path: Path, text: str) -> None:
     """Raise at the first facet that names what the file does not have, counted from 1, or back from -1."""
     given = [(kind, len(re.findall(rf"^[ \t]*{key}[ \t]", text, re.MULTILINE))) for key, kind in _KINDS.items()]
+    # Facets share their corners: each is looked at once.
+    corners = {corner for facet in _FACET.findall(text) for corner in facet.split()}
+    wrong = {corner: fault for corner in corners if (fault := _fault_of(corner, given))}
+    if not wrong:
+        return
     for facet in _FACET.finditer(text):
-        for corner in _CORNER.findall(facet[1]):
-            for number, (kind, count) in zip(corner, given, strict=True):
-                if number and not 1 <= abs(int(number)) <= count:
-                    line = text.count("\n", 0, facet.start()) + 1
-                    counted = f"there are {count:,}, counted from 1, or back from -1" if count else "there is none"
-                    raise MeshError(f"{path}: line {line}: a facet names {kind} {number}, but {counted}")
+        for corner in facet[1].split():
+            if corner in wrong:
+                line = text.count("\n", 0, facet.start()) + 1
+                raise MeshError(f"{path}: line {line}: a facet names {wrong[corner]}")
 
 
-def _picture_name(value: str) -> str:
-    """Return the file of a map_Kd line: options such as -s 1 1 1 stand before the name."""
-    return value.split()[-1] if value.startswith("-") else value
+def _fault_of(corner: str, given: list[tuple[str, int]]) -> str:
+    """Return what a corner names that is not there, and how many there are; "" if all is."""
+    numbers = _CORNER.fullmatch(corner)
+    for number, (kind, count) in zip(numbers.groups() if numbers else (), given, strict=False):
+        if number and not 1 <= abs(int(number)) <= count:
+            counted = f"there are {count:,}, counted from 1, or back from -1" if count else "there is none"
+            return f"{kind} {number}, but {counted}"
+    return ""
+
+
+def _pictures(materials: str) -> list[str]:
+    """Return the files of the map_Kd lines of materials: options such as -s 1 1 1 stand before the name."""
+    values = _PICTURE_FILE.findall(materials)
+    return [value.split()[-1] if value.startswith("-") else value for value in values]

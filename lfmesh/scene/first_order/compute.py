@@ -7,7 +7,7 @@ from dataclasses import replace
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
-from lfmesh.scene.first_order.kick_error import kick_error
+from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
@@ -100,7 +100,6 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
     fresnel, beyond = clear / (4e-6 * longest * own) if own else None, sensor_over_focal_length(camera, wavelength)
-    is_round = camera.mla is not None and camera.mla.clear_diameter_mm is not None
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -128,7 +127,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
         microlens_fresnel_number=fresnel,
-        kick_error=kick_error(fresnel, beyond, in_focus=not focused) if fresnel and beyond and not is_round else None,
+        kick_error=_kick_error(camera, fresnel, beyond, in_focus=not focused) if fresnel and beyond else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
@@ -149,6 +148,13 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
             field_of_view_mm=(width, facts.field_of_view_mm[1]),
         )  # fmt: skip
     return facts
+
+
+def _kick_error(camera: Camera, fresnel: float, beyond: float, *, in_focus: bool) -> KickError | None:
+    """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables."""
+    if camera.mla is None or camera.mla.clear_diameter_mm is not None:
+        return None
+    return kick_error(fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus)
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

@@ -96,7 +96,7 @@ class FirstOrder(Shown):
     diffraction blurs much of the micro-image."""
     kick_error: KickError | None
     """Errors of pictures of extended light without and with the lenslets' diffraction; None where they are not known:
-    beyond the tables, and of lenslets with round apertures or cylinders. Hexagons are taken for squares."""
+    beyond the tables, and of lenslets with round apertures or cylinders. Of hexagons those of edges are not known."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
     of what lenslets of any type image sharply to a pixel."""

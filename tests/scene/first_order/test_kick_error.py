@@ -153,7 +153,7 @@ def edge(fresnel: float, at: float) -> tuple[float, float]:
 @pytest.mark.parametrize("distance", range(len(kick_error.DISTANCES)))
 def test_errors_of_white_pictures_are_those_of_fresnel_integrals(distance: int) -> None:
     for number, fresnel in enumerate(kick_error.FRESNEL_NUMBERS):
-        wanted = kick_error.WHITE_WITHOUT[distance][number], kick_error.WHITE_WITH[distance][number]
+        wanted = kick_error.SQUARES_WITHOUT[distance][number], kick_error.SQUARES_WITH[distance][number]
         assert white(fresnel, kick_error.DISTANCES[distance]) == pytest.approx(wanted, abs=1e-4)
 
 
@@ -206,7 +206,12 @@ def test_a_camera_has_the_errors_of_its_distance_or_none() -> None:
     moved = lf.first_order(scene.changed({"camera.sensor.distance_mm": near + 0.15 * 0.056}))
     assert moved.kind == sharp.kind
     assert moved.kick_error == pytest.approx(kick_error.kick_error(moved.microlens_fresnel_number or 0.0, 1.15))
-    for unlike_squares in ({"clear_diameter_mm": 0.012}, {"cylinder_axis": "x"}):
-        facts = lf.first_order(scene.changed({f"camera.mla.{key}": value for key, value in unlike_squares.items()}))
+    hexagons = lf.first_order(scene.changed({"camera.mla.layout": "hexagonal"}))
+    wanted = kick_error.kick_error(hexagons.microlens_fresnel_number or 0.0, layout="hexagonal")
+    assert hexagons.kick_error[:2] == pytest.approx(wanted[:2])
+    assert hexagons.kick_error[:2] != pytest.approx(sharp.kick_error[:2], rel=0.01)
+    assert hexagons.kick_error[2:] == (None, None)
+    for unlike_both in ({"clear_diameter_mm": 0.012}, {"cylinder_axis": "x"}):
+        facts = lf.first_order(scene.changed({f"camera.mla.{key}": value for key, value in unlike_both.items()}))
         assert facts.kick_error is None
         assert any("no table of errors" in line for line in facts.lines())

@@ -6,11 +6,11 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from lfmesh.cli.application import app
-from lfmesh.cli.interrupts import defer_interrupt
+from lfmesh.cli.interrupts import code_of_last, defer_interrupt
 from lfmesh.cli.options import SceneFile, Whole
 from lfmesh.cli.printing import list_files
-from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.view.progress import progress
 from lfmesh.wrapping import wrapped
 
 
@@ -40,7 +40,7 @@ def psf(
 ) -> int:
     """Compute the sensor's picture of a point of 1 W/sr, with diffraction and interference of lenslets.
 
-    The picture is logarithmic over four decades.
+    The picture is logarithmic over four decades, with its scale.
     """
     with defer_interrupt():
         from lfmesh.files.point_spread import prepare, write_point_spread
@@ -56,15 +56,17 @@ def psf(
         raise LfmeshError(f"--band {band}: {known}")
     # What is wrong with the folder is said before the waves are followed.
     prepare(out)
-    with status() as report:
-        report("following the waves")
+    with progress() as report:
         found = point_spread(
             loaded, point_mm, band if band is not None else wavelengths_nm, window=window, oversample=oversample,
-            tolerance=TOLERANCE if tolerance is None else tolerance,
+            tolerance=TOLERANCE if tolerance is None else tolerance, progress=report,
         )  # fmt: skip
-    with defer_interrupt():
-        files = write_point_spread(found, out)
-    for line in found.lines():
-        print(wrapped(line))
-    list_files(files)
+    try:
+        with defer_interrupt():
+            files = write_point_spread(found, out)
+            for line in found.lines():
+                print(wrapped(line))
+            list_files(files)
+    except KeyboardInterrupt:
+        return code_of_last()
     return 0

@@ -1,12 +1,9 @@
-"""Files of a point spread: power as EXR, a logarithmic picture, facts as JSON."""
+"""Files of a point spread: power as EXR, a picture with its scale, facts as JSON."""
 
 import io
 import json
 import os
 from pathlib import Path
-
-import numpy as np
-import PIL.Image
 
 from lfmesh.errors import FileError
 from lfmesh.files.exr import write_maps
@@ -14,12 +11,8 @@ from lfmesh.files.json_values import plain_json
 from lfmesh.files.whole import make_folder, write_whole
 from lfmesh.waves.point_spread import PointSpread
 
-DECADES = 4.0
-"""Range of the picture below its brightest pixel."""
-
-LEAST_PX = 480
-"""Pictures whose longer side is shorter are enlarged to about this."""
-
+PNG_DPI = 150
+"""Pixels an inch of the picture."""
 
 NAMES = tuple(f"spread.{kind}" for kind in ("exr", "png", "json"))
 
@@ -41,7 +34,7 @@ def prepare(folder: Path) -> None:
 
 
 def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
-    """Write spread.exr, spread.png (upright, logarithmic) and spread.json into a folder; return their paths.
+    """Write spread.exr, spread.png (its figure) and spread.json into a folder; return their paths.
 
     Parameters
     ----------
@@ -58,12 +51,8 @@ def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
     exr, png, facts = (folder / name for name in NAMES)
     known = plain_json(spread.facts())
     write_maps(exr, {"W": spread.mean}, known)
-    floor = 10.0**-DECADES
-    shown = 1.0 + np.log10(np.maximum(spread.mean / max(float(spread.mean.max()), 1e-300), floor)) / DECADES
-    picture = PIL.Image.fromarray(np.round(255.0 * shown[:, ::-1]).astype(np.uint8))
-    larger = max(1, round(LEAST_PX / max(picture.size)))
     drawn = io.BytesIO()
-    picture.resize((larger * picture.width, larger * picture.height), PIL.Image.Resampling.NEAREST).save(drawn, "PNG")
+    spread.figure().savefig(drawn, format="png", dpi=PNG_DPI, metadata={"Software": None})
     write_whole(png, drawn.getvalue())
     write_whole(facts, json.dumps(known, indent=2) + "\n")
     return [exr, png, facts]

@@ -5,7 +5,7 @@ Results inherit from `lfmesh.notebook`, where this module is registered.
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import singledispatch
 from pathlib import Path
@@ -15,12 +15,9 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from lfmesh.analysis.analysis import LensAnalysis
 from lfmesh.errors import LfmeshError
 from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.files.preview import well_known, white_point
-from lfmesh.files.words import count, duration, noise
-from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.photographs.depth import DepthMap
 from lfmesh.lightfield.photographs.depth_truth import DepthTruth
@@ -28,16 +25,13 @@ from lfmesh.lightfield.photographs.photograph import AllInFocus, FocalStack, Pho
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.notebook import in_notebook
-from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.literals import percent
 from lfmesh.templates import filled
-from lfmesh.transport.packets.ledger import Ledger
-from lfmesh.transport.packets.packet import Status
 from lfmesh.transport.render.image import Image
-from lfmesh.transport.traced_paths import Paths
-from lfmesh.transport.world import World
 from lfmesh.view.figure_file import encoded_figure
+from lfmesh.view.key_figures import key_figures
 from lfmesh.view.pictures import coloured, file_url
+from lfmesh.waves.point_spread import PointSpread
+from lfmesh.waves.wavefront import Wavefront
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,8 +48,8 @@ MOST_PLANES = 5
 PANEL_IN = 4.4
 """Width of a panel in a figure, inches."""
 
-MOST_MEASURED = 4_000_000
-"""Pixels up to which the noise of an image is measured to be shown: that takes some microseconds a pixel."""
+DECADES = 4.0
+"""Range of the picture of a point spread below its brightest sample."""
 
 GAMMA = 1.0 / 2.2
 """Of grey pictures in figures, about that of a screen, so that the scale beside them can tell the light."""
@@ -63,7 +57,6 @@ GAMMA = 1.0 / 2.2
 FIGURE_DPI = 90
 
 Floats = NDArray[np.floating]
-Rows = list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -187,200 +180,30 @@ def _(exposed: Exposed) -> list[Panel]:
     return [Panel(title, counts, float(exposed.detector.black_level), min(top, float(counts.max())), "counts")]
 
 
-@singledispatch
-def key_figures(result: object) -> Rows:
-    """Return what there is to know of a result in short: names and values."""
-    raise LfmeshError(f"a {type(result).__name__} has no key figures")
-
-
-def _channels(wavelengths_nm: Sequence[float], names: Sequence[str] = ()) -> tuple[str, str]:
-    if names:
-        return "bands", ", ".join(names)
-    shown = ", ".join(f"{wavelength:g}" for wavelength in wavelengths_nm)
-    return f"wavelength{'s' if len(wavelengths_nm) > 1 else ''}", f"{shown} nm"
-
-
-@key_figures.register
-def _(image: Image) -> Rows:
-    rows, columns = image.mean.shape[:2]
-    known = "not known: fewer than 2 replicates"
-    if image.mean.size > MOST_MEASURED:
-        known = "in image.error"
-    elif (measured := noise(image).relative_error) is not None:
-        known = f"{percent(measured[1])} of a lit pixel, the median"
+@panels.register
+def _(spread: PointSpread) -> list[Panel]:
+    # Rings are seen over decades alone. The lens inverts.
+    mean = spread.mean[:, ::-1]
+    rows, columns = mean.shape
+    top = float(np.log10(mean.max()))
+    part = "a pixel" if spread.oversample == 1 else f"1/{spread.oversample} × 1/{spread.oversample} of a pixel"
     return [
-        *(("warning", str(warning)) for warning in image.warnings),
-        ("pixels", f"{columns} × {rows}"),
-        _channels(image.wavelengths_nm, image.channel_names),
-        ("samples", f"{image.samples:g} a pixel"),
-        ("replicates", f"{image.replicates} of {image.scene.transport.replicates}"),
-        ("standard error", known),
-        ("light on the sensor", f"{image.mean.sum():.4g} W"),
-        ("pixels with light", percent(float((image.mean > 0.0).mean()))),
-        ("energy lost", percent(image.ledger.lost_share)),
-        ("traced", f"{count(image.ledger.packets)} packets in {duration(image.seconds)}"),
-    ]
+        Panel(
+            "point spread", np.log10(np.maximum(mean, 10.0 ** (top - DECADES))), top - DECADES, top,
+            f"log₁₀ of W on {part}, of 1 W/sr", is_light=False,
+            size_mm=(columns * spread.step_mm, rows * spread.step_mm), place="on the sensor",
+        )
+    ]  # fmt: skip
 
 
-@key_figures.register
-def _(field: LightField) -> Rows:
-    rows, columns = field.views
-    height, width = field.size
-    return [
-        ("views", f"{columns} × {rows}"),
-        ("samples of a view", f"{width} × {height}"),
-        _channels(field.wavelengths_nm, field.scene.channel_names),
-        ("unit", field.unit),
-        ("sampling", field.sampling),
-        ("samples without light", percent(float(np.isnan(field.data).mean()))),
-    ]
-
-
-@key_figures.register
-def _(photograph: Photograph) -> Rows:
-    height, width = photograph.mean.shape[:2]
-    return [
-        ("focused on", f"{photograph.distance_mm:,.6g} mm before the first vertex"),
-        ("aperture", f"f/{photograph.f_number:.3g}"),
-        ("samples", f"{width} × {height}, {photograph.sample_mm:.3g} mm each in that plane"),
-        _channels(photograph.wavelengths_nm),
-        ("unit", photograph.unit),
-    ]
-
-
-@key_figures.register
-def _(stack: FocalStack) -> Rows:
-    planes = stack.distances_mm
-    height, width = stack.photographs[0].mean.shape[:2]
-    return [
-        ("planes", f"{len(planes)}, from {min(planes):,.5g} to {max(planes):,.5g} mm"),
-        ("samples", f"{width} × {height}"),
-        _channels(stack.photographs[0].wavelengths_nm),
-        ("unit", stack.photographs[0].unit),
-    ]
-
-
-@key_figures.register
-def _(sharp: AllInFocus) -> Rows:
-    height, width = sharp.mean.shape[:2]
-    return [
-        ("samples", f"{width} × {height}"),
-        ("planes", f"{sharp.distance_mm.min():,.5g} to {sharp.distance_mm.max():,.5g} mm"),
-        _channels(sharp.wavelengths_nm),
-        ("unit", sharp.unit),
-    ]
-
-
-def _of_depth(values: Floats) -> Rows:
-    height, width = values.shape
-    known = values[np.isfinite(values)]
-    middle = f"{np.median(known):,.5g} mm" if known.size else "none"
-    return [
-        ("samples", f"{width} × {height}"),
-        ("with a depth", percent(known.size / values.size)),
-        ("median", middle),
-    ]
-
-
-@key_figures.register
-def _(depth: DepthMap) -> Rows:
-    nearest, farthest = depth.range_mm
-    return [*_of_depth(depth.distance_mm), ("searched", f"{nearest:,.5g} to {farthest:,.5g} mm")]
-
-
-@key_figures.register
-def _(truth: DepthTruth) -> Rows:
-    views_v, views_u = truth.views_mm.shape[:2]
-    return [("views", f"{views_u} × {views_v}"), *_of_depth(truth.middle_mm)]
-
-
-@key_figures.register
-def _(exposed: Exposed) -> Rows:
-    height, width = exposed.counts.shape
-    detector = exposed.detector
-    return [
-        ("pixels", f"{width} × {height}"),
-        ("exposure", f"{detector.exposure_s:g} s"),
-        ("colour filters", detector.bayer or "none"),
-        ("largest count", f"{exposed.counts.max()} of {2**detector.bits - 1}"),
-        ("full wells", percent(float(exposed.saturated.mean()))),
-    ]
-
-
-@key_figures.register
-def _(report: FirstOrder) -> Rows:
-    return report.rows()
-
-
-@key_figures.register
-def _(analysis: LensAnalysis) -> Rows:
-    facts = analysis.first_order
-    at = "infinity" if math.isinf(analysis.object_mm) else f"{analysis.object_mm:.6g} mm"
-    rows = [
-        ("focal length", f"{facts.efl_mm:.4f} mm, f/{facts.working_f_number:.3f} at work"),
-        ("object", at),
-        ("image plane", f"z = {analysis.image_z_mm:.4f} mm"),
-        _channels(analysis.wavelengths_nm),
-        ("Airy radius", f"{1e3 * analysis.airy_radius_mm:.3f} µm"),
-    ]
-    spots = zip(analysis.heights_mm, analysis.spots, strict=True)
-    return rows + [
-        (f"spot at {height:.2f} mm", f"rms {1e3 * spot.rms_mm:.2f} µm, {spot.passed:.1%} of the rays pass")
-        for height, spot in spots
-    ]
-
-
-@key_figures.register
-def _(ledger: Ledger) -> Rows:
-    ends = [("sensor", ledger.sensor), *ledger.absorbed.items(), ("left the scene", ledger.escaped)]
-    ends += [("cut by max_events", ledger.depth), ("lost to rounding", sum(ledger.lost.values()))]
-    into = ledger.emitted or 1.0
-    rows = [("emitted", f"{ledger.emitted:.6g} {ledger.unit}")]
-    rows += [(name, percent(share / into)) for name, share in sorted(ends, key=lambda end: -end[1]) if share > 0.0]
-    return [*rows, ("not closed", f"{ledger.imbalance:.1e} of what was emitted")]
-
-
-@key_figures.register
-def _(paths: Paths) -> Rows:
-    rows = [("packets", f"{len(paths):,}"), ("weight in all", f"{paths.weight.sum():.6g}")]
-    for status in Status:
-        of_status = paths.status == status
-        if of_status.any():
-            weight = paths.weight[of_status].sum()
-            rows.append((status.name.lower(), f"{int(of_status.sum()):,} packets of weight {weight:.6g}"))
-    return [*rows, ("most interfaces met", f"{int(paths.events.max(initial=0))}")]
-
-
-@key_figures.register
-def _(world: World) -> Rows:
-    mla = world.scene.camera.mla
-    targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
-    return [
-        ("scene", world.scene.name or "without a name"),
-        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.first_order.efl_mm:.4g} mm"),
-        ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
-        ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
-        ("targets", ", ".join(targets) or "none"),
-        ("lights", str(len(world.scene.lights))),
-    ]
-
-
-@key_figures.register
-def _(scene: Scene) -> Rows:
-    camera = scene.camera
-    targets = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
-    transport = scene.transport
-    rows = [("scene", scene.name or "without a name"), ("targets", ", ".join(targets) or "none")]
-    rows += [("lights", str(len(scene.lights))), ("sensor", "{} × {} pixels".format(*camera.sensor.pixels))]
-    if camera.mla is not None:
-        rows.append(("array", f"{camera.mla.count[0]} × {camera.mla.count[1]} lenslets"))
-    rows.append(("transport", f"{transport.method}, {transport.samples} samples, {transport.replicates} replicates"))
-    try:
-        facts = solved_camera(scene).report
-    except LfmeshError as fault:
-        return [*rows, ("cannot be solved", str(fault))]
-    focus = f"{facts.object_distance_mm:,.5g} mm"
-    return [*rows, ("focus", focus), ("lens", f"f = {facts.efl_mm:.4g} mm, f/{facts.working_f_number:.3g} at work")]
+@panels.register
+def _(found: Wavefront) -> list[Panel]:
+    # Points are the middles of squares over the stop.
+    across = round(2.0 / float(np.diff(np.unique(found.pupil.round(9))).min()))
+    column, row = np.rint(0.5 * across * (found.pupil + 1.0) - 0.5).astype(int).T
+    waves = np.full((across, across), np.nan)
+    waves[across - 1 - row, column] = found.opd_waves
+    return [_map("path difference over the stop", waves, "waves", *np.percentile(found.opd_waves, [0.0, 100.0]))]
 
 
 def html_of(result: object) -> str:

@@ -7,7 +7,7 @@ before it, and sent on from there. Between planes through the relief, waves are 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -123,7 +123,9 @@ class Spectrum:
         means = [float(power.sum(axis=axis) @ off[axis] ** 2) / max(float(power.sum()), 1e-300) for axis in (0, 1)]
         return np.maximum(np.sqrt(means), 1e-6)
 
-    def through_relief(self, height: Array, amplitude: Sequence[Waves], index: float) -> "Spectrum":
+    def through_relief(
+        self, height: Array, amplitude: Sequence[Waves], index: float, told: Callable[[float], None]
+    ) -> "Spectrum":
         """Return the light behind a face in relief over the plane, as waves of that plane.
 
         Parameters
@@ -134,6 +136,8 @@ class Spectrum:
             That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
         index : float
             Of the medium behind.
+        told : callable
+            Told now and then the share of the work that is done.
         """
         grid, k = self.grid, 2.0 * np.pi / self.grid.wavelength_mm
         spans, middles = [], []
@@ -145,14 +149,17 @@ class Spectrum:
         slices = _slices(float(height.min()), float(height.max()), k * span)
         face = np.zeros_like(self.waves)
         off_x, off_y = (p - m for p, m in zip(grid.directions, grid.middle, strict=True))
-        for z, share in zip(slices, _shares(slices, height), strict=True):
+        steps = 2 * len(slices)
+        for done, (z, share) in enumerate(zip(slices, _shares(slices, height), strict=True), start=1):
             waves = self.waves * np.exp(1j * k * z * spans[0])
             for passed, off in zip(amplitude, (1.0, off_x[None, :], off_y[:, None]), strict=True):
                 face += share * passed * scipy.fft.ifft2(waves * off, norm="ortho")
+            told(done / steps)
         face *= np.exp(1j * k * (middles[0] - middles[1]) * height)
         waves = np.zeros_like(self.waves)
-        for z, share in zip(slices, _shares(slices, height), strict=True):
+        for done, (z, share) in enumerate(zip(slices, _shares(slices, height), strict=True), start=len(slices) + 1):
             waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(share * face, norm="ortho")
+            told(done / steps)
         return replace(self, waves=np.where(grid.along_z(index) > 0.0, waves, 0.0), index=index)
 
 

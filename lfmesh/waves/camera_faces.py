@@ -1,6 +1,7 @@
 """The faces between lens and sensor as waves meet them: of the microlens array and of the sensor's cover."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +61,7 @@ class WaveFace:
     lenslets: Lenslets | None
     frame: Array
 
-    def passed(self, light: Spectrum, scene: Scene) -> Spectrum:
+    def passed(self, light: Spectrum, scene: Scene, told: Callable[[float], None]) -> Spectrum:
         """Return the light behind the face.
 
         Parameters
@@ -69,6 +70,8 @@ class WaveFace:
             Across the plane of the face, before it.
         scene : Scene
             Has the coatings.
+        told : callable
+            Told now and then the share of the work that is done; not by plane faces, which take little.
         """
         sines, amplitude = self._amplitudes(light, scene)
         grid = light.grid
@@ -94,7 +97,7 @@ class WaveFace:
                 self._passed_at(slope, light.index, grid.middle + way, sines, amplitude) for way in (step, -step)
             )
             passed.append((more - less) / (2.0 * step.sum()))
-        return light.through_relief(height, [share * each for each in passed], self.index)
+        return light.through_relief(height, [share * each for each in passed], self.index, told)
 
     def _passed_at(self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array) -> Array:
         """Return the amplitude that each place of the relief passes of light of one direction, (n, n).

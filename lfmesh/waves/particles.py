@@ -52,9 +52,8 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
         # Power over all directions, of which an even share goes each way.
         for channel, power in enumerate(each.power_w):
             with each.named():
-                film[:, :, channel] += (
-                    power / (4.0 * np.pi) * point_spread(scene, each.point_mm, scene.wavelengths_nm[channel]).mean
-                )
+                spread = point_spread(scene, each.point_mm, scene.wavelengths_nm[channel], progress=False)
+                film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
             done += 1
             if progress is not None:
                 progress(Progress(done, all_of_them, time.perf_counter() - began, 0, 0, STAGE))

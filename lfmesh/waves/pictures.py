@@ -87,7 +87,7 @@ def pictures_of_points(
 
     def spread(of: Scene, point: Array) -> Array:
         nonlocal worst, computed
-        found = point_spread(of, point, wavelength_nm, tolerance=tolerance)
+        found = point_spread(of, point, wavelength_nm, tolerance=tolerance, progress=False)
         worst, computed = max(worst, found.change), computed + 1
         return found.mean
 

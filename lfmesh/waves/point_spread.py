@@ -6,8 +6,10 @@ is made finer and wider until the picture stands.
 """
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy.fft
@@ -15,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
-from lfmesh.notebook import Shown
+from lfmesh.notebook import Pictured, watched
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
+from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World, build
@@ -43,7 +46,7 @@ LEAST, MOST = 128, 3072
 
 
 @dataclass(frozen=True, eq=False)
-class PointSpread(Shown):
+class PointSpread(Pictured):
     """The point spread of one point on the sensor.
 
     Attributes
@@ -148,7 +151,7 @@ class PointSpread(Shown):
 def point_spread(
     scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None, *,
     weights: Sequence[float] | None = None, window: int | None = None, oversample: int = 1,
-    tolerance: float = TOLERANCE,
+    tolerance: float = TOLERANCE, progress: Callable[[Progress], None] | bool | None = None,
 ) -> PointSpread:  # fmt: skip
     """Compute the sensor's irradiance of an isotropic point of 1 W/sr, with diffraction and interference.
 
@@ -169,6 +172,8 @@ def point_spread(
         Parts along each side of a pixel, from 1 to 64.
     tolerance : float
         Largest change of the picture, over its power, with the last refinement of the grid.
+    progress : callable or bool, optional
+        Told, in parts of each grid, how far the waves are; else as for `lf.render`.
 
     Returns
     -------
@@ -191,7 +196,8 @@ def point_spread(
     nm = tuple(_numbers("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = _shares(nm, _numbers("weights", [1.0] * len(nm) if weights is None else weights).tolist())
     refuse_values(scene, point, window, oversample, tolerance)
-    each = [one.converged(tolerance) for one in _monochromes(scene, point, nm, (window, oversample))]
+    with watched(progress) as report:
+        each = [one.converged(tolerance, report) for one in _monochromes(scene, point, nm, (window, oversample))]
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise NoLightError(
@@ -279,12 +285,12 @@ class _Monochrome:
         way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
         return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
-    def converged(self, tolerance: float) -> PointSpread:
+    def converged(self, tolerance: float, report: Callable[[Progress], None] | None) -> PointSpread:
         """Return the point spread on the first grid by which it changes less than the tolerance."""
-        first, change, fineness = self._on_grid(self._grid(1.0)), math.inf, 1.0
+        first, change, fineness = self._on_grid(self._grid(1.0), report), math.inf, 1.0
         while change > tolerance:
             fineness *= FINER
-            finer = self._on_grid(self._grid(fineness))
+            finer = self._on_grid(self._grid(fineness), report)
             change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
             first = finer
         return replace(first, change=change)
@@ -327,14 +333,23 @@ class _Monochrome:
         n = scipy.fft.next_fast_len(places // 2) * 2
         return Grid(n, step, wavelength, pupil.middle)
 
-    def _on_grid(self, grid: Grid) -> PointSpread:
+    def _on_grid(self, grid: Grid, report: Callable[[Progress], None] | None) -> PointSpread:
         """Return the point spread by one grid; its change is not known."""
+        began, stage = time.perf_counter(), f"waves of {self.wavelength_nm:g} nm on {grid.n} × {grid.n} places"
+
+        def told(relief: int, share: float) -> None:
+            if report is not None:
+                percent = round(100.0 * (relief + share) / max(1, len(self._relief)))
+                report(Progress(percent, 100, time.perf_counter() - began, 0, 0, stage))
+
+        told(0, 0.0)
         pupil = _in_pupil(self.pupil, grid)
         light = _seen_from_focus(self.pupil, pupil)
-        behind_lens = light.power_w
+        behind_lens, reliefs = light.power_w, 0
         for before, face in zip([None, *self.faces], self.faces, strict=False):
             light = _travelled(light, face.z_mm, before)
-            light = face.passed(light, self.camera.scene)
+            light = face.passed(light, self.camera.scene, partial(told, reliefs))
+            reliefs += face.lenslets is not None
         light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
         light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
         irradiance = Irradiance.of(light)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
-from lfmesh.notebook import Shown
+from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.transport.world import build
 from lfmesh.waves.bundle import LensRays, Traced, pupil_grid
@@ -36,7 +36,7 @@ NM_PER_MM = 1e6
 
 
 @dataclass(frozen=True)
-class Wavefront(Shown):
+class Wavefront(Pictured):
     """The wavefront of one object point at one wavelength.
 
     Attributes

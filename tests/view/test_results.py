@@ -41,6 +41,15 @@ def photograph_of(distance_mm: float = 200.0) -> lf.Photograph:
     return lf.Photograph(mean, 0.1 * mean, distance_mm, 4.0, 0.5, (587.6,), "W per pixel")
 
 
+def spread_of() -> lf.PointSpread:
+    mean = np.full((10, 12), 1e-12)
+    mean[1:3, 2:4] = 1e-9
+    return lf.PointSpread(
+        mean, np.arange(12.0), np.arange(10.0), 0.5, (0.0, 0.0, -500.0), (550.0,), (1.0,), 1, 1e-8, 5e-9, 1e-8, None,
+        0.01, 4, 0.001, 1e-5,
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def made(scene: lf.Scene, world: Any) -> dict[str, Any]:
     """One of every kind of result."""
@@ -62,6 +71,8 @@ def made(scene: lf.Scene, world: Any) -> dict[str, Any]:
         "world": world,
         "scene": scene,
         "calibration": lf.calibrate(scene),
+        "spread": spread_of(),
+        "wavefront": lf.wavefront(scene, across=8),
     }
 
 
@@ -83,6 +94,32 @@ def test_every_result_shows_its_key_figures_as_text(made: dict[str, Any]) -> Non
             assert f">{html.escape(label, quote=False)}</td>" in shown, (name, label)
             assert value in html.unescape(shown), (name, value)
         assert not re.search(r"""(?:src|href)=["'](?!data:)|https?:""", shown), name
+
+
+@pytest.mark.parametrize("name", [name for name in lf.__all__ if isinstance(getattr(lf, name), type)])
+def test_results_that_notebooks_show_have_something_to_show(name: str) -> None:
+    kind = getattr(lf, name)
+    if issubclass(kind, notebook.Shown):
+        assert results.key_figures.dispatch(kind) is not results.key_figures.dispatch(object)
+    if issubclass(kind, notebook.Pictured):
+        assert results.panels.dispatch(kind) is not results.panels.dispatch(object)
+
+
+def test_point_spreads_and_wavefronts_are_upright_and_have_scales(made: dict[str, Any]) -> None:
+    """A light of decades by its logarithm; a wavefront by the places of its rays in the stop."""
+    spread, scale = made["spread"].figure().axes
+    drawn = np.asarray(spread.images[0].get_array())
+    assert np.argwhere(drawn > drawn.max() - 0.5).mean(axis=0).tolist() == [1.5, 8.5]
+    assert drawn.max() - drawn.min() == pytest.approx(3.0)
+    assert spread.images[0].get_extent() == [-3.0, 3.0, -2.5, 2.5]
+    assert "W on a pixel" in scale.get_ylabel()
+    found = made["wavefront"]
+    stop, scale = found.figure().axes
+    drawn = np.asarray(stop.images[0].get_array().filled(np.nan))
+    assert np.isfinite(drawn).sum() == len(found.opd_waves)
+    x, y = found.pupil[5]
+    assert drawn[round(4.0 * (1.0 - y) - 0.5), round(4.0 * (x + 1.0) - 0.5)] == found.opd_waves[5]
+    assert scale.get_ylabel() == "waves"
 
 
 def test_what_a_scene_is_called_is_no_markup(scene: lf.Scene) -> None:

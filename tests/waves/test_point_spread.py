@@ -9,6 +9,7 @@ from scipy.special import j0, j1
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.transport.render.progress import Progress
 
 WAVE_NM, WAVE = 550.0, 0.55e-3
 PITCH, FOCAL, PIXEL = 0.14, 2.5, 0.014
@@ -27,13 +28,13 @@ def ideal(focal_mm: float, stop_mm: float) -> list[dict[str, Any]]:
     return [{"paraxial": True, "focal_length_mm": focal_mm, "stop": True, "semi_diameter_mm": stop_mm}]
 
 
-def light_field_camera(array_mm: float) -> lf.Scene:
+def light_field_camera(array_mm: float, count: int = COUNT) -> lf.Scene:
     """A camera of the Fresnel number of 14 µm lenslets of f = 25 µm at ten times the size; the lens is ideal."""
     mla = {
-        "count": [COUNT, COUNT], "pitch_mm": PITCH, "focal_length_mm": FOCAL, "index": 1.5, "conic": -1.0,
+        "count": [count, count], "pitch_mm": PITCH, "focal_length_mm": FOCAL, "index": 1.5, "conic": -1.0,
         "thickness_mm": 0.01, "distance_mm": array_mm,
     }  # fmt: skip
-    sensor = {"pixels": [10 * COUNT, 10 * COUNT], "pixel_mm": PIXEL}
+    sensor = {"pixels": [10 * count, 10 * count], "pixel_mm": PIXEL}
     return scene(ideal(1.0 / (1.0 / IMAGE + 1.0 / FAR), STOP), sensor, mla)
 
 
@@ -207,3 +208,17 @@ def test_targets_beside_and_behind_a_point_and_under_it_change_nothing() -> None
     targets = [BESIDE | {"position_mm": (53.0, 0.0, -200.0)}, PLATE | {"position_mm": point}]
     found = lf.point_spread(camera.changed({"targets": targets}), point, window=4)
     np.testing.assert_array_equal(found.mean, wanted.mean)
+
+
+def test_progress_is_told_in_parts_of_each_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With lenslets, from 0 to 100 % on ever finer grids, which may be small here."""
+    monkeypatch.setattr("lfmesh.waves.point_spread.FIRST_RINGS", 3.0)
+    told: list[Progress] = []
+    lf.point_spread(light_field_camera(IMAGE, 3), (0.0, 0.0, -FAR), tolerance=0.5, progress=told.append)
+    stages = list(dict.fromkeys(each.stage for each in told))
+    assert len(stages) == 2
+    for stage in stages:
+        percent = [each.done for each in told if each.stage == stage]
+        assert percent == sorted(percent)
+        assert (percent[0], percent[-1], told[0].total) == (0, 100, 100)
+        assert len(set(percent)) > 5

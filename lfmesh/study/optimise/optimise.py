@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import LfmeshError
-from lfmesh.notebook import Shown
 from lfmesh.scene import Scene
 from lfmesh.scene.files import load
 from lfmesh.scene.literals import literal
@@ -85,7 +84,7 @@ class VariableResult:
 
 
 @dataclass(frozen=True)
-class Optimum(Shown):
+class Optimum:
     """The best camera that a search has found.
 
     Attributes

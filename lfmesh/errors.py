@@ -161,7 +161,7 @@ class OrderCheckWarning(PictureWarning):
 
 
 class DiffractionWarning(PictureWarning):
-    """Diffraction, which is not traced, blurs a real camera's picture by more than a sample."""
+    """Diffraction changes a real camera's picture, and is not traced, or not finely enough."""
 
 
 def in_order(found: Iterable[PictureWarning]) -> tuple[PictureWarning, ...]:

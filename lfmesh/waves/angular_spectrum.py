@@ -81,12 +81,15 @@ class Spectrum:
         The point of the plane that the grid's places are counted from, camera frame.
     index : float
         Of the medium.
+    beyond_w : float
+        Power that lenslets have sent into directions beyond those of the grid, which is missing.
     """
 
     grid: Grid
     waves: Waves
     at_mm: Array
     index: float = 1.0
+    beyond_w: float = 0.0
 
     @property
     def power_w(self) -> float:
@@ -124,15 +127,20 @@ class Spectrum:
         return np.maximum(np.sqrt(means), 1e-6)
 
     def through_relief(
-        self, height: Array, amplitude: Sequence[Waves], index: float, told: Callable[[float], None]
-    ) -> "Spectrum":
+        self, height: Array, share: Waves, clear: Array, amplitude: Sequence[Array], index: float,
+        told: Callable[[float], None],
+    ) -> "Spectrum":  # fmt: skip
         """Return the light behind a face in relief over the plane, as waves of that plane.
 
         Parameters
         ----------
         height : (n, n) float64, mm
             z of the face above the plane, at the grid's places.
-        amplitude : (3,) of (n, n) complex128
+        share : (n, n) complex128
+            Mean of the wave about each place, over the wave of a place of its height that is clear.
+        clear : (n, n) float64
+            Share of the power about each place that is not stopped.
+        amplitude : (3,) of (n, n) float64
             That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
         index : float
             Of the medium behind.
@@ -150,17 +158,19 @@ class Spectrum:
         face = np.zeros_like(self.waves)
         off_x, off_y = (p - m for p, m in zip(grid.directions, grid.middle, strict=True))
         steps = 2 * len(slices)
-        for done, (z, share) in enumerate(zip(slices, _shares(slices, height), strict=True), start=1):
+        for done, (z, part) in enumerate(zip(slices, _shares(slices, height), strict=True), start=1):
             waves = self.waves * np.exp(1j * k * z * spans[0])
             for passed, off in zip(amplitude, (1.0, off_x[None, :], off_y[:, None]), strict=True):
-                face += share * passed * scipy.fft.ifft2(waves * off, norm="ortho")
+                face += part * passed * scipy.fft.ifft2(waves * off, norm="ortho")
             told(done / steps)
-        face *= np.exp(1j * k * (middles[0] - middles[1]) * height)
+        passing = float((clear * (face.real**2 + face.imag**2)).sum())
+        face *= share * np.exp(1j * k * (middles[0] - middles[1]) * height)
         waves = np.zeros_like(self.waves)
-        for done, (z, share) in enumerate(zip(slices, _shares(slices, height), strict=True), start=len(slices) + 1):
-            waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(share * face, norm="ortho")
+        for done, (z, part) in enumerate(zip(slices, _shares(slices, height), strict=True), start=len(slices) + 1):
+            waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(part * face, norm="ortho")
             told(done / steps)
-        return replace(self, waves=np.where(grid.along_z(index) > 0.0, waves, 0.0), index=index)
+        found = replace(self, waves=np.where(grid.along_z(index) > 0.0, waves, 0.0), index=index)
+        return replace(found, beyond_w=self.beyond_w + passing - found.power_w)
 
 
 def _slices(low: float, high: float, per_mm: float) -> Array:

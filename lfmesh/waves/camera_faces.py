@@ -80,12 +80,12 @@ class WaveFace:
             return light.through_plane(np.interp(np.hypot(px[None, :], py[:, None]), sines, amplitude), self.index)
         x, y = light.at_mm[0] + grid.places, light.at_mm[1] + grid.places
         per_mm = 2.0 * np.pi / grid.wavelength_mm * (grid.middle_z(light.index) - grid.middle_z(self.index))
-        height, slope, share = self._relief(self.lenslets, x, y, per_mm)
+        height, slope, share, clear = self._relief(self.lenslets, x, y, per_mm)
         # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
         # waves within the grid's, keeps these out to the second order of the grid's step. Where lenslets meet in a
         # step, slopes tell the kink alone.
-        clear = share != 0.0
-        bend = _central_difference(slope[0], clear, 1) + _central_difference(slope[1], clear, 0)
+        lit = clear > 0.0
+        bend = _central_difference(slope[0], lit, 1) + _central_difference(slope[1], lit, 0)
         height = height - grid.step_mm / 24.0 * bend
         share = _sharpened(share, per_mm * height, per_mm * grid.step_mm * slope)
         # What a place passes differs from direction to direction, which is followed to the first order: where light is
@@ -97,7 +97,7 @@ class WaveFace:
                 self._passed_at(slope, light.index, grid.middle + way, sines, amplitude) for way in (step, -step)
             )
             passed.append((more - less) / (2.0 * step.sum()))
-        return light.through_relief(height, [share * each for each in passed], self.index, told)
+        return light.through_relief(height, share, clear, passed, self.index, told)
 
     def _passed_at(self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array) -> Array:
         """Return the amplitude that each place of the relief passes of light of one direction, (n, n).
@@ -132,7 +132,7 @@ class WaveFace:
         pitch = self.lenslets.lattice.pitch
         low, high = places.min(axis=0) - pitch, places.max(axis=0) + pitch
         x, y = (np.linspace(a, b, min(400, 8 + int(20 * (b - a) / pitch))) for a, b in zip(low, high, strict=True))
-        _, slope, _ = self._relief(self.lenslets, x, y)
+        _, slope, *_ = self._relief(self.lenslets, x, y)
         return float(np.abs(slope).max()), pitch
 
     def met_by(self, places: Array) -> int:
@@ -143,8 +143,8 @@ class WaveFace:
         cells = {cell_of(lattice, float(x), float(y)) for x, y in own}
         return sum(is_inside(lattice, *cell) for cell in cells)
 
-    def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> tuple[Array, Array, Waves]:
-        """Return height and slope of the lenslets (camera frame) on an even grid, and the share of a wave that passes.
+    def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> tuple[Array, Array, Waves, Array]:
+        """Return height and slope of the lenslets (camera frame) on an even grid, and shares of a wave and of power.
 
         Parameters
         ----------
@@ -156,13 +156,13 @@ class WaveFace:
         xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
         turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
         own = turn @ np.stack([xs, ys]) + self.frame[:2, 3:]
-        relief, parts = np.zeros((5, len(xs))), np.zeros((CELLS, SUMS))
+        relief, parts = np.zeros((6, len(xs))), np.zeros((CELLS, SUMS))
         places = np.ascontiguousarray(own[0]), np.ascontiguousarray(own[1])
         fill_relief(lenslets, *places, abs(x[1] - x[0]), sense * per_mm, parts, relief)
         shape = len(y), len(x)
         slope = sense * (turn.T @ relief[1:3])
         share = (relief[3] + 1j * relief[4]).reshape(shape)
-        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), share
+        return sense * relief[0].reshape(shape), slope.reshape(2, *shape), share, relief[5].reshape(shape)
 
     def _amplitudes(self, light: Spectrum, scene: Scene) -> tuple[Array, Array]:
         """Return n sin θ, and the amplitude that the face passes there, both (angles,)."""

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LfmeshError, warn_caller
 from lfmesh.geometry import frame as frames
 from lfmesh.scene.media.phase import IsotropicPhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.world import World
-from lfmesh.waves.point_spread import point_spread, refuse_point
+from lfmesh.waves.point_spread import followed, refuse_point, warnings_of
 from lfmesh.waves.refused import NoLightError
 
 Array = NDArray[np.float64]
@@ -38,6 +38,11 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
     progress : callable, optional
         Told of each point spread.
 
+    Warns
+    -----
+    DiffractionWarning
+        As from `lf.point_spread`.
+
     Raises
     ------
     LfmeshError
@@ -47,16 +52,18 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
     refuse_particles(world)
     columns, rows = scene.camera.sensor.pixels
     film = np.zeros((rows, columns, scene.channels))
-    done, all_of_them, began = 0, _spreads(world), time.perf_counter()
+    done, all_of_them, began, beyond = 0, _spreads(world), time.perf_counter(), 0.0
     for each in _particles(world):
         # Power over all directions, of which an even share goes each way.
         for channel, power in enumerate(each.power_w):
             with each.named():
-                spread = point_spread(scene, each.point_mm, scene.wavelengths_nm[channel], progress=False)
+                spread = followed(scene, each.point_mm, scene.wavelengths_nm[channel])
                 film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
+                beyond = max(beyond, spread.beyond)
             done += 1
             if progress is not None:
                 progress(Progress(done, all_of_them, time.perf_counter() - began, 0, 0, STAGE))
+    warn_caller(warnings_of(beyond))
     return film
 
 

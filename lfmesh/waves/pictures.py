@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene, first_order
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.pose import Pose
-from lfmesh.waves.point_spread import TOLERANCE, point_spread
+from lfmesh.waves.point_spread import TOLERANCE, followed
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -53,12 +53,15 @@ class Pictures(NamedTuple):
     mean : (points, rows, columns) float64, W
     error : float
         Largest sum of differences over a picture's power, found by finer grids and where pictures were repeated.
+    beyond : float
+        Largest share of the light of one that went beyond its grid, see `PointSpread`.
     computed : int
         Point spreads that were computed.
     """
 
     mean: Array
     error: float
+    beyond: float
     computed: int
 
 
@@ -82,13 +85,13 @@ def pictures_of_points(
         As from `point_spread`.
     """
     columns, rows = scene.camera.sensor.pixels
-    mean, worst, computed = np.zeros((len(points_mm), rows, columns)), 0.0, 0
+    mean, worst, beyond, computed = np.zeros((len(points_mm), rows, columns)), 0.0, 0.0, 0
     repeats = repeats_of(scene)
 
     def spread(of: Scene, point: Array) -> Array:
-        nonlocal worst, computed
-        found = point_spread(of, point, wavelength_nm, tolerance=tolerance, progress=False)
-        worst, computed = max(worst, found.change), computed + 1
+        nonlocal worst, beyond, computed
+        found = followed(of, point, wavelength_nm, tolerance=tolerance)
+        worst, beyond, computed = max(worst, found.change), max(beyond, found.beyond), computed + 1
         return found.mean
 
     for plane in _planes(points_mm):
@@ -98,7 +101,7 @@ def pictures_of_points(
         else:
             for number in plane:
                 mean[number] = spread(scene, points_mm[number])
-    return Pictures(mean, worst, computed)
+    return Pictures(mean, worst, beyond, computed)
 
 
 def repeats_of(scene: Scene) -> Repeats | None:

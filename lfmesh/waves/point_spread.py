@@ -15,20 +15,26 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import DiffractionWarning, LfmeshError, PictureWarning, warn_caller
 from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Pictured, watched
-from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World, build
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
 from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
 from lfmesh.waves.pupil_waves import PupilWaves, pupil_waves
-from lfmesh.waves.refused import NoLightError, refuse_hidden, refuse_scene, refuse_values
+from lfmesh.waves.refused import (
+    NoLightError,
+    lines_of_band,
+    numbers_of,
+    refuse_hidden,
+    refuse_scene,
+    refuse_values,
+    shares_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -40,6 +46,9 @@ FINER = 1.25
 
 FIRST_BAND, FIRST_RINGS = 1.5, 30.0
 """Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+
+BEYOND = 0.005
+"""Share of the light beyond the directions of a grid above which there is a warning."""
 
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
@@ -80,6 +89,9 @@ class PointSpread(Pictured):
         Number of lenslets that the rays meet; 0 without an array.
     change : float
         Of the picture with the last refinement of the grid: sum of absolute differences, over its power.
+    beyond : float
+        Share of the light that steps and rims of lenslets send into directions beyond those of the grid. It is missing,
+        and the picture is off by about as much.
     misfit_waves : float
         Of the polynomials that follow the wavefront, at most.
     """
@@ -99,6 +111,7 @@ class PointSpread(Pictured):
     airy_radius_mm: float
     lenslets: int
     change: float
+    beyond: float
     misfit_waves: float
 
     def __repr__(self) -> str:
@@ -127,7 +140,7 @@ class PointSpread(Pictured):
             f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr{of}",
             f"Airy radius {1e3 * self.airy_radius_mm:.4g} µm, {self.airy_radius_mm / pixel_mm:.3g} pixels",
             f"{100.0 * self.brightest_share:.3g} % of the light on the brightest {part}; last change "
-            f"{100.0 * self.change:.2g} %",
+            f"{100.0 * self.change:.2g} %, {100.0 * self.beyond:.2g} % beyond the grid",
         ]
 
     def facts(self) -> dict[str, object]:
@@ -179,6 +192,12 @@ def point_spread(
     -------
     PointSpread
 
+    Warns
+    -----
+    DiffractionWarning
+        Steps or rims of lenslets send so much light beyond the grid's directions that the picture is off by 0.5 % of
+        the light or more.
+
     Raises
     ------
     LfmeshError
@@ -186,18 +205,62 @@ def point_spread(
         bodies of glass, polarisers), a point that a target hides or whose light does not pass, a spread too large, or a
         value out of range.
     """
+    with watched(progress) as report:
+        found = followed(scene, point_mm, wavelengths_nm, weights, (window, oversample), tolerance, report)
+    warn_caller(warnings_of(found.beyond))
+    return found
+
+
+def warnings_of(beyond: float) -> list[PictureWarning]:
+    """Return the warning of light that went beyond the directions of a grid, if it is much.
+
+    Parameters
+    ----------
+    beyond : float
+        Share of the light.
+    """
+    if beyond <= BEYOND:
+        return []
+    return [
+        DiffractionWarning(
+            f"steps and rims of lenslets send {beyond:.1%} of the light beyond the directions of the grid of waves: a "
+            "point spread is off by about as much; a smaller tolerance takes a finer grid"
+        )
+    ]
+
+
+def followed(
+    scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None,
+    weights: Sequence[float] | None = None, asked: tuple[int | None, int] = (None, 1), tolerance: float = TOLERANCE,
+    report: Callable[[Progress], None] | None = None,
+) -> PointSpread:  # fmt: skip
+    """Return what `point_spread` does, without its warnings.
+
+    Parameters
+    ----------
+    scene, point_mm, wavelengths_nm, weights, tolerance
+        As there.
+    asked : (int or None, int)
+        Window and parts of a pixel.
+    report : callable, optional
+        Told the progress.
+
+    Raises
+    ------
+    LfmeshError
+        As there.
+    """
     if not isinstance(scene, Scene):
         raise LfmeshError(f"scene = {scene!r}: must be a Scene; read a file by lf.load")
-    point = _numbers("point_mm", point_mm)
+    point = numbers_of("point_mm", point_mm)
     if isinstance(wavelengths_nm, str):
         if weights is not None:
             raise LfmeshError(f'wavelengths_nm = "{wavelengths_nm}": a band has weights of its own; leave weights out')
-        wavelengths_nm, weights = _lines_of_band(scene, wavelengths_nm)
-    nm = tuple(_numbers("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
-    shares = _shares(nm, _numbers("weights", [1.0] * len(nm) if weights is None else weights).tolist())
-    refuse_values(scene, point, window, oversample, tolerance)
-    with watched(progress) as report:
-        each = [one.converged(tolerance, report) for one in _monochromes(scene, point, nm, (window, oversample))]
+        wavelengths_nm, weights = lines_of_band(scene, wavelengths_nm)
+    nm = tuple(numbers_of("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
+    shares = shares_of(nm, numbers_of("weights", [1.0] * len(nm) if weights is None else weights).tolist())
+    refuse_values(scene, point, *asked, tolerance)
+    each = [one.converged(tolerance, report) for one in _monochromes(scene, point, nm, asked)]
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise NoLightError(
@@ -212,6 +275,7 @@ def point_spread(
         entered_w=sum(share * one.entered_w for share, one in zip(shares, each, strict=True)),
         power_w=sum(share * one.power_w for share, one in zip(shares, each, strict=True)),
         change=max(one.change for one in each),
+        beyond=max(one.beyond for one in each),
         misfit_waves=max(one.misfit_waves for one in each),
     )
 
@@ -364,7 +428,7 @@ class _Monochrome:
             self._on_pixels(irradiance), x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])),
             (self.wavelength_nm,), (1.0,), parts, self.pupil.power_w, light.power_w, peak,
             None if self._relief else peak / in_phase, self._airy_radius(), self._lenslets(), math.inf,
-            self.pupil.misfit_waves,
+            max(0.0, light.beyond_w) / light.power_w, self.pupil.misfit_waves,
         )  # fmt: skip
 
     def _on_pixels(self, irradiance: Irradiance) -> Array:
@@ -433,40 +497,3 @@ def _pixels(camera: SolvedCamera, world: World, pupil: PupilWaves, asked: tuple[
     # Of the first part of the first pixel.
     corner = [(number - 0.5 * whole) * sensor.pixel_mm for number, whole in zip(first, sensor.pixels, strict=True)]
     return Sampling(np.asarray(corner) + 0.5 * step, step, (count[0] * oversample, count[1] * oversample))
-
-
-def _lines_of_band(scene: Scene, name: str) -> tuple[list[float], list[float]]:
-    """Return wavelengths, nm, and weights of a band of the sensor."""
-    names = list(scene.channel_names)
-    if name not in names:
-        known = f"a band of the scene: {', '.join(names)}" if names else "a number: the scene has no bands"
-        raise LfmeshError(f'wavelengths_nm = "{name}": must be {known}')
-    lines = Lines.of(scene)
-    nodes = lines.nodes[names.index(name)]
-    chances = np.diff(nodes.until, prepend=0.0)
-    return list(lines.wavelengths_nm[nodes.first : nodes.first + len(chances)]), chances.tolist()
-
-
-def _shares(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[float, ...]:
-    """Return the weights of wavelengths, which add up to 1."""
-    for wavelength in wavelengths_nm:
-        if not SHORTEST_NM <= wavelength <= LONGEST_NM:
-            raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be from {SHORTEST_NM:g} to {LONGEST_NM:g}")
-    if not wavelengths_nm:
-        raise LfmeshError("wavelengths_nm is empty: give one wavelength or more")
-    if len(given) != len(wavelengths_nm):
-        raise LfmeshError(f"weights = {given}: give one weight for each of wavelengths_nm = {list(wavelengths_nm)}")
-    if not all(weight >= 0.0 for weight in given) or not 0.0 < sum(given) < math.inf:
-        raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
-    return tuple(weight / sum(given) for weight in given)
-
-
-def _numbers(name: str, given: object) -> Array:
-    """Return numbers as an array, (n,)."""
-    try:
-        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
-    except (TypeError, ValueError):
-        numbers = np.empty((0, 0))
-    if numbers.ndim != 1:
-        raise LfmeshError(f"{name} = {given!r}: must be a number, or a list of numbers")
-    return numbers

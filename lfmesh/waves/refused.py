@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
+from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
+from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.trace import at_wavelength, trace
 from lfmesh.transport.world import World, build
 from lfmesh.waves.bundle import LensRays, pupil_grid
@@ -75,6 +77,43 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
         )
     if not 0.0 < tolerance < 1.0:
         raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
+
+
+def lines_of_band(scene: Scene, name: str) -> tuple[list[float], list[float]]:
+    """Return wavelengths, nm, and weights of a band of the sensor."""
+    names = list(scene.channel_names)
+    if name not in names:
+        known = f"a band of the scene: {', '.join(names)}" if names else "a number: the scene has no bands"
+        raise LfmeshError(f'wavelengths_nm = "{name}": must be {known}')
+    lines = Lines.of(scene)
+    nodes = lines.nodes[names.index(name)]
+    chances = np.diff(nodes.until, prepend=0.0)
+    return list(lines.wavelengths_nm[nodes.first : nodes.first + len(chances)]), chances.tolist()
+
+
+def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[float, ...]:
+    """Return the weights of wavelengths, which add up to 1."""
+    for wavelength in wavelengths_nm:
+        if not SHORTEST_NM <= wavelength <= LONGEST_NM:
+            raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be from {SHORTEST_NM:g} to {LONGEST_NM:g}")
+    if not wavelengths_nm:
+        raise LfmeshError("wavelengths_nm is empty: give one wavelength or more")
+    if len(given) != len(wavelengths_nm):
+        raise LfmeshError(f"weights = {given}: give one weight for each of wavelengths_nm = {list(wavelengths_nm)}")
+    if not all(weight >= 0.0 for weight in given) or not 0.0 < sum(given) < math.inf:
+        raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
+    return tuple(weight / sum(given) for weight in given)
+
+
+def numbers_of(name: str, given: object) -> Array:
+    """Return numbers as an array, (n,)."""
+    try:
+        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1:
+        raise LfmeshError(f"{name} = {given!r}: must be a number, or a list of numbers")
+    return numbers
 
 
 def refuse_scene(scene: Scene) -> None:

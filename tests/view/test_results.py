@@ -46,7 +46,7 @@ def spread_of() -> lf.PointSpread:
     mean[1:3, 2:4] = 1e-9
     return lf.PointSpread(
         mean, np.arange(12.0), np.arange(10.0), 0.5, (0.0, 0.0, -500.0), (550.0,), (1.0,), 1, 1e-8, 5e-9, 1e-8, None,
-        0.01, 4, 0.001, 1e-5,
+        0.01, 4, 0.001, 0.0, 1e-5,
     )  # fmt: skip
 
 

@@ -39,10 +39,10 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, pa
         Phase that a wave gains by a face that is higher.
     parts : (CELLS, SUMS) float64
         Room for sums over the parts of a box in different cells.
-    relief : (5, n) float64
-        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; and the real and the
-        imaginary part of the wave that passes, over one that passes a whole box of this sag. The sag is the mean, moved
-        along the slope to the point. All are 0 where no part is clear.
+    relief : (6, n) float64
+        Sag in mm, dz/dx and dz/dy, of the clear part of the box: on the array, on no mask; the real and the imaginary
+        part of the wave that passes, over one that passes a whole box of this sag; and the clear share of the box. The
+        sag is the mean, moved along the slope to the point. All are 0 where no part is clear.
     """
     half = 0.5 * box
     for i in range(len(x)):
@@ -65,7 +65,7 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, pa
             continue
         sag, slope_x, slope_y = parts[:, 1].sum() / clear, parts[:, 2].sum() / clear, parts[:, 3].sum() / clear
         relief[0, i] = sag - (slope_x * parts[:, 4].sum() + slope_y * parts[:, 5].sum()) / clear
-        relief[1, i], relief[2, i] = slope_x, slope_y
+        relief[1, i], relief[2, i], relief[5, i] = slope_x, slope_y, clear / points
         for part in range(CELLS):
             share = parts[part, 0]
             if share > 0.0:

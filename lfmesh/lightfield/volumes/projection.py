@@ -66,7 +66,7 @@ from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World, build
 from lfmesh.waves.pictures import Pictures, pictures_of_points
-from lfmesh.waves.point_spread import TOLERANCE
+from lfmesh.waves.point_spread import TOLERANCE, warnings_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -362,7 +362,7 @@ class Projector:
                 "voxels or pixels"
             )
         pictures = pictures_of_points(self._scene, points, self.wavelength_nm, tolerance=self.tolerance)
-        warning = _wide_voxels(pictures, self.grid.shape)
+        warning = [*warnings_of(pictures.beyond), *_wide_voxels(pictures, self.grid.shape)]
         self._known += warning
         warn_caller(warning)
         return pictures.mean.reshape(len(points), -1).T * float(np.prod(self.grid.spacing_mm))

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 def relief_of(shape: Lenslets, x: Array, y: Array, box: float, per_mm: float = 0.0) -> Array:
-    relief = np.zeros((5, len(x)))
+    relief = np.zeros((6, len(x)))
     fill_relief(shape, x, y, box, per_mm, np.zeros((CELLS, SUMS)), relief)
     return relief
 
@@ -34,6 +34,7 @@ def test_boxes_at_the_rim_of_an_array_have_the_height_of_the_face_that_their_par
     box = 0.03
     relief = relief_of(shape, np.array([0.5 + box / 6.0]), np.zeros(1), box)
     assert relief[3, 0] == pytest.approx(1.0 / 3.0, abs=1.0 / POINTS)
+    assert relief[5, 0] == pytest.approx(relief[3, 0])
     assert abs(relief[0, 0]) == pytest.approx(2.0 - np.sqrt(4.0 - (0.5 + box / 6.0) ** 2), rel=0.002)
     within = 0.5 - box / 6.0
     assert abs(relief[1, 0]) == pytest.approx(within / np.sqrt(4.0 - within**2), rel=0.02)
@@ -47,5 +48,6 @@ def test_a_step_of_half_a_wave_in_the_middle_of_a_box_passes_no_wave() -> None:
     place, box = np.zeros(1), 1e-4
     none = relief_of(shape, place, place, box, np.pi / (sag[1] - sag[0]))
     assert np.hypot(none[3, 0], none[4, 0]) == pytest.approx(0.0, abs=2.0 / POINTS)
+    assert none[5, 0] == pytest.approx(1.0)
     whole = relief_of(shape, place, place, box, 2.0 * np.pi / (sag[1] - sag[0]))
     assert np.hypot(whole[3, 0], whole[4, 0]) == pytest.approx(1.0, abs=0.01)

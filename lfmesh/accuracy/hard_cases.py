@@ -22,6 +22,7 @@ from lfmesh.accuracy.hard import (
     pictures,
     surfaces,
     tanks,
+    waves,
 )
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.errors import collected
@@ -66,6 +67,8 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     arrays.hexagonal_borders,
     arrays.across_cells,
     diffraction.lenslets_10_um_and_pixels_1_um,
+    waves.lens_of_fresnel_number_one,
+    waves.hyperboloid_of_f_0_6_before_a_plane_wave,
     covers.cover_of_air,
     covers.cover_of_index_4,
     covers.cover_of_1_nm,

@@ -124,8 +124,8 @@ def trace(
     p, d = _arrays(origins, directions)
     wavelength_nm = world.scene.primary_nm if wavelength_nm is None else wavelength_nm
     given = {name: value for name, value in settings.items() if value is not None}
-    _check_whole(seed=seed, threads=threads, **{name: given[name] for name in ("max_events",) if name in given})
-    _check_numbers(wavelength_nm=wavelength_nm, **{name: given[name] for name in ("weight_cutoff",) if name in given})
+    check_whole(seed=seed, threads=threads, **{name: given[name] for name in ("max_events",) if name in given})
+    check_numbers(wavelength_nm=wavelength_nm, **{name: given[name] for name in ("weight_cutoff",) if name in given})
     of_transport: dict[str, Any] = {name: value for name, value in settings.items() if name != "reference"}
     options = _options(world, record, split, **of_transport)
     for name, value, valid, wish in (
@@ -134,7 +134,7 @@ def trace(
         ("threads", threads, 0 <= threads <= MOST_THREADS, f"a whole number up to {MOST_THREADS}, 0 for all"),
     ):
         if not valid:
-            raise LfmeshError(f"{name} = {_shown(value)}: must be {wish}")
+            raise LfmeshError(f"{name} = {shown(value)}: must be {wish}")
     tables = _at_level(world, at_wavelength(world, float(wavelength_nm)), options.surface)
     states = None
     if stokes is not None:
@@ -151,23 +151,24 @@ def trace(
     return paths
 
 
-def _check_whole(**values: object) -> None:
+def check_whole(**values: object) -> None:
     """Raise where a setting that counts is no whole number."""
     for name, value in values.items():
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
         if not whole:
-            raise LfmeshError(f"{name} = {_shown(value)}: must be a whole number")
+            raise LfmeshError(f"{name} = {shown(value)}: must be a whole number")
 
 
-def _check_numbers(**values: object) -> None:
+def check_numbers(**values: object) -> None:
     """Raise where a setting is no number."""
     for name, value in values.items():
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
         if not number:
-            raise LfmeshError(f"{name} = {_shown(value)}: must be a number")
+            raise LfmeshError(f"{name} = {shown(value)}: must be a number")
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """Return a value for a message, cut short where it is long."""
     text = literal(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -184,13 +185,13 @@ def _options(
     cutoff = float(transport.weight_cutoff if weight_cutoff is None else weight_cutoff)
     for name, word in (("split", split), ("surface", level), ("engine", engine)):
         if not isinstance(word, str):
-            raise LfmeshError(f"{name} = {_shown(word)}: must be text")
+            raise LfmeshError(f"{name} = {shown(word)}: must be text")
     if split not in SPLIT_MODE:
         raise LfmeshError(f"split = {split!r}: use one of {', '.join(SPLIT_MODE)}")
     if level not in SURFACE_LEVEL:
         raise LfmeshError(f"surface = {level!r}: use one of {', '.join(SURFACE_LEVEL)}")
     if not 1 <= depth <= MOST_EVENTS:
-        raise LfmeshError(f"max_events = {_shown(depth)}: must be from 1 to {MOST_EVENTS}")
+        raise LfmeshError(f"max_events = {shown(depth)}: must be from 1 to {MOST_EVENTS}")
     if not 0.0 <= cutoff <= 1.0:
         raise LfmeshError(f"weight_cutoff = {cutoff!r}: must be from 0 to 1")
     if engine not in ("mesh", "sequential"):

@@ -164,7 +164,7 @@ class PointSpread(Pictured):
 def point_spread(
     scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None, *,
     weights: Sequence[float] | None = None, window: int | None = None, oversample: int = 1,
-    tolerance: float = TOLERANCE, progress: Callable[[Progress], None] | bool | None = None,
+    tolerance: float = TOLERANCE, progress: Callable[[Progress], None] | bool = False,
 ) -> PointSpread:  # fmt: skip
     """Compute the sensor's irradiance of an isotropic point of 1 W/sr, with diffraction and interference.
 
@@ -186,7 +186,7 @@ def point_spread(
     tolerance : float
         Largest change of the picture, over its power, with the last refinement of the grid.
     progress : callable or bool, optional
-        Told, in parts of each grid, how far the waves are; else as for `lf.render`.
+        Told, in parts of each grid, how far the waves are; True shows a bar, and nothing is shown if it is left out.
 
     Returns
     -------

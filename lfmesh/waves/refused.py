@@ -14,7 +14,7 @@ from lfmesh.scene.quantities import LARGEST
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.trace import at_wavelength, trace
+from lfmesh.transport.trace import at_wavelength, check_numbers, check_whole, shown, trace
 from lfmesh.transport.world import World, build
 from lfmesh.waves.bundle import LensRays, pupil_grid
 
@@ -53,12 +53,8 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
     LfmeshError
         One is.
     """
-    whole = {"window": 1 if window is None else window, "oversample": oversample}
-    for name, number in whole.items():
-        if not isinstance(number, int | np.integer):
-            raise LfmeshError(f"{name} = {number!r}: must be a whole number")
-    if not isinstance(tolerance, float | int):
-        raise LfmeshError(f"tolerance = {tolerance!r}: must be a number between 0 and 1")
+    check_whole(window=1 if window is None else window, oversample=oversample)
+    check_numbers(tolerance=tolerance)
     if point.shape != (3,) or not np.isfinite(point).all() or not point[2] < 0.0:
         raise LfmeshError(
             f"point_mm = {point.tolist()}: give x, y and z in the camera frame, finite, with z below 0, before the lens"
@@ -66,9 +62,9 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
     if -point[2] > LARGEST:
         raise LfmeshError(f"point_mm = {point.tolist()}: z must be {-LARGEST:g} or more")
     if window is not None and not 1 <= window <= 100_000:
-        raise LfmeshError(f"window = {window}: must be 1 pixel or more, up to 100,000")
+        raise LfmeshError(f"window = {shown(window)}: must be 1 pixel or more, up to 100,000")
     if not 1 <= oversample <= 64:
-        raise LfmeshError(f"oversample = {oversample}: must be from 1 to 64 parts of a pixel's side")
+        raise LfmeshError(f"oversample = {shown(oversample)}: must be from 1 to 64 parts of a pixel's side")
     sides = [min(window or side, side) * oversample for side in scene.camera.sensor.pixels]
     if math.prod(sides) > MOST_PARTS:
         raise LfmeshError(
@@ -76,7 +72,7 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
             "of pixels are possible"
         )
     if not 0.0 < tolerance < 1.0:
-        raise LfmeshError(f"tolerance = {tolerance:g}: must be between 0 and 1")
+        raise LfmeshError(f"tolerance = {shown(tolerance)}: must be between 0 and 1")
 
 
 def lines_of_band(scene: Scene, name: str) -> tuple[list[float], list[float]]:
@@ -109,10 +105,10 @@ def numbers_of(name: str, given: object) -> Array:
     """Return numbers as an array, (n,)."""
     try:
         numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1:
-        raise LfmeshError(f"{name} = {given!r}: must be a number, or a list of numbers")
+        raise LfmeshError(f"{name} = {shown(given)}: must be a number, or a list of numbers")
     return numbers
 
 

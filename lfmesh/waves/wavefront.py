@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.notebook import Pictured
+from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
+from lfmesh.scene.quantities import LARGEST
+from lfmesh.transport.trace import check_numbers, check_whole, shown
 from lfmesh.transport.world import build
 from lfmesh.waves.bundle import LensRays, Traced, pupil_grid
 from lfmesh.waves.zernike import FRINGE_TERMS, fitted
@@ -159,15 +162,20 @@ def wavefront(
     """
     camera = solved_camera(scene)
     facts = camera.report
-    waves = scene.primary_nm if wavelength_nm is None else float(wavelength_nm)
+    waves = scene.primary_nm if wavelength_nm is None else wavelength_nm
+    distance = facts.object_distance_mm if object_mm is None else object_mm
+    image_z = facts.image_z_mm if image_z_mm is None else image_z_mm
+    check_whole(across=across)
+    check_numbers(height_mm=height_mm, wavelength_nm=waves, object_mm=distance, image_z_mm=image_z)
     if not 4 <= across <= 1000:
-        raise LfmeshError(f"across = {across}: must be from 4 to 1000 rays")
-    if not 0.0 < waves < math.inf:
-        raise LfmeshError(f"wavelength_nm = {waves:g}: must be above 0 and finite")
-    if not math.isfinite(height_mm):
-        raise LfmeshError(f"height_mm = {height_mm}: must be finite")
-    distance = facts.object_distance_mm if object_mm is None else float(object_mm)
-    image_z = facts.image_z_mm if image_z_mm is None else float(image_z_mm)
+        raise LfmeshError(f"across = {shown(across)}: must be from 4 to 1000 rays")
+    if not SHORTEST_NM <= waves <= LONGEST_NM:
+        raise LfmeshError(f"wavelength_nm = {shown(waves)}: must be from {SHORTEST_NM:g} to {LONGEST_NM:g}")
+    for name, value in (("height_mm", height_mm), ("image_z_mm", image_z)):
+        if not -LARGEST <= value <= LARGEST:
+            raise LfmeshError(f"{name} = {shown(value)}: must be from {-LARGEST:g} to {LARGEST:g}")
+    if not 0.0 < distance <= LARGEST and distance != math.inf:
+        raise LfmeshError(f"object_mm = {shown(distance)}: must be above 0, up to {LARGEST:g}, or inf")
     rays = LensRays(build(camera.scene.camera_alone()), distance, image_z)
     slope = float(height_mm) if math.isinf(distance) else float(height_mm) / distance
     return wavefront_of(rays, slope, waves, across, words=f"height_mm = {height_mm:g}")

@@ -156,7 +156,7 @@ transports = some(
         "method": st.sampled_from(["adjoint", "forward"]),
         "split": st.sampled_from(["both", "transmit", "roulette"]),
         "polarisation": st.booleans(),
-        "diffraction": st.sampled_from(["none", "lenslets"]),
+        "diffraction": st.sampled_from(["none", "lenslets", "stop"]),
         "wavelengths_nm": st.sampled_from([[550.0], [450.0, 650.0]]),
         "engine": st.sampled_from(["mesh", "sequential"]),
         "weight_cutoff": st.sampled_from([1e-2, 1e-4]),
@@ -204,12 +204,15 @@ def text_of(drawn: Table) -> str:
     tables = {key: value for key, value in drawn.items() if key in ("lights", "tanks", "media", "particles")}
     camera = tables["camera"] = close_up_camera(8, 8)
     tables["targets"] = list(drawn["targets"])
+    if drawn.get("transport", {}).get("diffraction") == "stop":
+        del camera["mla"]
     if "glass" in drawn:
         refractor = {k: v for k, v in drawn["glass"]["refractor"].items() if k != "coating" or "coating" in drawn}
         tables["targets"].append({**drawn["glass"], "refractor": refractor})
     if "coating" in drawn:
         tables["coatings"] = {"thin": drawn["coating"]}
-        camera["lens"]["surfaces"][0]["coating"] = camera["mla"]["flat_coating"] = "thin"
+        camera["lens"]["surfaces"][0]["coating"] = "thin"
+        camera.get("mla", {})["flat_coating"] = "thin"
     if "media" in drawn and "tanks" not in drawn:
         tables["media"] = [{k: v for k, v in medium.items() if k != "inside"} for medium in drawn["media"]]
     if drawn.get("transport", {}).get("polarisation"):

@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.accuracy.hard import aim, bright_sensors, covers, media, meshes, pictures, tanks, truth
+from lfmesh.accuracy.hard import aim, bright_sensors, covers, media, meshes, pictures, tanks, truth, waves
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.accuracy.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
 from tests.instances import instances
@@ -20,6 +20,7 @@ LONG = [
     media.depths_of_absorption,  # depths_of_scattering
     pictures.wall_behind_a_block,  # blocks before walls in transport/render/test_glass_aim
     pictures.sums_of_a_red_band,  # test_bands
+    waves.lens_of_fresnel_number_one,  # focal shift in waves/test_point_spread
 ]
 """Cases of several seconds, each with the quicker ones that show a fault of its kind."""
 

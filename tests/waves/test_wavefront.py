@@ -170,7 +170,7 @@ def test_polynomials_are_those_of_the_literature() -> None:
         ({"across": 3}, "across = 3"),
         ({"wavelength_nm": -1.0}, "wavelength_nm = -1"),
         ({"height_mm": math.nan}, "height_mm = nan"),
-        ({"object_mm": -5.0}, "object distance = -5"),
+        ({"object_mm": -5.0}, "object_mm = -5.0: must be above 0"),
         ({"height_mm": 4000.0}, "the lens stops the chief ray"),
         ({"image_z_mm": 14.3}, "rays miss the reference sphere"),
     ],

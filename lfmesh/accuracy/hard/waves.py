@@ -1,0 +1,61 @@
+"""Waves at their ends: lenses as small as their Fresnel zones, and paths of metres to a fraction of a wave."""
+
+import math
+
+import numpy as np
+
+from lfmesh.accuracy.hard.outcome import Outcome, case
+from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Transport
+from lfmesh.waves.point_spread import point_spread
+from lfmesh.waves.wavefront import wavefront
+
+NM = 550.0
+
+FOCAL_MM, FAR_MM, PIXEL_MM = 2.5, 1e5, 0.0005
+
+ALLOWED_LIGHT = 0.003
+"""Share by which light on the axis may differ from the closed form: the tolerance of a point spread."""
+
+ALLOWED_WAVES = 1e-7
+"""Of a lens without aberrations: rounding of paths of forty million waves."""
+
+
+def _outcome(expected: str, got: str, passed: bool) -> Outcome:
+    return Outcome("", expected, got, passed, 0.0, 1.0, 0)
+
+
+@case
+def lens_of_fresnel_number_one() -> Outcome:
+    """Focus light by a lens of one Fresnel zone, which is brightest far before its focus."""
+    semi = math.sqrt(NM * 1e-6 * FOCAL_MM)
+    focal = 1.0 / (1.0 / FOCAL_MM + 1.0 / FAR_MM)
+    lens = Surface(paraxial=True, focal_length_mm=focal, semi_diameter_mm=semi, stop=True)
+    places = np.array([0.6, 1.0])
+    light = []
+    for place in places:
+        sensor = Sensor(pixels=(9, 9), pixel_mm=PIXEL_MM, distance_mm=place * FOCAL_MM)
+        scene = Scene(
+            camera=Camera(lens=Lens(surfaces=(lens,)), sensor=sensor), transport=Transport(wavelengths_nm=(NM,))
+        )
+        light.append(point_spread(scene, (0.0, 0.0, -FAR_MM)).mean[4, 4])
+    # Of a round aperture with N zones (Y. Li, E. Wolf, Optics Communications 39, 1981, 211).
+    truth = (np.sinc(0.5 * (1.0 / places - 1.0)) / places) ** 2
+    return _outcome(
+        f"{truth[0]:.4f} of the focal point's light at 0.6 of its distance", f"{light[0] / light[1]:.4f}",
+        abs(light[0] / light[1] / truth[0] - 1.0) < ALLOWED_LIGHT,
+    )  # fmt: skip
+
+
+@case
+def hyperboloid_of_f_0_6_before_a_plane_wave() -> Outcome:
+    """Hold the paths through a perfect lens of f/0.6 and 12 m to a fraction of a wave."""
+    focal, index, across = 12_000.0, 1.5, 10_000.0
+    faces = (
+        Surface(thickness_mm=8_000.0, index=index, semi_diameter_mm=across, stop=True),
+        Surface(radius_mm=-(index - 1.0) * focal, conic=-index * index, semi_diameter_mm=across),
+    )
+    camera = Camera(focus_mm=math.inf, lens=Lens(surfaces=faces), sensor=Sensor(pixels=(4, 4), pixel_mm=1.0))
+    found = wavefront(Scene(camera=camera), wavelength_nm=NM)
+    return _outcome(
+        "no path difference", f"{found.pv_waves:.1e} waves from peak to valley", found.pv_waves < ALLOWED_WAVES
+    )

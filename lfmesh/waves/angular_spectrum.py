@@ -139,7 +139,7 @@ class Spectrum:
         share : (n, n) complex128
             Mean of the wave about each place, over the wave of a place of its height that is clear.
         clear : (n, n) float64
-            Share of the power about each place that is not stopped.
+            Share of the light about each place that is not stopped, over the square of the amplitude of unit power.
         amplitude : (3,) of (n, n) float64
             That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
         index : float

@@ -91,16 +91,21 @@ class WaveFace:
         # What a place passes differs from direction to direction, which is followed to the first order: where light is
         # out of focus, its directions go with the places.
         steps = np.diag(light.spread)
-        passed = [self._passed_at(slope, light.index, grid.middle, sines, amplitude)]
+        through, aslant = self._passed_at(slope, light.index, grid.middle, sines, amplitude)
+        passed = [through]
         for step in steps:
             more, less = (
-                self._passed_at(slope, light.index, grid.middle + way, sines, amplitude) for way in (step, -step)
+                self._passed_at(slope, light.index, grid.middle + way, sines, amplitude)[0] for way in (step, -step)
             )
             passed.append((more - less) / (2.0 * step.sum()))
-        return light.through_relief(height, share, clear, passed, self.index, told)
+        return light.through_relief(height, share, clear / aslant, passed, self.index, told)
 
-    def _passed_at(self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array) -> Array:
+    def _passed_at(
+        self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array
+    ) -> tuple[Array, Array]:
         """Return the amplitude that each place of the relief passes of light of one direction, (n, n).
+
+        The second array is the square of the amplitude over the power that passes.
 
         Parameters
         ----------
@@ -121,9 +126,10 @@ class WaveFace:
         # Behind, along the normal (−slope, 1) / steep, the wave vector is longer by this.
         pz = along_z + (behind - onto) / steep
         # Flux through the face by that through a plane, before and behind: what crosses it aslant is more or less.
-        flux = (onto * steep / along_z) * (behind * steep / np.maximum(pz, GRAZING))
+        aslant = np.maximum(behind, GRAZING) * steep / np.maximum(pz, GRAZING)
+        flux = (onto * steep / along_z) * aslant
         clear = (onto > GRAZING) & (behind > GRAZING) & (pz > GRAZING)
-        return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0)
+        return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0), aslant
 
     def reach_mm(self, places: Array) -> tuple[float, float]:
         """Return the largest slope of the lenslets near places (n, 2), mm, and their pitch; 0, 0 of a plane."""

@@ -222,3 +222,19 @@ def test_progress_is_told_in_parts_of_each_grid(monkeypatch: pytest.MonkeyPatch)
         assert percent == sorted(percent)
         assert (percent[0], percent[-1], told[0].total) == (0, 100, 100)
         assert len(set(percent)) > 5
+
+
+@pytest.mark.filterwarnings("ignore::lfmesh.errors.DiffractionWarning")
+def test_light_of_steep_lenslets_is_on_the_grid_or_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of f/3, behind a lens of f/4, on a small grid, whose rim takes a percent of the light from centre and corner."""
+    monkeypatch.setattr("lfmesh.waves.point_spread.FIRST_RINGS", 6.0)
+    mla = {"count": [5, 5], "pitch_mm": 0.02, "focal_length_mm": 0.06, "index": 1.5, "thickness_mm": 0.01,
+           "distance_mm": IMAGE, "conic": -1.0}  # fmt: skip
+    camera = scene(ideal(1.0 / (1.0 / IMAGE + 1.0 / FAR), IMAGE / 8.0), {"pixels": [50, 50], "pixel_mm": 0.002}, mla)
+    centre, corner = (
+        lf.point_spread(camera, (-x * FAR / IMAGE, -x * FAR / IMAGE, -FAR), WAVE_NM, tolerance=0.1) for x in (0.0, 0.01)
+    )
+    assert centre.beyond < 0.001
+    on, in_all = (found.power_w / found.entered_w / 0.96**2 for found in (centre, corner))
+    assert in_all < on - 0.003
+    assert in_all * (1.0 + corner.beyond) == pytest.approx(on, abs=0.0025)

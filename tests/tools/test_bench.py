@@ -31,9 +31,10 @@ CASES = {
     "errors": ["--quick", "--scene", "lit_chart", "--side", "16", "--reference", "64"],
     "media": ["--quick"],
     "paired": ["--quick", "--shift-um", "20"],
+    "spreads": ["--quick"],
     "startup": ["--quick"],
 }
-LONG = ("startup", "against", "scaling", "media", "paired", "render")
+LONG = ("startup", "against", "scaling", "media", "paired", "render", "spreads")
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size. Of
 commands that render scenes and print tables of them, image and errors are in the suite.
 """
@@ -46,6 +47,7 @@ TABLES = {
     "errors": {"errors": "COLUMNS"},
     "media": {"render": "RENDER_COLUMNS", "particles": "PARTICLE_COLUMNS", "flame": "FLAME_COLUMNS"},
     "paired": {"paired": "COLUMNS", "needed": "NEED_COLUMNS"},
+    "spreads": {"spreads": "COLUMNS"},
     "startup": {"startup": "COLUMNS"},
 }
 

@@ -78,7 +78,7 @@ class PhaseFunction:
         """Return the phase function at some cosines of the scattering angle, 1/sr."""
         cosine = np.asarray(cosine, dtype=np.float64)
         tables, found = phase_tables([[self]]), np.empty(cosine.size)
-        _evaluate_all(tables, cosine.ravel(), found)
+        evaluate_phases(tables, 0, cosine.ravel(), found)
         return found.reshape(cosine.shape)
 
 
@@ -235,6 +235,7 @@ def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
 
 
 @kernel
-def _evaluate_all(phases: PhaseTables, cosine: Array, found: Array) -> None:
+def evaluate_phases(phases: PhaseTables, colour: int, cosine: Array, found: Array) -> None:
+    """Fill in the first phase function at one of its wavelengths, at cosines (n,) of the scattering angle, 1/sr."""
     for k in range(len(cosine)):
-        found[k] = evaluate_phase(phases, phases.rows[0, 0], cosine[k])
+        found[k] = evaluate_phase(phases, phases.rows[0, colour], cosine[k])

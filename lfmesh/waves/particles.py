@@ -14,17 +14,22 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, warn_caller
 from lfmesh.geometry import frame as frames
-from lfmesh.scene.media.phase import IsotropicPhase
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.optics.phase import PhaseTables, evaluate_phases
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.world import World
+from lfmesh.transport.world import World, build
+from lfmesh.waves.bundle import LensRays, pupil_grid
 from lfmesh.waves.point_spread import followed, refuse_point, warnings_of
-from lfmesh.waves.refused import NoLightError
+from lfmesh.waves.refused import TRIALS, NoLightError
 
 Array = NDArray[np.float64]
 
 MOST_SPREADS = 2000
 """Point spreads of a picture: they take seconds each."""
+
+EVEN = 0.05
+"""Largest change of a particle's light over the lens's opening, over the mean, with which it is pictured."""
 
 STAGE = "point spreads of particles"
 
@@ -46,19 +51,20 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
     Raises
     ------
     LfmeshError
-        Bands, particles that scatter unevenly, too many of them, or what `lf.point_spread` refuses.
+        Bands, particles whose light changes much over the lens's opening, too many of them, or what `lf.point_spread`
+        refuses.
     """
     scene = world.scene
     refuse_particles(world)
     columns, rows = scene.camera.sensor.pixels
     film = np.zeros((rows, columns, scene.channels))
     done, all_of_them, began, beyond = 0, _spreads(world), time.perf_counter(), 0.0
+    lens = build(solved_camera(scene).scene.camera_alone())
     for each in _particles(world):
-        # Power over all directions, of which an even share goes each way.
-        for channel, power in enumerate(each.power_w):
+        for channel, wavelength in enumerate(scene.wavelengths_nm):
             with each.named():
-                spread = followed(scene, each.point_mm, scene.wavelengths_nm[channel])
-                film[:, :, channel] += power / (4.0 * np.pi) * spread.mean
+                spread = followed(scene, each.point_mm, wavelength)
+                film[:, :, channel] += each.intensity_w_sr(lens, channel, wavelength) * spread.mean
                 beyond = max(beyond, spread.beyond)
             done += 1
             if progress is not None:
@@ -81,19 +87,67 @@ def refuse_particles(world: World) -> None:
         first two is not foreseen.
     """
     _refuse(world)
+    scene, lens = world.scene, build(solved_camera(world.scene).scene.camera_alone())
     for each in _particles(world):
         with each.named():
-            refuse_point(world.scene, each.point_mm, world.scene.wavelengths_nm)
+            refuse_point(scene, each.point_mm, scene.wavelengths_nm)
+            for channel, wavelength in enumerate(scene.wavelengths_nm):
+                each.intensity_w_sr(lens, channel, wavelength)
 
 
 class _Particle(NamedTuple):
-    """A particle of a world: number of its entry, its own number, place in world and camera, power of each channel."""
+    """A particle of a world.
+
+    Attributes
+    ----------
+    entry, number : int
+        Of its entry, and its own there.
+    place_mm, point_mm : (3,) float64
+        World and camera frame.
+    power_w : (channels,) float64
+        Over all directions.
+    along : (3,) float64
+        Way of the light that it scatters, camera frame.
+    phases : PhaseTables
+        By the angle to it.
+    """
 
     entry: int
     number: int
     place_mm: Array
     point_mm: Array
     power_w: Array
+    along: Array
+    phases: PhaseTables
+
+    def intensity_w_sr(self, lens: World, channel: int, wavelength_nm: float) -> float:
+        """Return the mean intensity into the lens's opening.
+
+        Parameters
+        ----------
+        lens : World
+            The camera alone.
+        channel : int
+        wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            It changes too much over the opening.
+        """
+        rays = LensRays(lens, -float(self.point_mm[2]), 0.0)
+        bundle = rays.bundle(self.point_mm[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
+        ahead = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())]) - self.point_mm
+        sent = np.empty(len(ahead))
+        evaluate_phases(self.phases, channel, ahead @ self.along / np.linalg.norm(ahead, axis=1), sent)
+        mean = float(sent.mean())
+        change = float(np.abs(sent - mean).max()) / mean
+        if change > EVEN:
+            raise LfmeshError(
+                f"the light that it scatters changes by {change:.2g} of its mean over the lens's opening, and point "
+                f"spreads stand for changes up to {EVEN:g}; take smaller particles or a smaller opening"
+            )
+        return float(self.power_w[channel]) * mean
 
     @contextmanager
     def named(self) -> Iterator[None]:
@@ -113,9 +167,10 @@ class _Particle(NamedTuple):
 def _particles(world: World) -> Iterator[_Particle]:
     into_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     for table in world.particles:
+        along = frames.directions(into_camera, table.along[None, :])[0]
         points = zip(table.points, frames.points(into_camera, table.points), table.strength, strict=True)
         for number, (there, point, strength) in enumerate(points):
-            yield _Particle(table.entry, number, there, point, strength * table.scale)
+            yield _Particle(table.entry, number, there, point, strength * table.scale, along, table.phases)
 
 
 def _spreads(world: World) -> int:
@@ -129,13 +184,6 @@ def _refuse(world: World) -> None:
         raise LfmeshError(
             f"camera.sensor.bands: particles with {chosen} are pictured at single wavelengths; leave bands out"
         )
-    for table in world.particles:
-        phase = scene.particles[table.entry].phase
-        if not isinstance(phase, IsotropicPhase):
-            raise LfmeshError(
-                f'particles[{table.entry}].phase.kind = "{phase.kind}": with {chosen} particles send light evenly; '
-                'take "isotropic", or transport.diffraction = "none"'
-            )
     spreads = _spreads(world)
     if spreads > MOST_SPREADS:
         raise LfmeshError(

@@ -64,6 +64,30 @@ def test_particles_are_pictured_by_their_point_spreads() -> None:
     assert image.mean.max() < 0.8 * plain.mean.max()
 
 
+SHEET = {
+    "point_mm": (0.0, 0.0, -FAR), "normal": (0.0, 0.0, 1.0), "direction": (1.0, 0.0, 0.0), "thickness_mm": 4.0,
+    "width_mm": 9.0, "power_w": 1.0,
+}  # fmt: skip
+
+
+def in_a_sheet(diameter_um: float, **changes: Any) -> lf.Scene:
+    """A particle in a light sheet, seen from aside, that scatters by Mie's functions."""
+    one = {key: POINT[key] for key in ("bounds", "position_mm", "samples")} | {"count": 1, "sheet": SHEET}
+    phase = {"kind": "mie", "diameter_um": diameter_um, "index": 1.59}
+    return scene(particles=[one | {"phase": phase}], **changes)
+
+
+def test_particles_that_scatter_unevenly_send_what_rays_bring() -> None:
+    """By the phase function towards the lens."""
+    waves, rays = lf.render(in_a_sheet(2.0)), lf.render(in_a_sheet(2.0, **{"transport.diffraction": "none"}))
+    assert waves.mean.sum() == pytest.approx(rays.mean.sum(), rel=0.03)
+
+
+def test_particles_whose_light_changes_over_the_lens_are_refused() -> None:
+    with pytest.raises(lf.LfmeshError, match=r"particles\[0\], number 0 at .*: the light that it scatters changes by"):
+        lf.render(in_a_sheet(80.0, **{"camera.lens.surfaces[0].semi_diameter_mm": 10.0}))
+
+
 def test_particles_add_to_what_is_traced() -> None:
     both = lf.render(scene(targets=[PLANE]))
     traced = lf.render(scene(targets=[PLANE], particles=[]))
@@ -109,7 +133,7 @@ def test_a_particle_too_wide_for_waves_is_named_before_the_first_spread(
     def never(*_: object, **__: object) -> None:
         pytest.fail("the waves were followed")
 
-    monkeypatch.setattr("lfmesh.waves.particles.point_spread", never)
+    monkeypatch.setattr("lfmesh.waves.particles.followed", never)
     far, words = two_at(-FAR, -200.0), r"particles\[1\], number 0 at \(.*, -200\) mm: .* places on a side"
     with pytest.raises(lf.LfmeshError, match=words) as error:
         lf.render(far)

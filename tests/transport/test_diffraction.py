@@ -1,5 +1,6 @@
 """Diffraction at lenslets: white pictures against closed forms, and all ways to render against each other."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -162,19 +163,24 @@ def test_thick_lenslets_diffract_at_their_front_by_their_focal_length() -> None:
     assert abs(image.ledger.imbalance) < 1e-12
 
 
-@pytest.mark.parametrize("f_number", instances([40.0, 80.0], long=[40.0]))
-def test_a_white_picture_is_the_sum_of_point_spreads(f_number: float) -> None:
+MATCHED = [("A", 20.0), ("D", 40.0)]
+SLOWER = [("A", 60.0), ("D", 80.0)]
+
+
+@pytest.mark.parametrize("camera_of", instances(MATCHED + SLOWER, long=MATCHED))
+def test_a_white_picture_is_the_sum_of_point_spreads(camera_of: tuple[str, float]) -> None:
     """Of points in focus, evenly over what a lenslet of glass shows of them, by waves that interfere between lenslets.
 
     The lens passes no finer detail than λ N, so that eight points a lenslet, at f/40, are as good as all. Points that
     mirror each other stand for one, and light on other lenslets for that of other points on this one. Without
-    diffraction 8 % of the light and more would lie elsewhere.
+    diffraction 5 % of the light and more would lie elsewhere.
     """
-    given, _, _ = CASES["D"]
-    pitch, away, at, wide = 0.14, 4e4, 1e7, 14
-    image = 1.0 / (1.0 / away - 1.0 / at)
+    case, f_number = camera_of
+    given, _, _ = CASES[case]
+    pitch, away, at, wide = 0.14, 4e4, 1e7, round(0.14 / given["pixel_mm"])
+    image, focal = 1.0 / (1.0 / away - 1.0 / at), given["focal_mm"]
     scene = camera(**{**given, "f_number": f_number}, across=21, mla={"distance_mm": image}, pixels=9 * wide)
-    count = round(320.0 / f_number)
+    count = 2 * math.ceil(160.0 / f_number)
     found, places = np.zeros((wide, wide)), (np.arange(count // 2) + 0.5) / count * pitch * at / image
     for i, x in enumerate(places):
         for j, y in enumerate(places[: i + 1]):
@@ -183,10 +189,10 @@ def test_a_white_picture_is_the_sum_of_point_spreads(f_number: float) -> None:
             found += four if i == j else four + four.T
     found /= found.sum()
     truth, plain = (
-        white_picture(5.6, pitch, wide, 5.6 * away / (f_number * image * pitch), nm=nm) for nm in (NM, 1e-3)
+        white_picture(focal, pitch, wide, focal * away / (f_number * image * pitch), nm=nm) for nm in (NM, 1e-3)
     )
     assert np.abs(found - truth).sum() < 0.01
-    assert np.abs(found - plain).sum() > 0.08
+    assert np.abs(found - plain).sum() > 0.05
     row, expected = found[wide // 2], truth[wide // 2]
     lit = expected > 0.5 * expected.max()
     assert row[lit] == pytest.approx(expected[lit], rel=0.015)

@@ -26,7 +26,7 @@ POINTS: dict[str, tuple[float, float, float]] = {
 }
 """Scenes in assets, and a point of each."""
 
-TOLERANCES, QUICK_TOLERANCES = (0.1, 0.02, 0.01, 0.005, 0.003, 0.002), (0.5, 0.1)
+TOLERANCES, QUICK_TOLERANCES = (0.1, 0.02, 0.003, 0.001), (0.5, 0.1)
 """The last one is the reference."""
 
 COLUMNS = {

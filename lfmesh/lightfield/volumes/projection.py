@@ -6,6 +6,7 @@ chord times weight, divided by the square of the refractive index there, as radi
 With `transport.diffraction` there are no rays: each voxel shows the point spread of its centre.
 """
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -65,7 +66,7 @@ from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World, build
-from lfmesh.waves.pictures import Pictures, pictures_of_points
+from lfmesh.waves.pictures import pictures_of_points
 from lfmesh.waves.point_spread import TOLERANCE, warnings_of
 
 if TYPE_CHECKING:
@@ -352,9 +353,9 @@ class Projector:
 
     def _pictures(self) -> Array:
         """Compute what each pixel detects of each voxel by its centre's point spread, (pixels, voxels), mm³ sr."""
-        points = frames.points(
-            self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.centres_mm().reshape(-1, 3)
-        )
+        centres = self.grid.centres_mm().reshape(-1, 3)
+        beside = _within_middle_voxel(self.grid)
+        points = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.concatenate([centres, beside]))
         size = 8.0 * len(points) * self.tracer.pixels
         if not fits_into_memory(3.0 * size):
             raise LfmeshError(
@@ -362,10 +363,11 @@ class Projector:
                 "voxels or pixels"
             )
         pictures = pictures_of_points(self._scene, points, self.wavelength_nm, tolerance=self.tolerance)
-        warning = [*warnings_of(pictures.beyond), *_wide_voxels(pictures, self.grid.shape)]
+        warning = [*warnings_of(pictures.beyond), *_wide_voxels(pictures.mean, self.grid.shape)]
         self._known += warning
         warn_caller(warning)
-        return pictures.mean.reshape(len(points), -1).T * float(np.prod(self.grid.spacing_mm))
+        own = pictures.mean[: len(centres)]
+        return own.reshape(len(own), -1).T * float(np.prod(self.grid.spacing_mm))
 
     def _wave_rows(self, pixels: Numbers) -> Block:
         """Return the rows of pixels from point spreads."""
@@ -524,16 +526,33 @@ def not_seen(projector: Projector) -> str:
     )
 
 
-def _wide_voxels(pictures: Pictures, shape: tuple[int, int, int]) -> list[DiffractionWarning]:
+def _within_middle_voxel(grid: VoxelBox) -> Array:
+    """Return Gauss's two points in the middle voxel, along each axis of one or two voxels, (n, 3) mm, world frame."""
+    middle = grid.centres_mm()[tuple(count // 2 for count in grid.shape)]
+    step = grid.to_world[:, :3] * grid.spacing_mm / np.sqrt(12.0)
+    few = [axis for axis, count in enumerate(grid.shape) if count < 3]
+    return np.array([middle + way * step[:, axis] for axis in few for way in (-1.0, 1.0)]).reshape(-1, 3)
+
+
+def _wide_voxels(pictures: Array, shape: tuple[int, int, int]) -> list[DiffractionWarning]:
     """Warn of voxels whose light is not that of their centres.
 
-    A voxel's mean differs from its centre by a 24th of the second differences between neighbours, along each axis.
+    A voxel's mean differs from its centre by a 24th of the second differences between neighbours, along each axis; of
+    one or two voxels that of the middle one is known by Gauss's two points.
+
+    Parameters
+    ----------
+    pictures : (voxels + n, rows, columns) float64
+        Of the centres, and of `_within_middle_voxel`.
+    shape : (int, int, int)
     """
-    mean = pictures.mean.reshape(*shape, -1)
-    light, off = float(mean.sum()), 0.0
+    voxels = math.prod(shape)
+    mean, pairs = pictures[:voxels].reshape(*shape, -1), pictures[voxels:].reshape(-1, 2, *pictures.shape[1:])
+    middle = pictures[np.ravel_multi_index(tuple(count // 2 for count in shape), shape)]
+    off = sum(float(np.abs(pair.mean(axis=0) - middle).sum() / middle.sum()) for pair in pairs)
     for axis, count in enumerate(shape):
         if count > 2:
-            off += float(np.abs(np.diff(mean, 2, axis=axis)).sum()) / 24.0 * count / (count - 2) / light
+            off += float(np.abs(np.diff(mean, 2, axis=axis)).sum() / mean.sum()) / 24.0 * count / (count - 2)
     if off <= WIDE_VOXELS:
         return []
     return [

@@ -1,5 +1,8 @@
 """Matrices with diffraction: columns are point spreads, repeated where the camera repeats itself."""
 
+import re
+import warnings
+
 import numpy as np
 import pytest
 
@@ -60,3 +63,32 @@ def test_media_are_refused() -> None:
     grid = lf.VoxelBox.of_size((1, 1, 1), (0.01, 0.01, 0.01), (0.0, 0.0, -18.0))
     with pytest.raises(lf.LfmeshError, match="media"):
         lf.projection_matrix(microscope(media=(fog,)), grid, absorption=True)
+
+
+@pytest.mark.parametrize(("shape", "wide_mm"), [((1, 1, 1), 0.6), ((3, 1, 1), 0.3)])
+def test_voxels_wider_than_a_point_spread_are_warned_of_with_their_error(
+    shape: tuple[int, int, int], wide_mm: float
+) -> None:
+    """That of a column: against the mean over points of the voxel, at f/25 without an array; of fine voxels none."""
+    far, image = 2000.0, 50.0
+    lens = [
+        {"paraxial": True, "focal_length_mm": 1.0 / (1.0 / image + 1.0 / far), "stop": True, "semi_diameter_mm": 1.0}
+    ]
+    camera = {"lens": {"surfaces": lens}, "sensor": {"pixels": [24, 24], "pixel_mm": 0.01, "distance_mm": image}}
+    scene = Scene.model_validate(
+        {"schema_version": 1, "camera": camera, "transport": {"diffraction": "stop", "split": "transmit", "threads": 1}}
+    )
+
+    def said(wide_mm: float) -> list[str]:
+        grid = lf.VoxelBox.of_size(shape, np.multiply(shape, (wide_mm, 0.01, 0.01)), (0.0, 0.0, -far))
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always", lf.DiffractionWarning)
+            lf.projection_matrix(scene, grid, pixels=[300], threshold=0.0)
+        return [str(each.message) for each in found if "whole voxels" in str(each.message)]
+
+    assert said(0.05) == []
+    (words,) = said(wide_mm)
+    stated = 0.01 * float(re.findall(r"some ([0-9.]+)%", words)[0])
+    spreads = [lf.point_spread(scene, (wide_mm * (x / 8.0 - 0.4375), 0.0, -far)).mean for x in range(8)]
+    middle = lf.point_spread(scene, (0.0, 0.0, -far)).mean
+    assert stated == pytest.approx(np.abs(np.mean(spreads, axis=0) - middle).sum() / middle.sum(), rel=0.25)

@@ -236,6 +236,17 @@ def sampled_cosine(phases: PhaseTables, row: Any, u: float) -> float:
 
 @kernel
 def evaluate_phases(phases: PhaseTables, colour: int, cosine: Array, found: Array) -> None:
-    """Fill in the first phase function at one of its wavelengths, at cosines (n,) of the scattering angle, 1/sr."""
+    """Evaluate the first phase function of tables at one of its wavelengths.
+
+    Parameters
+    ----------
+    phases : PhaseTables
+    colour : int
+        Number of the wavelength.
+    cosine : (n,) float64
+        Of the scattering angle.
+    found : (n,) float64, 1/sr
+        Filled in.
+    """
     for k in range(len(cosine)):
         found[k] = evaluate_phase(phases, phases.rows[0, colour], cosine[k])

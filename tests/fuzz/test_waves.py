@@ -1,7 +1,5 @@
-"""Arguments of point spreads and wavefronts of every kind, and random scenes: computed, or refused by one message."""
+"""Arguments of point spreads and wavefronts of every kind: computed, or refused by one message."""
 
-import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +9,7 @@ from hypothesis import strategies as st
 
 import lfmesh as lf
 from tests.cameras import camera_without_array
-from tests.fuzz.test_renders import Table, in_few_lines, place, scenes, text_of
-
-__all__ = ["place"]
+from tests.fuzz.test_renders import Table, in_few_lines
 
 strange = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=3), st.lists(st.floats(), max_size=4),
@@ -83,18 +79,3 @@ def test_many_strange_arguments_are_computed_or_refused(
 ) -> None:
     is_computed_or_refused(scene, point, options)
     has_a_wavefront_or_is_refused(scene, others)
-
-
-@pytest.mark.long
-@settings(max_examples=20, deadline=None, derandomize=True, database=None)
-@given(scenes, st.builds(lambda xy, z: [*xy, z], places, st.floats(-60.5, -59.5)))
-def test_many_points_of_random_scenes_are_computed_or_refused(place: Path, drawn: Table, point: list[float]) -> None:
-    """Behind a stop of f/30, with targets, media and glass about them."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            given = lf.loads(text_of(drawn), place).changed({"camera.lens.stop_semi_diameter_mm": 0.5})
-        except lf.LfmeshError as error:
-            in_few_lines(error)
-            return
-        is_computed_or_refused(given, point, {"tolerance": 0.5})

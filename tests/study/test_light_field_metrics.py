@@ -131,7 +131,9 @@ def test_depth_is_wrong_by_what_first_order_optics_says(tmp_path: Path, at_mm: f
         assert abs(size - expected) < 4.0 * error + 0.01 * at_mm
 
 
-@pytest.mark.parametrize(("semi_diameter_mm", "overlapping"), [(4.0, False), (5.6, True)])
+@pytest.mark.parametrize(
+    ("semi_diameter_mm", "overlapping"), [pytest.param(4.0, False, marks=pytest.mark.long), (5.6, True)]
+)
 def test_crosstalk_is_what_of_a_disk_lies_outside_a_square(semi_diameter_mm: float, overlapping: bool) -> None:
     """Of inner lenslets' micro-images; a disk on its cell of one pitch, where both are measured in cell widths."""
     scene = camera(12, **{"camera.lens.stop_semi_diameter_mm": semi_diameter_mm})

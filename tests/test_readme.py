@@ -115,7 +115,11 @@ def test_every_option_of_every_command_is_one(folder: Path) -> None:
         app.parse_args(["white", "run", "--no-such-option"], exit_on_error=False, print_error=False)
 
 
-SMALLER = {"render": ["--samples", "4", "--replicates", "2", "--split", "transmit"]}
+SMALLER = {
+    "render": ["--samples", "4", "--replicates", "2", "--split", "transmit"],
+    "white": ["--samples", "8"],
+    "depth": ["--samples", "4"],
+}
 ELSEWHERE = {"demo", "compare", "view", "accuracy", "frames", "study", "matrix", "optimise"}
 """Run by their own tests, or by the pages' other commands; they take long, open a window, or need other scenes."""
 

@@ -37,7 +37,7 @@ reflectance = 0.0
 radiance_w_m2_sr = 1.0
 texture = "chart.png"
 [transport]
-samples = 128
+samples = 64
 replicates = 8
 split = "transmit"
 """

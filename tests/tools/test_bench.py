@@ -34,9 +34,10 @@ CASES = {
     "spreads": ["--quick"],
     "startup": ["--quick"],
 }
-LONG = ("startup", "against", "scaling", "media", "paired", "render", "spreads")
-"""Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size. Of
-commands that render scenes and print tables of them, image and errors are in the suite.
+LONG = ("lens", "startup", "against", "scaling", "media", "paired", "render", "spreads")
+"""Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size, lens
+for each lens and each other program. Of commands that render scenes and print tables of them, image and errors are in
+the suite.
 """
 TABLES = {
     "lens": {"lens": "COLUMNS"},
@@ -104,6 +105,7 @@ def test_json_holds_what_the_tables_show(command: str, ran: Any, tool: Any) -> N
     assert drawing.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
     _, figures, _ = ran("lens")
     largest = {(row["lens"], row["contender"]): row["max_mm"] for row in figures["lens"]}
@@ -118,6 +120,18 @@ def test_every_contender_lands_where_its_surfaces_say(ran: Any) -> None:
                 assert astray[lens, contender] == 0.0, (lens, contender)
         assert largest[lens, "mesh, flat"] > largest[lens, "mesh, smooth"] > 1e-6 > largest[lens, "mesh, exact"]
         assert largest[lens, "Embree alone, exact's mesh"] is None
+
+
+def test_both_engines_land_where_the_surfaces_say(tool: Any) -> None:
+    lens = tool("bench_lens")
+    for kind in lens.LENSES:
+        scene = lens.lens_of(kind)
+        world, (sent, truth) = lens.lf.build(scene), lens.rays_through(scene, 200)
+        assert truth.arrives.all()
+        for engine in ("mesh", "sequential"):
+            place, weight = lens.landed_paths(world, lens.partial(lens.traced, world, sent, 587.6, engine, 1))
+            np.testing.assert_allclose(place, truth.position[:, : place.shape[1]], rtol=0.0, atol=1e-9)
+            assert (weight > 0.0).all()
 
 
 def test_a_ray_that_the_lens_stops_has_no_landing(tool: Any) -> None:

@@ -2,11 +2,10 @@
 
 import importlib
 import json
-import os
-import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,16 +14,34 @@ ROOT = Path(__file__).resolve().parents[2]
 CHEAP = "paraxial lens"
 
 
+class Ran(NamedTuple):
+    """What a call of the tool has returned and printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
 @pytest.fixture
 def reference(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     return importlib.import_module("reference")
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    own = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, str(ROOT / "tools" / "reference.py"), *map(str, arguments)]
-    return subprocess.run(command, env=own, capture_output=True, text=True)
+@pytest.fixture
+def run(reference: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """Call the tool as its command line does; it renders in processes of its own."""
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+
+    def called(*arguments: object) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["tools/reference", *map(str, arguments)])
+        try:
+            code = reference.main()
+        except SystemExit as end:
+            code = end.code
+        return Ran(code, *capsys.readouterr())
+
+    return called
 
 
 def test_there_are_forty_scenes_or_more_and_all_are_valid(reference: Any) -> None:
@@ -44,7 +61,7 @@ def test_a_digest_tells_single_bits_and_shapes(reference: Any) -> None:
     assert len({reference.digest(each) for each in (numbers, other, numbers.reshape(2, 3, 1), -0.0, 0.0)}) == 5
 
 
-def test_a_saved_tree_is_compared_bit_by_bit(tmp_path: Path) -> None:
+def test_a_saved_tree_is_compared_bit_by_bit(run: Callable[..., Ran], tmp_path: Path) -> None:
     saved = tmp_path / "before.json"
     assert run("--save", saved, "--only", CHEAP).returncode == 0
     same = run(saved, "--only", CHEAP)
@@ -62,7 +79,7 @@ def test_a_saved_tree_is_compared_bit_by_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("arguments", "word"), [((), "name what"), (("HEAD", "--only", "nothing"), '"nothing"')])
-def test_a_mistake_is_one_line(arguments: tuple[str, ...], word: str) -> None:
+def test_a_mistake_is_one_line(run: Callable[..., Ran], arguments: tuple[str, ...], word: str) -> None:
     done = run(*arguments)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

@@ -204,7 +204,7 @@ def assert_as_exact_spheres(
     assert lost <= 0.02 * compared
 
 
-@pytest.mark.parametrize("seed", instances(range(12), long=range(7, 12)))
+@pytest.mark.parametrize("seed", instances(range(12), long=[2, *range(6, 12)]))
 def test_random_pairs_of_balls_are_refused_or_as_exact_spheres(body: Body, seed: int) -> None:
     """Of any sizes, meshes and places, nearly touching from inside or outside, nested or overlapping."""
     draw = np.random.default_rng(seed)

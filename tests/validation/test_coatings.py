@@ -17,6 +17,7 @@ from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.launch import from_field_point
 from lfmesh.view.rays.names import lens_names
 from tests.cameras import camera_without_array, close_up_camera
+from tests.instances import instances
 
 tmm = pytest.importorskip("tmm")
 
@@ -96,7 +97,7 @@ def bare():
     return launched("none")
 
 
-@pytest.mark.parametrize("coating", COATINGS)
+@pytest.mark.parametrize("coating", instances(COATINGS, long=["single"]))
 def test_what_arrives_is_the_product_of_reflectances_and_transmittances_along_the_path(coating):
     world, rays = launched(coating)
     arrives = np.flatnonzero(rays.arrives & (rays.count_vertices(rays.reflected) <= 2))

@@ -138,7 +138,7 @@ def test_an_emitter_that_stands_on_the_surface_has_a_finite_variance() -> None:
     assert np.abs(found - found.mean()).max() < 5.0 * found.std()
 
 
-@pytest.mark.parametrize("reflectance", [0.5, 0.9])
+@pytest.mark.parametrize("reflectance", instances([0.5, 0.9], long=[0.9]))
 def test_a_furnace_that_lights_itself_shows_no_walls(reflectance: float) -> None:
     """Walls that emit L and reflect ρ have the radiance L / (1 − ρ), less what leaves by the hole, see `furnace`."""
     seeds = range(24)

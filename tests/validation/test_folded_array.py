@@ -491,7 +491,10 @@ ARRAYS = {
 
 @pytest.mark.parametrize(
     ("surface", "curved_side"),
-    [("exact", "lens"), ("exact", "sensor"), ("flat", "lens"), ("flat", "sensor"), ("smooth", "lens")],
+    [
+        *(("exact", "lens"), ("flat", "sensor"), ("smooth", "lens")),
+        *(pytest.param(*values, marks=pytest.mark.long) for values in (("exact", "sensor"), ("flat", "lens"))),
+    ],
 )
 @pytest.mark.parametrize("name", ARRAYS)
 def test_folded_array_is_the_whole_array(name, surface, curved_side):

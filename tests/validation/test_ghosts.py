@@ -17,6 +17,7 @@ from lfmesh.view.rays.exact_ghosts import exact_ghosts
 from lfmesh.view.rays.ghosts import ghost_matrix
 from lfmesh.view.rays.launch import from_field_point
 from lfmesh.view.rays.names import lens_names
+from tests.instances import instances
 
 FIELD_POINTS = [(0.0, 0.0, -500.0), (60.0, 40.0, -500.0), (-120.0, 20.0, -650.0)]
 SEEDS = 6
@@ -172,7 +173,7 @@ def test_rays_of_the_strongest_ghost_are_those_of_the_sequential_trace(world, po
     np.testing.assert_allclose(rays.end_power[mask], started * share[place], rtol=1e-9)
 
 
-@pytest.mark.parametrize("point", FIELD_POINTS[:2])
+@pytest.mark.parametrize("point", instances(FIELD_POINTS[:2], long=FIELD_POINTS[:1]))
 def test_power_of_the_strongest_ghost_is_that_of_the_sequential_trace(world, point):
     """A t-test of the launches of several seeds against the truth, whose own error is that of its draw."""
     # The pair is chosen by a launch that the comparison leaves out, so that it is not chosen for being too bright.

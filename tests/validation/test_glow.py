@@ -19,6 +19,7 @@ from lfmesh.assets import asset_path
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.emitting_facets import no_emitters
 from tests.cameras import camera_without_array
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -148,7 +149,7 @@ WAYS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("name", instances(WAYS, long=["in water"]))
 def test_light_of_media_counts_once_by_whatever_way_it_is_found(name: str) -> None:
     """Against scattered packets alone: z-tests of the whole light at 3.5 sigma, a level of 0.002 for four scenes."""
     transport = {"samples": 192, "replicates": 16, "seed": 4}

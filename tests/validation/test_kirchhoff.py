@@ -15,6 +15,7 @@ import trimesh
 from PIL import Image
 
 import lfmesh as lf
+from tests.instances import instances
 
 HALF, DEPTH, HOLE, FRONT = 60.0, 100.0, 0.3, -0.1
 """Half the room's width, its depth, half the hole's width, and where the front wall stands, mm."""
@@ -164,7 +165,7 @@ FORWARD = ["silver ball, half opaque", "gloss with colours below", "black side o
            "matt sheet with colours and holes", "silver, with normals at vertices", "matt room"]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", FORWARD)
+@pytest.mark.parametrize("case", instances(FORWARD, long=["gloss with colours below"]))
 def test_all_looks_black_to_packets_from_its_own_walls(case: str, folder: Path) -> None:
     """By the forward method, with scattering bodies: it cannot aim through polished ones."""
     bodies, more = CASES[case]

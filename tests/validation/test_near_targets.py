@@ -101,10 +101,12 @@ def test_light_that_the_lens_reflects_is_not_missed_with_a_single_target() -> No
     What the lens reflects back to the target is 4.5 % of the light.
     """
     of = scene("double_gauss_50mm", 9.0, plane(8.0, 4.0, 0.9, 10.0), split="both")
-    found, _ = forward_by_seed(of, 4096)
-    one, its = parts(of, "adjoint", 32768, 4)
-    assert abs(found.mean() - one[0]) < 3.5 * np.hypot(its[0], found.std(ddof=1) / np.sqrt(SEEDS))
-    assert its[0] < 1e-3 * one[0]
+    found, _ = forward_by_seed(of, 2048)
+    one, its = parts(of, "adjoint", 16384, 4)
+    error = np.hypot(its[0], found.std(ddof=1) / np.sqrt(SEEDS))
+    assert abs(found.mean() - one[0]) < 3.5 * error
+    # A per cent would be seen.
+    assert 3.5 * error < 0.01 * one[0]
 
 
 def test_the_error_of_near_targets_is_their_spread_over_seeds() -> None:

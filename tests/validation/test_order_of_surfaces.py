@@ -27,6 +27,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.rays import RaySource
 from lfmesh.transport.sources.source import Launcher
+from tests.instances import instances
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
 OF_WEIGHTS = 1e-12
@@ -329,7 +330,10 @@ def array_packets(world: lf.World, count: int, seed: int) -> tuple[NDArray[np.vo
     return packets[packets["frame"] == MLA_FRAME][:count], options
 
 
-@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize(
+    "name",
+    instances(ARRAYS, long=["square", "hexagonal, curved side to the sensor", "posed", "acylinders with form errors"]),
+)
 def test_every_packet_in_a_cell_meets_the_face_or_side_that_embree_finds(name: str) -> None:
     world = world_with_array(**ARRAYS[name])
     packets, options = array_packets(world, PER_ARRAY, seed=5)

@@ -30,6 +30,7 @@ from lfmesh.files.photographs import save_all_in_focus, save_photograph, save_st
 from lfmesh.view.browser.field_views import FieldViews
 from lfmesh.view.browser.sensor_picture import SensorPicture
 from lfmesh.view.request import subject_of
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -404,7 +405,7 @@ def chart(distance_mm: float, x_mm: float, y_mm: float, width_mm: float) -> dict
     }
 
 
-@pytest.mark.parametrize("kind", ["square", "relay"])
+@pytest.mark.parametrize("kind", instances(["square", "relay"], long=["square"]))
 def test_depth_is_upright(kind: str) -> None:
     """A near plane fills the upper right quarter (+x, +y); behind it stands one that fills the rest."""
     bench = made(kind)

@@ -56,7 +56,7 @@ class Lenslets(NamedTuple):
     profile : Profile
         None where all are spheres: code for other faces is then not even compiled.
     clear_radius : float, mm
-        Of the clear circle about each cell's centre, beside which a mask is; None, likewise, where cells are clear.
+        Of the clear circle about each cell's centre, beside which a mask is; infinite where cells are clear.
     """
 
     lattice: Lattice
@@ -67,7 +67,7 @@ class Lenslets(NamedTuple):
     top: float
     valley: float
     profile: Any = None
-    clear_radius: Any = None
+    clear_radius: float = np.inf
 
     @property
     def alike(self) -> bool:

@@ -4,8 +4,6 @@ Where cells meet in a step, heights of both sides have no mean that a wave would
 the height.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,7 +50,7 @@ def fill_relief(mla: Lenslets, x: Array, y: Array, box: float, per_mm: float, pa
             sx, sy = half if corner & 1 else -half, half if corner & 2 else -half
             other_column, other_row = cell_of(mla.lattice, x[i] + sx, y[i] + sy)
             whole = whole and other_column == column and other_row == row
-        whole = whole and not _near_mask(mla.clear_radius, mla, column, row, x[i], y[i], box)
+        whole = whole and not _near_mask(mla, column, row, x[i], y[i], box)
         points = 1 if whole else POINTS
         parts[:] = 0.0
         for point in range(points):
@@ -92,7 +90,7 @@ def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) 
     if not is_inside(mla.lattice, column, row):
         return
     cx, cy = centre(mla.lattice, column, row)
-    if not _is_clear(mla.clear_radius, x + dx - cx, y + dy - cy):
+    if not _is_clear(mla, x + dx - cx, y + dy - cy):
         return
     curvature, ex, ey = shape_of(mla, column, row)
     own_x, own_y = x + dx - cx - ex, y + dy - cy - ey
@@ -111,17 +109,15 @@ def _add(mla: Lenslets, x: float, y: float, dx: float, dy: float, parts: Array) 
 
 
 @inlined
-def _near_mask(clear_radius: Any, mla: Lenslets, column: int, row: int, x: float, y: float, box: float) -> bool:
+def _near_mask(mla: Lenslets, column: int, row: int, x: float, y: float, box: float) -> bool:
     """Tell whether the border of a cell's clear aperture may cross the box about a point."""
-    if clear_radius is None:
+    if mla.clear_radius == np.inf:
         return False
     cx, cy = centre(mla.lattice, column, row)
-    return bool(abs(np.hypot(x - cx, y - cy) - clear_radius) < box)
+    return bool(abs(np.hypot(x - cx, y - cy) - mla.clear_radius) < box)
 
 
 @inlined
-def _is_clear(clear_radius: Any, x: float, y: float) -> bool:
+def _is_clear(mla: Lenslets, x: float, y: float) -> bool:
     """Tell whether a lenslet is clear at a point, from the centre of its cell."""
-    if clear_radius is None:
-        return True
-    return bool(x * x + y * y <= clear_radius * clear_radius)
+    return bool(x * x + y * y <= mla.clear_radius * mla.clear_radius)

@@ -178,12 +178,13 @@ class Problem:
         size = np.asarray(self.rows.power(2).sum(axis=0)).ravel() + penalty.diagonal()
         # Voxels that neither these pixels nor neighbours tell anything about stay as they are.
         unit = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
+        across = self.rows.T
 
         def times(y: Array) -> Array:
             at = unit * y
-            return np.asarray(unit * (self.rows.T @ (self.rows @ at) + penalty @ at))
+            return np.asarray(unit * (across @ (self.rows @ at) + penalty @ at))
 
-        return unit * nonnegative_minimum(times, unit * (self.rows.T @ self.b), x / unit)
+        return unit * nonnegative_minimum(times, unit * (across @ self.b), x / unit)
 
     def path(self, strength: float) -> Array:
         """Return the volume for a strength by way of stronger ones, so that it depends on nothing else."""

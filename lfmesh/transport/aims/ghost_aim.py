@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.aims.kept import Kept, digest_of
+from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
 from lfmesh.transport.sequences.ghosts import (
     ANGLES,
@@ -54,6 +55,9 @@ at the same distance from the axis at the lens, and over all kinds. Lenslets ref
 kind come back to the lens; without an array a sequence may show a small pupil of its own, to few of the kinds."""
 
 
+_kept: Kept[GhostTables | None] = Kept()
+
+
 def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     """Return how ghosts are drawn; None where they are not followed by sequence.
 
@@ -67,6 +71,14 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     max_events : int
         As in `Options`.
     """
+    camera, own = tables.camera, [CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, BACK_FRAME]
+    # Where objects are does not matter.
+    key = digest_of(camera._replace(frames=camera.frames[np.ix_(own, own)]), tables.aim.exit, max_events)
+    return _kept.of(key, lambda: _ghost_tables(tables, max_events))
+
+
+def _ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
+    """Return how ghosts are drawn, found anew."""
     lens = tables.lens
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
     if not known.all() or lens.interfaces.thin or lens.interfaces.rough:

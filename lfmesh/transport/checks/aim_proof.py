@@ -7,9 +7,6 @@ throughput of those that are not, over the throughput of all, is the share that 
 world is built, and the aim is widened until the share is negligible. Where that does not succeed, rays go anywhere.
 """
 
-import hashlib
-import threading
-from collections import OrderedDict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +16,7 @@ from scipy.special import gammaincinv
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
 from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
+from lfmesh.transport.aims.kept import Kept, digest_of
 from lfmesh.transport.aims.kick_aim import SEARCH_AFTER_KICK
 from lfmesh.transport.aims.lenslet_view import unmeasured_light
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK, anywhere
@@ -57,9 +55,6 @@ Rays that go anywhere find it."""
 
 GROWTH_OF_VIEWS = (1.0, 2.0, 3.0)
 """Factors on the radii of lenslets' views with which the aim after diffraction is tried."""
-
-KEPT = 8
-"""Number of cameras whose aim tables are cached, for renders of the same camera with other lamps, or of a study."""
 
 
 class Missed(NamedTuple):
@@ -146,8 +141,7 @@ class AimProof(NamedTuple):
         )  # fmt: skip
 
 
-_kept: OrderedDict[bytes, tuple[AimTables, AimProof | None]] = OrderedDict()
-_access = threading.Lock()
+_kept: Kept[tuple[AimTables, AimProof | None]] = Kept()
 
 
 def proven_aim(
@@ -162,22 +156,21 @@ def proven_aim(
     scene, report, camera, shapes, analytic
         As for `aim_table`.
     """
-    key = _digest(scene.camera, scene.transport.split, has_glass(scene), report, camera, shapes, analytic)
-    with _access:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key]
+    key = digest_of(scene.camera, scene.transport.split, has_glass(scene), report, camera, shapes, analytic)
+    return _kept.of(key, lambda: _proven_aim(scene, report, camera, shapes, analytic))
+
+
+def _proven_aim(
+    scene: Scene, report: FirstOrder, camera: Camera, shapes: Shapes, analytic: bool
+) -> tuple[AimTables, AimProof | None]:
+    """Return the aim tables of a scene and their proof, found anew."""
     plain = camera._replace(lens=camera.lens._replace(aperture=None), mla=undiffracted(camera.mla))
     found = aim_table(scene, report, plain, shapes, analytic=analytic)
     through = found.through._replace(stop=camera.lens.aperture)
     aim, proof = proven(found.aim, through, found.seen, found.near) if found.fits else (found.aim, None)
     if camera.mla.apertures is not None:
         aim, proof = _diffracted(aim, proof, found.through._replace(mla=camera.mla))
-    with _access:
-        _kept[key] = aim, proof if analytic else None
-        while len(_kept) > KEPT:
-            _kept.popitem(last=False)
-        return _kept[key]
+    return aim, proof if analytic else None
 
 
 def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -> tuple[AimTables, AimProof | None]:
@@ -215,20 +208,6 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
         aim = aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))
         proof = proof._replace(fallback=True)
     return aim, proof
-
-
-def _digest(*values: Any) -> bytes:
-    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`."""
-    hashed = hashlib.blake2b(digest_size=16)
-    for value in values:
-        if isinstance(value, np.ndarray):
-            hashed.update(f"{value.dtype} {value.shape}".encode())
-            hashed.update(value.tobytes())
-        elif isinstance(value, tuple):
-            hashed.update(_digest(*value))
-        else:
-            hashed.update(repr(value).encode())
-    return hashed.digest()
 
 
 def proven(

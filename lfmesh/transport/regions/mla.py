@@ -259,7 +259,7 @@ def _meets_face(
             block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i] = dx, dy, dz
             block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i] = nx, ny, nz
             set_sides(block, i, packet, mla, not inward, mla.row)
-        if _ends_on_mask(lenslets.clear_radius, block, i, packet, mla, frames, options, flow):
+        if _ends_on_mask(block, i, packet, mla, frames, options, flow):
             return NO_SURFACE
         if inward and _ends_by_diffraction(mla.apertures, block, i, packet, mla, frames, options, flow):
             return NO_SURFACE
@@ -286,16 +286,11 @@ def _meets_face(
 
 @inlined
 def _ends_on_mask(
-    clear_radius: Any, block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
+    block: Array, i: int, packet: Any, mla: MlaTables, frames: Array, options: Options, flow: Flow
 ) -> bool:
-    """End a packet of a block that meets its lenslet outside the clear aperture; return True if it does.
-
-    Parameters
-    ----------
-    clear_radius : float or None
-        That of `mla.lenslets`; None: the whole cell is clear.
-    """
-    if clear_radius is None:
+    """End a packet of a block that meets its lenslet outside the clear aperture; return True if it does."""
+    clear_radius = mla.lenslets.clear_radius
+    if clear_radius == np.inf:
         return False
     cx, cy = centre(mla.lenslets.lattice, packet.column, packet.row)
     px, py = block[rows.PX + i], block[rows.PY + i]

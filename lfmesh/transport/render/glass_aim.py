@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
+from lfmesh.transport.aims.kept import Kept, digest_of
 from lfmesh.transport.aims.mixture import aimed_density
 from lfmesh.transport.aims.pupil import opening_from
 from lfmesh.transport.aims.through_glass import BUNDLE, CELL, GlassAim, cell_at
@@ -127,6 +128,11 @@ class GlassProof:
     probes: int
 
 
+_aims: Kept[tuple[GlassAim | None, GlassProof | None]] = Kept()
+
+_OF_SAMPLES = dict.fromkeys(("method", "samples", "replicates", "seed", "threads", "target_error", "max_samples"))
+"""Settings of a scene that do not change where light comes through glass."""
+
 _STRAIGHT_ONLY = GlassAim(np.array([(-1, 0.0, 0, 0, 1.0, 0, 0)], CELL), np.zeros(0, BUNDLE), 0.0, 1.0)
 
 
@@ -166,7 +172,9 @@ def glass_aim(world: World) -> tuple[GlassAim | None, GlassProof | None]:
     if not has_glass(world):
         return None, None
     if KEPT not in world.kept:
-        world.kept[KEPT] = _found(world)
+        scene = world.scene.model_copy(update={"transport": world.scene.transport.model_copy(update=_OF_SAMPLES)})
+        key = digest_of(scene.digest, world.aimed_tables, *world.particles)
+        world.kept[KEPT] = _aims.of(key, lambda: _found(world))
     found: tuple[GlassAim | None, GlassProof | None] = world.kept[KEPT]
     return found
 

@@ -34,6 +34,7 @@ from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lines import Nodes
+from lfmesh.transport.tables.media import without_absorption
 from lfmesh.transport.tables.volumes import corners_of
 from lfmesh.transport.world import World
 
@@ -180,7 +181,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
 def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw: np.random.Generator) -> Sights:
     """Trace packets through object space; return what they tell, world frame."""
     objects = world.tables.objects
-    clear = objects._replace(volumes=None, media=objects.media._replace(absorption=None))
+    clear = objects._replace(volumes=None, media=without_absorption(objects.media))
     split = TRANSMIT if world.scene.transport.split == "transmit" else ROULETTE
     options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0)
     work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))

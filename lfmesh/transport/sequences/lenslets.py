@@ -109,7 +109,7 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0 and bundle[_CERTAIN + i] == 0.0:
             _meet_singly(bundle, i, mla, inward)
-    _end_on_mask(mla.lenslets.clear_radius, bundle, mla.lenslets)
+    _end_on_mask(bundle, mla.lenslets)
     absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
     in_air = inward == mirrors
     if inward:
@@ -129,9 +129,10 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
 
 
 @inlined
-def _end_on_mask(clear_radius: Any, bundle: Array, lenslets: Lenslets) -> None:
+def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
     """End rays that meet a lenslet outside its clear aperture, if that is smaller than its cell."""
-    if clear_radius is None:
+    clear_radius = lenslets.clear_radius
+    if clear_radius == np.inf:
         return
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0 and bundle[FATE + i] == 0.0:

@@ -37,8 +37,6 @@ class Hosts(NamedTuple):
     def absorbing(self, bodies: set[int]) -> list[int]:
         """Return all bodies of the media of some bodies, as far as these media absorb."""
         absorption = self.media.absorption
-        if absorption is None:
-            return []
         numbers = {int(self.medium[body]) for body in bodies}
         return [
             body

@@ -317,8 +317,8 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
         return mla
     face, lever = _limiting_face(given, mla, len(wavelengths_nm) // 2)
     clear = mla.lenslets.clear_radius if mla.row == CURVED_ROW else mla.back.lenslets.clear_radius
-    if face.row == CURVED_ROW and clear is not None:
-        shape, width, quantiles = ROUND, 2.0 * float(clear), airy_quantiles()
+    if face.row == CURVED_ROW and clear < np.inf:
+        shape, width, quantiles = ROUND, 2.0 * clear, airy_quantiles()
     else:
         shape, quantiles = (HEXAGON if given.layout == "hexagonal" else RECTANGLE), sinc2_quantiles()
         width = given.pitch_mm * (1.0 + given.form.pitch_error)

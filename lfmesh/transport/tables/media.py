@@ -123,7 +123,7 @@ class MediumList:
         return Media(indices, Absorption(per_mm, slot))
 
     def table_of_objects(self, wavelengths_nm: tuple[float, ...], book: Book | None, within: Iterable[int]) -> Media:
-        """Return the media of object space at some wavelengths.
+        """Return the media of object space at some wavelengths, all with absorption: kernels are compiled once for it.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class MediumList:
         """
         media = self.table(wavelengths_nm, book, within)
         media.indices[AIR] = media.indices[self.before_lens]
-        return media
+        return without_absorption(media) if media.absorption is None else media
 
     def _absorption(self, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
         """Return the absorption coefficient of a medium at some wavelengths, 1/mm."""
@@ -153,6 +153,17 @@ class MediumList:
 def _dye_in_camera(scene: Scene, medium: Medium) -> Dye:
     """Return what a medium of the camera absorbs: glasses of the catalogue alone, where the camera asks for it."""
     return "catalogue" if scene.camera.absorption and catalogue_name(medium) is not None else CLEAR
+
+
+def without_absorption(media: Media) -> Media:
+    """Return the media of object space without what they absorb.
+
+    Parameters
+    ----------
+    media : Media
+    """
+    nothing = Absorption(np.zeros_like(media.indices), np.full(len(media.indices), NO_SLOT))
+    return media._replace(absorption=nothing)
 
 
 Region = TypeVar("Region", LensTables, MlaTables)

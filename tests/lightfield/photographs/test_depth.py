@@ -13,6 +13,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.lightfield.rays.view_rays import ViewRays, traced_shift
 from lfmesh.scene import Scene
+from tests.instances import instances
 
 ROUNDING = 1e-6
 """Of float32, in which depth is given."""
@@ -34,7 +35,7 @@ def half_near(camera: Callable[..., Scene]) -> Scene:
 
 
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])
-@pytest.mark.parametrize("curved_side", ["lens", "sensor"])
+@pytest.mark.parametrize("curved_side", instances(["lens", "sensor"], long=["sensor"]))
 def test_a_plane_square_to_the_axis_is_everywhere_as_far(
     camera: Callable[..., Scene], layout: str, curved_side: str
 ) -> None:

@@ -42,7 +42,9 @@ def distance_px(scene: Scene, origin: np.ndarray, direction: np.ndarray, which: 
     return np.linalg.norm(at - np.column_stack([column, row]), axis=1)
 
 
-@pytest.mark.parametrize(("layout", "curved_side"), [("square", "sensor"), ("hexagonal", "lens")])
+@pytest.mark.parametrize(
+    ("layout", "curved_side"), [("square", "sensor"), pytest.param("hexagonal", "lens", marks=pytest.mark.long)]
+)
 def test_light_along_the_ray_of_a_pixel_lands_on_it(
     camera: Callable[..., Scene], layout: str, curved_side: str
 ) -> None:
@@ -124,7 +126,7 @@ def test_points_of_a_cell_integrate_polynomials(hexagonal: bool) -> None:
     ("layout", "curved_side", "change"),
     [
         ("square", "lens", {}),
-        ("hexagonal", "sensor", BEHIND_A_COVER),
+        pytest.param("hexagonal", "sensor", BEHIND_A_COVER, marks=pytest.mark.long),
         pytest.param("square", "lens", BEHIND_A_COVER, marks=pytest.mark.long),
         pytest.param("hexagonal", "sensor", {}, marks=pytest.mark.long),
     ],

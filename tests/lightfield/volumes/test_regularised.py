@@ -347,7 +347,7 @@ def test_images_without_light_give_a_volume_whose_error_is_unknown(method):
     """Pure noise, where some draws sum up to less than nothing, an image of the wrong sign, and a dark one."""
     full = line(12, 1.0)
     given = matrix_of(full, (12, 1, 1))
-    for seed in range(12):
+    for seed in range(4):
         noise = np.random.default_rng(seed).standard_normal(len(full))
         found, why = told(given, noise, method, noise=1.0)
         assert np.isfinite(found.volume).all()

@@ -20,7 +20,7 @@ from lfmesh.scene.first_order.report import STANDARD
 
 Array = NDArray[np.float64]
 
-RANDOM, IN_SUITE = 20, 2
+RANDOM, IN_SUITE = 20, 1
 """Random cameras that are rendered, and those of them in the suite."""
 
 PLANES, REACH, SAMPLES, FINER = 5, 0.8, 1, 8

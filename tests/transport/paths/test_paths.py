@@ -34,6 +34,7 @@ from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher
 from lfmesh.transport.tables.emitting_facets import no_emitters
 from tests.cameras import biconvex
+from tests.instances import instances
 
 INDEX = 1.8
 ALBEDO = 0.5
@@ -159,7 +160,7 @@ def turns(path: NDArray[np.void], seen: Counter[str]) -> float:
     return before, after
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", instances(CAMERAS, long=["lenslets towards the lens"]))
 def test_every_path_brings_light_in_the_class_that_its_vertices_tell(name: str, folder: Path) -> None:
     camera, kinds = CAMERAS[name]
     world = world_of(camera, folder)

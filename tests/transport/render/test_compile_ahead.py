@@ -43,7 +43,7 @@ print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launch
 
 
 @pytest.mark.parametrize(
-    "scene", instances(["first_light", "lit_chart", "aquarium", "tank"], long=["lit_chart", "tank"])
+    "scene", instances(["first_light", "lit_chart", "aquarium", "tank"], long=["lit_chart", "aquarium", "tank"])
 )
 def test_all_that_a_render_needs_is_compiled_ahead(scene: str) -> None:
     code = SIGNATURES.format(scene=scene, split="both")

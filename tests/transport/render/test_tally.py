@@ -156,7 +156,9 @@ def is_within(file: bytes) -> bool:
     return any(name.startswith("partial.") for name in read(file))
 
 
-@pytest.mark.parametrize("way", instances(WAYS, long=["two wavelengths, adaptive", "bands, twelve samples"]))
+@pytest.mark.parametrize(
+    "way", instances(WAYS, long=["two wavelengths, adaptive", "bands, twelve samples", "bands, adaptive"])
+)
 def test_a_render_goes_on_from_any_replicate_and_any_chunk_with_the_same_bits(
     way: str, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]
 ) -> None:

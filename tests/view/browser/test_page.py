@@ -63,6 +63,9 @@ split = "transmit"
 threads = 1
 """
 
+SCREEN = {"width": 1000, "height": 640}
+"""Pixels of the browser's window: a small one, as each is drawn by the processor."""
+
 ANY = 10**9
 """Number of pixels that no picture has."""
 
@@ -158,7 +161,7 @@ class Page:
         self.requests: list[str] = []
         self.faults: list[str] = []
         self.first: dict[str, str] = {}
-        self.tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        self.tab = browser.new_page(viewport=SCREEN)
         self.tab.set_default_timeout(1000.0 * HANGS_S)
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
@@ -257,7 +260,7 @@ def test_on_a_narrow_screen_each_panel_has_the_whole_width(fresh: Page) -> None:
         assert all(box["x"] >= 0.0 and box["width"] > 350.0 and box["x"] + box["width"] <= 390.0 for box in boxes)
         assert all(above["y"] + above["height"] <= below["y"] for above, below in pairwise(boxes))
     finally:
-        fresh.redrawn(lambda: fresh.tab.set_viewport_size({"width": 1280, "height": 800}))
+        fresh.redrawn(lambda: fresh.tab.set_viewport_size(SCREEN))
 
 
 def test_a_click_on_a_ray_shows_its_history(fresh: Page) -> None:

@@ -55,7 +55,9 @@ def powers_by_rays(world: lf.World, exact: ExactGhosts) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("name", instances(ARRAYS, long=["square", "concave", "cylinders"]))
+@pytest.mark.parametrize(
+    "name", instances(ARRAYS, long=["square", "concave", "cylinders", "hexagonal, curved side to the sensor"])
+)
 def test_ghosts_of_the_array_have_the_power_that_rays_find(name: str) -> None:
     world = lf.build(lf.Scene(camera=camera(**ARRAYS[name])))
     exact = exact_ghosts(world, POINT)

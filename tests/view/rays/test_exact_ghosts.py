@@ -18,6 +18,7 @@ from lfmesh.view.rays.history import history
 from lfmesh.view.rays.launch import from_field_point, from_pixels
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.request import together
+from tests.instances import instances
 
 POINT = (4.0, 3.0, -300.0)
 SEEDS = 8
@@ -66,7 +67,9 @@ def rays(world):
     return launched(world)
 
 
-@pytest.mark.parametrize("behind", ["array", "cover and sensor", "cover that absorbs"])
+@pytest.mark.parametrize(
+    "behind", instances(["array", "cover and sensor", "cover that absorbs"], long=["array", "cover and sensor"])
+)
 def test_image_path_and_ghosts_have_the_power_that_rays_find(request, behind):
     camera = request.getfixturevalue("scene" if behind == "array" else "covered")
     if behind == "cover that absorbs":

@@ -1,0 +1,66 @@
+"""Cache of findings about a camera: renders with other lamps, a white image or a study ask for the same again."""
+
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+KEPT = 8
+"""Number of cameras whose findings are cached, the latest ones asked for."""
+
+
+class Kept(Generic[T]):
+    """Cache of one kind of finding, by digests of what it follows from."""
+
+    def __init__(self) -> None:
+        self._found: OrderedDict[bytes, T] = OrderedDict()
+        self._access = threading.Lock()
+
+    def of(self, key: bytes, find: Callable[[], T]) -> T:
+        """Return what was found under a key, or find it.
+
+        Parameters
+        ----------
+        key : bytes
+            See `digest_of`.
+        find : callable
+            Returns the finding; called without arguments.
+        """
+        with self._access:
+            if key in self._found:
+                self._found.move_to_end(key)
+                return self._found[key]
+        found = find()
+        with self._access:
+            self._found[key] = found
+            while len(self._found) > KEPT:
+                self._found.popitem(last=False)
+        return found
+
+
+def digest_of(*values: Any) -> bytes:
+    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`.
+
+    Parameters
+    ----------
+    *values : array, tuple or object
+
+    Returns
+    -------
+    bytes
+    """
+    hashed = hashlib.blake2b(digest_size=16)
+    for value in values:
+        if isinstance(value, np.ndarray):
+            hashed.update(f"{value.dtype} {value.shape}".encode())
+            hashed.update(value.tobytes())
+        elif isinstance(value, tuple):
+            hashed.update(digest_of(*value))
+        else:
+            hashed.update(repr(value).encode())
+    return hashed.digest()

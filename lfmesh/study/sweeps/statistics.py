@@ -96,13 +96,19 @@ def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
 def mean_square(values: Array) -> Array:
     """Return pseudo-values of the mean square of an estimate, (n,), from its own pseudo-values; noise does not add.
 
+    That of a single value has the error of the value, by first-order propagation.
+
     Parameters
     ----------
     values : (n, ...) float64
         The square is averaged over all axes but the first; with n = 1 they are exact.
     """
-    if len(values) == 1:
+    n, mean = len(values), values.mean(axis=0)
+    if n == 1:
         return np.array([(values**2).mean()])
+    if mean.size == 1:
+        single = values.reshape(n)
+        return np.asarray(mean.item() ** 2 - single.var(ddof=1) / n + 2.0 * mean.item() * (single - mean.item()))
     products = inner_products(list(values))
     return of_products(lambda use: np.array([independent_product(chosen(products, use))]), products)[:, 0]
 

@@ -247,7 +247,7 @@ class Comparison:
 
     @cached_property
     def reference_light(self) -> Array:
-        """What each part of these films adds to their means, (parts, replicates), W."""
+        """Shares of the parts of these films in their means, (parts, replicates), W."""
         films = self.reference_films["scene"]
         return np.stack([in_parts(film).sum(axis=1) / film.size for film in films], axis=1)
 

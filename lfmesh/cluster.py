@@ -92,7 +92,7 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
     ClusterWarning
         It is waited for a worker or the scheduler.
     """
-    since, said = time.monotonic(), False
+    lacks = _lacks(client)
     while True:
         try:
             future = done.get(timeout=1.0)
@@ -103,6 +103,36 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
             time.sleep(0.5)
         except Empty:
             pass
+        next(lacks)
+
+
+def wait_for_worker(client: Any) -> None:
+    """Return once a cluster has a worker.
+
+    Parameters
+    ----------
+    client : distributed.Client
+
+    Raises
+    ------
+    LfmeshError
+        As `next_done`.
+
+    Warns
+    -----
+    ClusterWarning
+        It is waited for a worker or the scheduler.
+    """
+    for lack in _lacks(client):
+        if not lack:
+            return
+        time.sleep(0.5)
+
+
+def _lacks(client: Any) -> Iterator[str]:
+    """Yield what keeps a cluster from computing, "" if nothing does; warn of what lasts, raise if it does not end."""
+    since, said = time.monotonic(), False
+    while True:
         lack = _lack_of(client)
         now = time.monotonic()
         if not lack:
@@ -111,7 +141,8 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
             raise _ended(lack)
         elif now - since > SAID_SECONDS and not said:
             said = True
-            warnings.warn(f"--dask: {lack}: waiting for up to {ENDS_SECONDS:.0f} s", ClusterWarning, stacklevel=2)
+            warnings.warn(f"--dask: {lack}: waiting for up to {ENDS_SECONDS:.0f} s", ClusterWarning, stacklevel=3)
+        yield lack
 
 
 def _ended(lack: str) -> LfmeshError:

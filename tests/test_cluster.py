@@ -68,16 +68,21 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
         process.wait()
 
 
+@pytest.mark.parametrize("command", ["render", "study"])
 def test_a_scheduler_without_workers_is_waited_for_with_words_and_an_end(
-    scheduler: tuple[Any, str], monkeypatch: pytest.MonkeyPatch
+    command: str, scheduler: tuple[Any, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(cluster, "SAID_SECONDS", 0.5)
     monkeypatch.setattr(cluster, "ENDS_SECONDS", 3.0)
+    run = {
+        "render": lambda: render_on_cluster(small_scene(), scheduler[1]),
+        "study": lambda: shifted(1, ("chief_rays",)).run(tmp_path, dask=scheduler[1]),
+    }[command]
     with (
         pytest.warns(cluster.ClusterWarning, match="no worker has joined the scheduler: waiting for up to 3 s"),
         pytest.raises(lf.LfmeshError, match="no worker has joined the scheduler; what is finished is kept"),
     ):
-        render_on_cluster(small_scene(), scheduler[1])
+        run()
 
 
 def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(

@@ -91,7 +91,10 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
     elif camera.mla is not None:
         sharp = camera.mla.pitch_mm * f_number
-        planes = ((near, depth), (distance, 0.0), (far, -depth))
+        # The farthest photograph is one of infinity, not of image points before its own.
+        infinity = lens.bfl_mm - image
+        infinity /= 1 + quotient(infinity, pupil_to_plane)
+        planes = ((near, depth), (distance, 0.0), (far, max(-depth, infinity)))
         refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
     seen = quotient(pupil_to_plane + image - plane, pupil_to_plane) if math.isfinite(pupil_to_plane) else 1.0
     longest = scene.reach_nm[1]

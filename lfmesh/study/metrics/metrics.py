@@ -30,7 +30,9 @@ from lfmesh.study.metrics.similarity import structural_similarity
 from lfmesh.study.sweeps.statistics import (
     Estimate,
     Numbers,
+    chosen,
     combined,
+    in_parts,
     independent_product,
     inner_products,
     mean_square,
@@ -234,19 +236,20 @@ class Comparison:
 
     @cached_property
     def products(self) -> Array:
-        """Mean products of the films of the scene, the camera's before the reference's, less their means."""
+        """Products of the films of the scene by parts, the camera's before the reference's, less their means."""
         both = [*self.films["scene"], *self.reference_films["scene"]]
         return inner_products([film - film.mean() for film in both])
 
     @cached_property
     def reference_products(self) -> Array:
-        """Mean products of the reference's films of the scene, W²."""
+        """Products of the reference's films of the scene by parts, W²."""
         return inner_products(list(self.reference_films["scene"]))
 
     @cached_property
     def reference_light(self) -> Array:
-        """Mean of each of these films, W."""
-        return np.asarray(self.reference_films["scene"].mean(axis=(1, 2, 3)))
+        """Shares of the parts of these films in their means, (parts, replicates), W."""
+        films = self.reference_films["scene"]
+        return np.stack([in_parts(film).sum(axis=1) / film.size for film in films], axis=1)
 
     def peak(self, use: Numbers) -> float:
         """Return the brightness of white in the reference's picture, W: its mean square over its mean.
@@ -254,8 +257,8 @@ class Comparison:
         It is that of white where a picture is black and white, and lower in others. The brightest pixel would be that
         of the largest noise.
         """
-        light = float(self.reference_light[use].mean())
-        square = independent_product(self.reference_products[np.ix_(use, use)])
+        light = float(self.reference_light[:, use].sum(axis=0).mean())
+        square = independent_product(chosen(self.reference_products, use))
         return square / light if light > 0.0 and square > 0.0 else math.nan
 
     @property
@@ -282,20 +285,21 @@ def _psnr(pair: Comparison) -> Array:
     squares, light = pair.reference_products, pair.reference_light
 
     def estimate(use: Numbers) -> Array:
-        return np.array([independent_product(differences[np.ix_(use, use)]) / pair.peak(use) ** 2])
+        return np.array([independent_product(chosen(differences, use)) / pair.peak(use) ** 2])
 
     square = independent_product(differences)
-    mean, of_light = light.mean(), independent_product(squares)
-    moved = (light[:, None] + light[None, :]) / mean - 2.0 * squares / of_light
+    mean, of_light = light.sum(axis=0).mean(), independent_product(squares)
+    moved = (light[:, :, None] + light[:, None, :]) / mean - 2.0 * squares / of_light
     return of_products(estimate, differences + square * moved)
 
 
 def _ncc(pair: Comparison) -> Array:
     n, products = pair.replicates, pair.products
-    own, other, both = products[:n, :n], products[n:, n:], 0.5 * (products[:n, n:] + products[n:, :n])
+    own, other = products[:, :n, :n], products[:, n:, n:]
+    both = 0.5 * (products[:, :n, n:] + products[:, n:, :n])
 
     def estimate(use: Numbers) -> Array:
-        one, two, mixed = (independent_product(each[np.ix_(use, use)]) for each in (own, other, both))
+        one, two, mixed = (independent_product(chosen(each, use)) for each in (own, other, both))
         return np.array([mixed / math.sqrt(one * two) if one > 0.0 and two > 0.0 else math.nan])
 
     one, two, mixed = map(independent_product, (own, other, both))
@@ -339,14 +343,14 @@ def _noise(pair: Comparison) -> Array:
     products = inner_products(list(pair.films["scene"]))
 
     def estimate(use: Numbers) -> Array:
-        own = products[np.ix_(use, use)]
-        signal = np.float64(independent_product(own))
+        signal = np.float64(independent_product(chosen(products, use)))
         # Of the mean of all replicates, whatever number the estimate is from.
-        return np.array([(float(np.trace(own)) / len(use) - signal) / pair.replicates / signal])
+        return np.array([(own[:, use].sum() / len(use) - signal) / pair.replicates / signal])
 
-    own = np.diag(products)
+    own = products.diagonal(axis1=1, axis2=2)
     signal = np.float64(independent_product(products))
-    return of_products(estimate, 0.5 * (own[:, None] + own[None, :]) - products * own.mean() / signal)
+    mean = own.sum(axis=0).mean()
+    return of_products(estimate, 0.5 * (own[:, :, None] + own[:, None, :]) - products * mean / signal)
 
 
 def _centres(pair: Comparison) -> Array:

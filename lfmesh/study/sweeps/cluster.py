@@ -5,7 +5,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from lfmesh.cluster import RETRIES, connected, next_done, threads_of
+from lfmesh.cluster import RETRIES, connected, next_done, threads_of, wait_for_worker
 from lfmesh.regular_file import read_bytes
 from lfmesh.study.sweeps.pool import Result, computed
 from lfmesh.study.sweeps.unit import Unit
@@ -30,7 +30,7 @@ def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> I
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, there is no scheduler at the address, or it is gone.
+        dask.distributed is not installed, there is no scheduler at the address, it has no worker, or it is gone.
     """
     with connected(address, workers) as client:
         yield from _through(client, units)
@@ -42,18 +42,28 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
     owners: dict[str, Unit] = {}
     waiting = iter(units)
 
+    def spread(path: Path) -> Any:
+        while True:
+            wait_for_worker(client)
+            try:
+                return client.scatter(read_bytes(path), broadcast=True, hash=False)
+            except TimeoutError:
+                # The last worker left in between.
+                continue
+
     def submit() -> bool:
         job = next(waiting, None)
         if job is None:
             return False
         unit, path = job
         if path not in references:
-            references[path] = client.scatter(read_bytes(path), broadcast=True, hash=False)
+            references[path] = spread(path)
         future = client.submit(computed, unit, references[path], pure=False, retries=RETRIES)
         owners[future.key] = unit
         future.add_done_callback(done.put)
         return True
 
+    wait_for_worker(client)
     for _ in range(AHEAD * threads_of(client)):
         if not submit():
             break

@@ -35,6 +35,9 @@ LINE_IN, GAP_IN = 0.17, 0.09
 TICKS = 5
 """Steps between the numbers below a panel: more would touch."""
 
+CROWDED = 4e-6
+"""Share of a value by which the numbers beside a panel have to differ to be told apart by eight letters."""
+
 TITLE_LETTERS = 34
 """In a line of a panel's title: no more fit above it."""
 
@@ -191,11 +194,17 @@ def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> s
             one(panel)
             panel.set_xlabel(below)
             panel.tick_params(labelsize=8)
-            panel.ticklabel_format(axis="y", useOffset=False) if _is_plain(panel.yaxis) else None
+            panel.ticklabel_format(axis="y", useOffset=_is_crowded(panel)) if _is_plain(panel.yaxis) else None
             panel.locator_params(axis="x", nbins=TICKS) if _is_plain(panel.xaxis) else None
             finish(panel, words)
 
     return _figure(draw, title, size)
+
+
+def _is_crowded(panel: Any) -> bool:
+    """Return whether the numbers on the left have more digits than there is room for."""
+    low, high = panel.get_ylim()
+    return bool(high - low < CROWDED * abs(high))
 
 
 def _lines(words: str) -> int:

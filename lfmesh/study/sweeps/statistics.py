@@ -35,40 +35,60 @@ def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Arra
     return whole + (replicates - 1) * (without.mean(axis=0) - without)
 
 
+PARTS = 64
+"""Of a picture, from which it is told what of an error each pair of replicates has of its own."""
+
+
+def in_parts(image: Array) -> Array:
+    """Return an image as contiguous parts of equal size, (PARTS, n) float64; the last ones end in zeros."""
+    flat = image.reshape(-1)
+    length = -(-flat.size // PARTS)
+    return np.pad(flat, (0, PARTS * length - flat.size)).reshape(PARTS, length)
+
+
 def inner_products(images: Sequence[Array]) -> Array:
-    """Return the means of the products of images, pixel by pixel, as a symmetric matrix.
+    """Return what each part of images adds to the means of their products, symmetric matrices, (PARTS, n, n).
 
     Without a matrix product: the bits of that may depend on the number of threads.
     """
-    flat = [image.reshape(-1) for image in images]
-    products = np.empty((len(flat), len(flat)))
-    for i, one in enumerate(flat):
+    parts, size = [in_parts(image) for image in images], images[0].size
+    products = np.empty((PARTS, len(parts), len(parts)))
+    for i, one in enumerate(parts):
         for j in range(i + 1):
-            products[i, j] = products[j, i] = float((one * flat[j]).mean())
+            products[:, i, j] = products[:, j, i] = (one * parts[j]).sum(axis=1) / size
     return products
 
 
 def independent_product(products: Array) -> float:
-    """Return the mean of a matrix of products of replicates without its diagonal: noise is independent there."""
-    n = len(products)
-    return float((products.sum() - np.trace(products)) / (n * (n - 1)))
+    """Return the mean product of different replicates, whose noise is independent, from the products by parts."""
+    whole = products.sum(axis=0)
+    n = len(whole)
+    return float((whole.sum() - np.trace(whole)) / (n * (n - 1)))
+
+
+def chosen(products: Array, use: Numbers) -> Array:
+    """Return the products of some replicates, (PARTS, len(use), len(use))."""
+    return products[:, use[:, None], use]
 
 
 def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
     """Return the jackknife pseudo-values of an estimate that follows from products of pairs of replicates, (n, 1).
 
     The jackknife takes the part of the variance that each pair has of its own 2(n − 1)/(n − 2) times: of four
-    replicates three times (Efron and Stein 1981). That part is found from what of the kernel is no sum over the two
-    replicates of a pair, and the pseudo-values are drawn together to the variance without the excess.
+    replicates three times (Efron and Stein 1981). How much of it that is, is found from what of the kernel is no sum
+    over the two replicates of a pair, and the pseudo-values are drawn together to the variance without the excess. Two
+    degrees of freedom of four replicates would not tell; those of all parts of a picture do, as the noise of different
+    parts is independent.
 
     Parameters
     ----------
     estimate : callable
         As for `pseudo_values`; one column.
-    kernel : (n, n) float64
-        By how much each pair moves the estimate, up to a factor; symmetric, the diagonal does not count.
+    kernel : (parts, n, n) float64
+        By how much each pair moves the estimate in each part of the picture, up to a factor; symmetric, the diagonals
+        do not count.
     """
-    pseudo = pseudo_values(estimate, len(kernel))
+    pseudo = pseudo_values(estimate, kernel.shape[-1])
     mean = pseudo.mean(axis=0)
     return np.asarray(mean + math.sqrt(_share_without_excess(kernel)) * (pseudo - mean))
 
@@ -76,34 +96,46 @@ def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
 def mean_square(values: Array) -> Array:
     """Return pseudo-values of the mean square of an estimate, (n,), from its own pseudo-values; noise does not add.
 
+    That of a single value has the error of the value, by first-order propagation.
+
     Parameters
     ----------
     values : (n, ...) float64
         The square is averaged over all axes but the first; with n = 1 they are exact.
     """
-    if len(values) == 1:
+    n, mean = len(values), values.mean(axis=0)
+    if n == 1:
         return np.array([(values**2).mean()])
+    if mean.size == 1:
+        single = values.reshape(n)
+        return np.asarray(mean.item() ** 2 - single.var(ddof=1) / n + 2.0 * mean.item() * (single - mean.item()))
     products = inner_products(list(values))
-    return of_products(lambda use: np.array([independent_product(products[np.ix_(use, use)])]), products)[:, 0]
+    return of_products(lambda use: np.array([independent_product(chosen(products, use))]), products)[:, 0]
 
 
 def _share_without_excess(kernel: Array) -> float:
     """Return the variance of a mean over pairs over the jackknife's."""
-    n = len(kernel)
+    n = kernel.shape[-1]
     if n < LEAST_PAIRED or not np.isfinite(kernel).all():
         return 1.0
-    pairs = kernel - np.diag(np.diag(kernel))
-    sums = pairs.sum(axis=1)
-    jackknife = 4.0 * float(((sums - sums.mean()) ** 2).sum()) / (n * (n - 1) * (n - 2) ** 2)
-    if not jackknife > 0.0:
+    pairs = np.where(np.eye(n, dtype=np.bool_), 0.0, kernel)
+    sums = pairs.sum(axis=2)
+    totals = sums.sum(axis=1)
+    jackknife = 4.0 * ((sums - totals[:, None] / n) ** 2).sum(axis=1) / (n * (n - 1) * (n - 2) ** 2)
+    total = float(jackknife.sum())
+    if not total > 0.0:
         return 1.0
-    rest = pairs - (sums[:, None] + sums[None, :]) / (n - 2) + sums.sum() / ((n - 1) * (n - 2))
+    # Of equal weight.
+    parts = 1.0 / float(((jackknife / total) ** 2).sum())
+    mean = totals[:, None, None] / ((n - 1) * (n - 2))
+    rest = pairs - (sums[:, :, None] + sums[:, None, :]) / (n - 2) + mean
+    first, second = np.triu_indices(n, 1)
     # The pairs' own variance by the rest, with a degree of freedom for that it is all that the jackknife has.
     excessive, degrees = 4.0 / (n * (n - 2)), 0.5 * n * (n - 3)
-    own = (float((rest[np.triu_indices(n, 1)] ** 2).sum()) + jackknife / excessive) / (degrees + 1.0)
+    own = (excessive * float((rest[:, first, second] ** 2).sum()) + total / parts) / (degrees + 1.0 / parts)
     # No more than all of it is the pairs' own.
     least = 0.5 * (n - 2) / (n - 1)
-    return max(1.0 - (1.0 - least) * own * excessive / jackknife, least)
+    return max(1.0 - (1.0 - least) * own / total, least)
 
 
 LEAST_PAIRED = 4

@@ -127,10 +127,15 @@ def test_a_conventional_camera_samples_by_pixels(scene: Scene) -> None:
         assert away * facts.exit_pupil_diameter_mm == pytest.approx(0.012, rel=1e-9)
 
 
-@pytest.mark.parametrize("side", ["lens", "sensor"])
-def test_refocused_photographs_are_sharp_while_a_point_spreads_over_a_lenslet(scene: Scene, side: str) -> None:
-    """Lines from both edges of the exit pupil to the image point, shifted for the refocused plane, a pitch apart."""
-    ready = solved(scene.changed({"camera.mla.curved_side": side}))
+@pytest.mark.parametrize(("side", "focus_mm"), [("lens", 500.0), ("sensor", 500.0), ("lens", 3000.0)])
+def test_refocused_photographs_are_sharp_while_a_point_spreads_over_a_lenslet(
+    scene: Scene, side: str, focus_mm: float
+) -> None:
+    """Lines from both edges of the exit pupil to the image point, shifted for the refocused plane, a pitch apart.
+
+    The camera focused on 3000 mm can be refocused to infinity, where its depth of field begins at a finite distance.
+    """
+    ready = solved(scene.changed({"camera.mla.curved_side": side, "camera.focus_mm": focus_mm}))
     facts = first_order(ready)
     lens = Paraxial.of(ready.camera.lens, 587.6)
 
@@ -142,8 +147,9 @@ def test_refocused_photographs_are_sharp_while_a_point_spreads_over_a_lenslet(sc
 
     planes = (facts.near_mm, facts.object_distance_mm, facts.far_mm)
     assert tuple(row[0] for row in facts.refocused_mm) == planes
+    assert math.isinf(facts.far_mm) == (focus_mm == 3000.0)
     for plane, near, far in facts.refocused_mm:
-        assert near < plane < far
+        assert near < plane <= far
         for end in (near, far):
             if math.isfinite(end):
                 assert 2 * abs(crossing(end) - crossing(plane)) == pytest.approx(0.12, rel=1e-9)

@@ -53,6 +53,17 @@ def test_it_shows_figures_pictures_fields_and_all_points(folder: Path) -> None:
     assert page.count("±") > 5
 
 
+@pytest.mark.parametrize("change_mm", [3e-8, 3e-5, 3e-2])
+def test_numbers_beside_panels_have_room_however_little_a_metric_changes(change_mm: float, tmp_path: Path) -> None:
+    """Pitches that differ by 1e-9, which is rounding, by 1e-6 and by 1e-3: eight letters at most."""
+    axis = {"path": "camera.mla.pose.shift_mm[2]", "values": [-change_mm, change_mm]}
+    lf.Study(small_scene(), axes=[axis], metrics=["chief_rays"]).run(tmp_path, workers=0)
+    page = (tmp_path / "report.html").read_text()
+    numbers = re.findall(r"text-anchor: end[^>]*>([^<]*)<", page)
+    assert len(numbers) >= 9
+    assert max(map(len, numbers)) <= 8
+
+
 def test_a_worst_point_is_named_first(folder: Path) -> None:
     page = (folder / "report.html").read_text()
     found = re.search(r"Worst by PSNR: ([^,<]*),", page)

@@ -22,6 +22,7 @@ import lfmesh as lf
 from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.files import sealed
+from lfmesh.scene import inputs
 from lfmesh.study.metrics import metrics
 from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
@@ -497,6 +498,8 @@ def test_what_metrics_find_of_the_reference_alone_is_found_once(
         return plain(white, scene)
 
     monkeypatch.setattr(metrics, "estimate_centres", counted)
+    # Its file is told by its contents throughout, however long the study takes: once it has aged, it is read again.
+    monkeypatch.setattr(inputs, "FRESH_NS", 10**18)
     shifted(4, ("centres",)).run(tmp_path, workers=0)
     # The reference is also a camera of the study, which is compared with itself.
     assert sorted(of_cameras.values()) == [5, 5, 5, 5, 10]

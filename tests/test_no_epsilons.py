@@ -41,7 +41,6 @@ DIMENSIONLESS = {
     "geometry/surfaces/tessellation.py": {"BEND_STEP", "FLOAT32_MARGIN"},
     "geometry/meshes/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
     "transport/aims/fitting.py": {"ALLOWED"},
-    "transport/checks/aim_proof.py": {"ALLOWED_DIFFRACTED"},
     "transport/sequences/stop_rays.py": {"NEAREST"},
     "transport/checks/found.py": {"CUT_SHARE", "OPEN_SHARE"},
     "transport/checks/tails.py": {"BRIGHT"},

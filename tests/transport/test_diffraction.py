@@ -10,8 +10,8 @@ from scipy.special import j1
 
 import lfmesh as lf
 from lfmesh.scene import Camera, Lens, MicrolensArray, Scene, Sensor, Surface, Transport
+from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.aims.support import beyond_sensor_aim
-from lfmesh.transport.checks.aim_proof import ALLOWED_DIFFRACTED
 from lfmesh.transport.sequences.stop_rays import CameraTables, rays_from_stop
 from tests.instances import instances
 
@@ -314,14 +314,14 @@ def test_check_names_the_key_and_is_silent_with_it() -> None:
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_the_aim_holds_all_but_a_thousandth_of_the_diffracted_light(kind: str) -> None:
+def test_the_aim_holds_the_diffracted_light_but_for_far_changes_of_direction(kind: str) -> None:
     world = lf.build(real_size(SMALL[kind]))
     proof = world.aim_proof
     assert proof is not None
     assert proof.diffracted is not None
     assert proof.holds
     assert not proof.fallback
-    assert proof.diffracted.share + 3.0 * proof.diffracted.error < ALLOWED_DIFFRACTED
+    assert proof.diffracted.share + 3.0 * proof.diffracted.error < ALLOWED
     tables, random = world.tables, np.random.default_rng(7)
     through = CameraTables(tables.lens, tables.mla, tables.sensor, tables.frames)
     rays = rays_from_stop(through, 0.05, random)
@@ -329,6 +329,24 @@ def test_the_aim_holds_all_but_a_thousandth_of_the_diffracted_light(kind: str) -
     unmoved = beyond_sensor_aim(world.aim, through, rays._replace(kick=np.zeros_like(rays.kick))) <= 1.0
     # Aimed as if rays had not changed their directions, far more of them would lie outside.
     assert np.count_nonzero(~held) < 0.2 * np.count_nonzero(~unmoved)
+
+
+def spread_of_samples(each: int, replicates: int) -> float:
+    """Return the variance of lit pixels over their squared mean, by replicates of some samples a pixel, times these."""
+    image = lf.render(real_size({}, samples=each * replicates).changed({"transport.replicates": replicates}))
+    lit = image.mean > 0.3 * image.mean.max()
+    return float((image.stderr[lit] ** 2 / image.mean[lit] ** 2).mean()) * each * replicates
+
+
+def test_samples_of_a_pixel_change_their_directions_evenly_and_none_is_heavy() -> None:
+    """A white picture's 1,000 pixels by 64 replicates: the mean of their variances has an error of 0.6 %.
+
+    Of random changes, each sample that misses the opening or meets it would have as much as one alone, for any number
+    of samples.
+    """
+    alone, together = spread_of_samples(1, 64), spread_of_samples(64, 64)
+    assert alone < 1.0
+    assert together < 0.8 * alone
 
 
 def test_two_wavelengths_are_each_blurred_by_their_own_pattern() -> None:

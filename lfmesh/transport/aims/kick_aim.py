@@ -6,8 +6,6 @@ the direction before the change, and in the direction of the opening's centre. S
 them, whatever the change, and next to all rays reach the opening, with the weights that they have without diffraction.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,47 +13,27 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.lenslet_aim import ArraySeen, list_cells
 from lfmesh.transport.aims.lenslet_faces import path_to_apexes
-from lfmesh.transport.events.kick import drawn_kick
 
 Array = NDArray[np.float64]
 
-SEARCH_AFTER_KICK = 2.0
-"""Factor on the distance at which lenslets are looked for, as changes of direction widen their views."""
+SEARCH_AFTER_KICK, FURTHEST_SEARCH = 2.0, 5.0
+"""Factor on the distance at which lenslets are looked for, as changes of direction widen their views, and that for the
+widest ones."""
 
 SHIFT_IN_REACH, GROWTH_IN_REACH = 0.5, 1.25
 """Shift in pitches of the point that needs no change of direction, and growth of the views, up to which a sample takes
 the lenslets that were listed for its pixel. The few samples beyond list their own, which takes far longer."""
 
-MOST_GROWTH, WIDE_SHARE_AFTER_KICK = 2.0, 0.5
-"""Growth of the views above which changes of direction are far, and the share of rays that go anywhere among samples
-with such a one. Where lenslets are some twenty wavelengths wide, each hundredth ray is turned so far that the opening
-is seen from nowhere, or in a view that no factor describes. They bring little light, which few and heavy rays would
-gather in bright pixels."""
+MOST_GROWTH = 1.02
+"""Growth of the views above which changes of direction are far, so that rays go anywhere, too, and the proof of the aim
+leaves them out. Where lenslets are some twenty wavelengths wide, each tenth ray is, and each hundredth one is turned so
+far that the opening is seen from nowhere, or in a view that no factor describes."""
 
-EVENTS_OF_COVER, EVENTS_BEHIND_FACES = 2, 2
-"""Interfaces that a packet from a pixel meets in the sensor's cover, and until it has left lenslets that look to the
-lens. Those that look to the sensor diffract it before it meets any."""
+WIDE_SHARE_BY_GROWTH, MOST_WIDE_SHARE = 2.5, 0.5
+"""Share of rays that go anywhere among samples with a far change of direction, over the growth beyond 1, and the most.
 
-
-@inlined
-def first_kick(apertures: Any, array: ArraySeen, colour: int, key: np.uint64, has_cover: bool) -> tuple[float, float]:
-    """Return the change of direction of a packet from a pixel at the first lenslet that it meets.
-
-    Parameters
-    ----------
-    apertures : Apertures or None
-    array : ArraySeen
-    colour : int
-        Number of the wavelength.
-    key : uint64
-        Of the packet.
-    has_cover : bool
-        The sensor has a cover.
-    """
-    if apertures is None:
-        return 0.0, 0.0
-    events = EVENTS_OF_COVER if has_cover else 0
-    return drawn_kick(apertures, colour, key, events + (EVENTS_BEHIND_FACES if apertures.to_lens else 0))
+The views miss some thousandths of the light at a growth of 1.1, and some hundredths at 1.5. Rays that go anywhere weigh
+some sixty times as much as those to the views, over this share: fewer would gather that light in bright pixels."""
 
 
 @kernel
@@ -70,9 +48,8 @@ def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float]
     lateral, deep = extent
     pitch, depth = array.mla.lenslets.lattice.pitch, abs(p[2] - array.aim.apex_z)
     # A difference in depth widens the views that are listed by this factor, and a little more.
-    return list_cells(
-        array, p, (lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)), near
-    )
+    extent = lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)
+    return list_cells(array, p, extent, SEARCH_AFTER_KICK, near)
 
 
 @inlined
@@ -105,7 +82,8 @@ def list_cells_after_kick(array: ArraySeen, growth: float, seen_from: Vector, ne
     """
     if not growth > 0.0:
         return 0
-    return list_cells(array, seen_from, (0.0, (growth - 1.0) * abs(seen_from[2] - array.aim.apex_z)), near)
+    extent = 0.0, (growth - 1.0) * abs(seen_from[2] - array.aim.apex_z)
+    return list_cells(array, seen_from, extent, min(max(growth, SEARCH_AFTER_KICK), FURTHEST_SEARCH), near)
 
 
 @inlined
@@ -121,7 +99,7 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
     p : (3,) float, mm
         Array frame.
     kick : (2,) float
-        See `first_kick`.
+        See `events.kick.drawn_kick`.
     """
     aim, (air, plate, _) = array.aim, path_to_apexes(array.mla, p[2])
     over, kappa = 1.0 / abs(p[2] - aim.apex_z), aim.pupil_vergence
@@ -136,9 +114,33 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
         return 0.0, p
     across, before = _shift(cx, cy, air, plate, array.glass), _shift(bx, by, air, plate, array.glass)
     ratio = after2 / before2
-    growth = (1.0 + np.sqrt(kick[0] * kick[0] + kick[1] * kick[1])) * max(1.0, ratio * np.sqrt(ratio))
+    growth = (1.0 + kick[0] * kick[0] + kick[1] * kick[1]) * max(1.0, ratio * np.sqrt(ratio))
     lever = array.mla.apertures.lever
     return growth, (p[0] + lever * (bx * before - cx * across), p[1] + lever * (by * before - cy * across), p[2])
+
+
+@inlined
+def is_far(growth: float) -> bool:
+    """Tell whether a change of direction is far, so that light comes from elsewhere, too: see `MOST_GROWTH`.
+
+    Parameters
+    ----------
+    growth : float
+        From `without_kick`.
+    """
+    return not 0.0 < growth <= MOST_GROWTH
+
+
+@inlined
+def wide_share_after_kick(growth: float) -> float:
+    """Return the share of rays that go anywhere among samples with a far change of direction.
+
+    Parameters
+    ----------
+    growth : float
+        From `without_kick`.
+    """
+    return min(WIDE_SHARE_BY_GROWTH * (growth - 1.0), MOST_WIDE_SHARE) if growth > 0.0 else MOST_WIDE_SHARE
 
 
 @inlined

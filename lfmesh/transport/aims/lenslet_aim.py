@@ -117,9 +117,9 @@ class Shown(NamedTuple):
     on_wider: float
 
 
-def most_listed(aim: LensletAim) -> int:
-    """Return the largest number of lenslets that `list_cells` may list."""
-    most = (2.0 * aim.search + 1.0) * (2.0 * aim.search / ROW_SPACING + 1.0)
+def most_listed(aim: LensletAim, wider: float = 1.0) -> int:
+    """Return the largest number of lenslets that `list_cells` may list, with its `wider`."""
+    most = (2.0 * wider * aim.search + 1.0) * (2.0 * wider * aim.search / ROW_SPACING + 1.0)
     return int(min(most, len(aim.slope_radius2)))
 
 
@@ -135,7 +135,7 @@ def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
 
 
 @pasted
-def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
+def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], wider: float, near: Array) -> int:
     """List the lenslets that may show the lens's opening to points of a pixel.
 
     A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
@@ -149,6 +149,8 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: A
         Centre of the pixel, array frame.
     extent : (2,) float, mm
         See `pixel_extent`.
+    wider : float
+        Factor on the distance at which lenslets are looked for.
     near : (n, LISTED) float64
         Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
         its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
@@ -167,7 +169,7 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], near: A
     # Where the chief ray meets the array.
     chief_x = (kappa * aim.pupil_x + over * x) / (kappa + over)
     chief_y = (kappa * aim.pupil_y + over * y) / (kappa + over)
-    distance = aim.search * lattice.pitch
+    distance = wider * aim.search * lattice.pitch
     count = 0
     first_row, end_row = rows_near(lattice, chief_y, distance)
     for r in range(first_row, end_row):
@@ -233,7 +235,7 @@ def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
 
 @pasted
 def aimed_through_array(
-    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, choice: float
+    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, choice: float, far: bool
 ) -> tuple[float, float, float, float]:
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
 
@@ -254,6 +256,8 @@ def aimed_through_array(
     choice : float
         From 0 to 1: below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its solid
         angle, else to one by the light that it shows.
+    far : bool
+        The lenslets' views are so wide that all rays together estimate all directions.
     """
     point, by_light = (numbers[CELL_U], numbers[CELL_V]), choice >= unaimed_share(wide) and shown.by_light > 0.0
     if choice < wide:
@@ -267,7 +271,9 @@ def aimed_through_array(
         return 0.0, 0.0, 0.0, 0.0
     cos_theta = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
     density = 0.0
-    if on_cells > 0.0:
+    if far:
+        density = (1.0 - wide) * (on_cells + on_wider) + wide * max(cos_theta, 0.0) / np.pi
+    elif on_cells > 0.0:
         density = (1.0 - wide) * on_cells if by_light else 0.0
     elif choice < wide or (on_wider > 0.0 and not by_light):
         # A margin ray whose face no ray finds, as of a cylinder beyond the layer of faces, is outside the support,

@@ -10,7 +10,7 @@ from lfmesh.geometry.array.lenslets import shape_of, type_of
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import list_cells_after_kick, without_kick
+from lfmesh.transport.aims.kick_aim import FURTHEST_SEARCH, is_far, list_cells_after_kick, without_kick
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
@@ -52,10 +52,8 @@ def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arra
         if aim.exit.wide_share < 1.0:
             _beyond_exit(rays.sensor, aim.exit.opening, through.frames, beyond)
         return beyond
-    near, cells = (
-        np.zeros((most_listed(aim.lenslets) + 1, LISTED)),
-        np.zeros(most_listed(aim.lenslets) + 1, np.int64),
-    )
+    most = most_listed(aim.lenslets, 1.0 if through.mla.apertures is None else FURTHEST_SEARCH)
+    near, cells = np.zeros((most + 1, LISTED)), np.zeros(most + 1, np.int64)
     _outside_cells(
         rays.sensor,
         rays.kick,
@@ -88,7 +86,9 @@ def seen_from_cells(aim: AimTables, through: CameraTables, rays: Rays) -> tuple[
         Distance from the centre of the cell, relative to half the cell as it is aimed at.
     """
     off, radius, out = (np.zeros(len(rays.throughput)) for _ in range(3))
-    _measure_in_cells(rays.sensor, rays.colour, aim.lenslets, through.mla, through.frames, off, radius, out)
+    _measure_in_cells(
+        rays.sensor, rays.kick, rays.colour, aim.lenslets, through.mla, through.frames, off, radius, out
+    )  # fmt: skip
     return off, radius, out
 
 
@@ -175,6 +175,8 @@ def _outside_cells(
         listed, growth, seen_from = _listed(
             mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near
         )  # fmt: skip
+        if is_far(growth):
+            continue
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         shown = cells_that_show(array, near, listed, cells, seen_from, growth * growth)
         on_cells, on_wider = lenslets_density(array, shown, p, d)
@@ -196,15 +198,23 @@ def _listed(
         Its centre, and the point of the ray.
     kick : (2,) float
     """
+    growth, seen_from = _seen_after_kick(apertures, array, p, kick)
     if apertures is None:
-        return list_cells(array, pixel, extent, near), 1.0, p
-    growth, seen_from = without_kick(array, p, kick)
+        return list_cells(array, pixel, extent, 1.0, near), growth, seen_from
     return list_cells_after_kick(array, growth, seen_from, near), growth, seen_from
+
+
+@inlined
+def _seen_after_kick(apertures: Any, array: ArraySeen, p: Vector, kick: Any) -> tuple[float, Vector]:
+    """Return the growth of views by a change of direction, and the point that sees them without; see `without_kick`."""
+    if apertures is None:
+        return 1.0, p
+    return without_kick(array, p, (kick[0], kick[1]))
 
 
 @kernel
 def _measure_in_cells(
-    rays: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, frames: Array,
+    rays: Array, kick: Array, colour: NDArray[np.int64], aim: LensletAim, mla: MlaTables, frames: Array,
     off: Array, radius: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the results of `seen_from_cells`; a ray close to a border is measured in the likelier of the cells."""
@@ -219,6 +229,7 @@ def _measure_in_cells(
         q = np.sqrt(glass * glass + (glass * glass - 1.0) * (sx * sx + sy * sy))
         gx, gy = growth * sx / q, growth * sy / q
         px, py = x + sx * air + sx / q * depth, y + sy * air + sy / q * depth
+        wider, seen_from = _seen_after_kick(mla.apertures, ArraySeen(mla, aim, glass), (x, y, z), kick[i])
         middle = 0.5 * (mla.lenslets.top + mla.lenslets.valley)
         column, row = cell_of(lattice, px + gx * middle, py + gy * middle)
         off[i], radius[i], out[i] = np.inf, 1.0, np.inf
@@ -231,10 +242,10 @@ def _measure_in_cells(
                 met, ax, ay = on_lenslet(
                     mla.lenslets, kind, curvature, px - cx - ex, py - cy - ey, gx, gy, mla.curved_to_lens
                 )
-                a, b = (cx - x) * over - aim.slope[cell, 0], (cy - y) * over - aim.slope[cell, 1]
+                a, b = (cx - seen_from[0]) * over - aim.slope[cell, 0], (cy - seen_from[1]) * over - aim.slope[cell, 1]
                 slope, place = np.sqrt(a * a + b * b), half_width_to(lattice, ax + ex, ay + ey) / half
                 if not met or max(place, 1.0) > max(out[i], 1.0):
                     continue
                 if max(place, 1.0) < max(out[i], 1.0) or slope < off[i]:
                     off[i], out[i] = slope, place
-                    radius[i] = np.sqrt(aim.slope_radius2[cell]) if aim.slope_radius2[cell] > 0.0 else -1.0
+                    radius[i] = wider * np.sqrt(aim.slope_radius2[cell]) if aim.slope_radius2[cell] > 0.0 else -1.0

@@ -17,7 +17,6 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.transport.aims.aim_table import Shapes, aim_table, has_glass
 from lfmesh.transport.aims.fitting import ALLOWED, fitted, shown_by, widened
 from lfmesh.transport.aims.kept import Kept, digest_of
-from lfmesh.transport.aims.kick_aim import SEARCH_AFTER_KICK
 from lfmesh.transport.aims.lenslet_view import unmeasured_light
 from lfmesh.transport.aims.mixture import WIDE_SHARE_OF_FALLBACK, anywhere
 from lfmesh.transport.aims.near_points import NearViewpoints
@@ -48,10 +47,6 @@ of the light (with 95 % confidence), and main rays do not go there."""
 FEW_CELLS = 6.5
 """Value of `AimTables.search`, in pitches, above which the views are taken to be far too wide."""
 
-
-ALLOWED_DIFFRACTED = 1e-3
-"""Share that the aim from the sensor may miss after diffraction, of whose long tails views hold all but the furthest.
-Rays that go anywhere find it."""
 
 GROWTH_OF_VIEWS = (1.0, 2.0, 3.0)
 """Factors on the radii of lenslets' views with which the aim after diffraction is tried."""
@@ -96,7 +91,8 @@ class AimProof(NamedTuple):
     fitted : int
         Number of times that the aim was fitted to rays.
     diffracted : Missed, optional
-        Of a camera whose lenslets diffract: share missed by the aim from the sensor after diffraction.
+        Of a camera whose lenslets diffract: share missed by the aim from the sensor after diffraction, but for changes
+        of direction that are far, see `kick_aim.MOST_GROWTH`.
     fallback : bool
         Whether the fitted aim still missed more than is allowed, so that more rays, or all, go anywhere.
 
@@ -113,7 +109,7 @@ class AimProof(NamedTuple):
     @property
     def holds(self) -> bool:
         """True if the share that the aim misses is allowed, with the `CONFIDENCE` of its bound."""
-        return self.most <= ALLOWED and (self.diffracted is None or self.diffracted.share <= ALLOWED_DIFFRACTED)
+        return self.most <= ALLOWED and (self.diffracted is None or self.diffracted.share <= ALLOWED)
 
     @property
     def is_open(self) -> bool:
@@ -176,8 +172,9 @@ def _proven_aim(
 def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -> tuple[AimTables, AimProof | None]:
     """Return the aim of a camera whose lenslets diffract, and its proof, by those without diffraction.
 
-    Lenslets' views grow until they hold the light that crosses to neighbours in the plate, and where they are needed.
-    Where the aim still misses more than is allowed, half of the rays go anywhere.
+    Lenslets' views grow until they hold the light that crosses to neighbours in the plate, and where they are needed;
+    the light over them is measured after diffraction. Where the aim still misses more than is allowed, half of the rays
+    go anywhere.
 
     Parameters
     ----------
@@ -186,7 +183,6 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
     through : CameraTables
         With diffraction.
     """
-    aim = aim._replace(lenslets=aim.lenslets._replace(search=SEARCH_AFTER_KICK * aim.lenslets.search))
     if proof is None:
         return aim, None
     random = np.random.default_rng(0x6B1C)
@@ -197,14 +193,12 @@ def _diffracted(aim: AimTables, proof: AimProof | None, through: CameraTables) -
     narrow, missed = aim.lenslets, Missed(1.0, 1.0)
     for growth in GROWTH_OF_VIEWS:
         wide = narrow._replace(slope_radius2=growth * growth * narrow.slope_radius2, search=growth * narrow.search)
-        if growth > 1.0:
-            wide = wide._replace(shown=unmeasured_light())
-        aim = aim._replace(lenslets=wide)
+        aim = _measured_light(aim._replace(lenslets=wide), through, rays)
         missed = _missed(beyond_sensor_aim(aim, through, rays), rays.throughput)
-        if missed.share <= ALLOWED_DIFFRACTED:
+        if missed.share <= ALLOWED:
             break
     proof = proof._replace(diffracted=missed)
-    if missed.share > ALLOWED_DIFFRACTED:
+    if missed.share > ALLOWED:
         aim = aim._replace(exit=aim.exit._replace(wide_share=WIDE_SHARE_OF_FALLBACK, share_without_aim=1.0))
         proof = proof._replace(fallback=True)
     return aim, proof
@@ -252,11 +246,18 @@ def proven(
             aim, proof = _completed(aim, proof, through.mla.present)
             break
         aim = _widened(aim, through, rays, factors)
-    if through.mla.present and len(rays.throughput) >= FEWEST:
+    if through.mla.present:
+        aim = _measured_light(aim, through, rays)
+    return aim, proof
+
+
+def _measured_light(aim: AimTables, through: CameraTables, rays: Rays) -> AimTables:
+    """Return the aim with the light over the views of lenslets, diffracted where they do that, if rays tell it."""
+    shown = unmeasured_light()
+    if len(rays.throughput) >= FEWEST:
         off, radius, _ = seen_from_cells(aim, through, rays)
         shown = shown_by((off / radius)[radius > 0.0], rays.throughput[radius > 0.0])
-        aim = aim._replace(lenslets=aim.lenslets._replace(shown=shown))
-    return aim, proof
+    return aim._replace(lenslets=aim.lenslets._replace(shown=shown))
 
 
 def _measured(

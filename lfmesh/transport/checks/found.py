@@ -24,7 +24,7 @@ from lfmesh.errors import (
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
 from lfmesh.transport.aims.fitting import ALLOWED
-from lfmesh.transport.checks.aim_proof import ALLOWED_DIFFRACTED, AimProof
+from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
 from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.checks.tails import SIDE, tails
@@ -126,7 +126,7 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
         return
     if proof.holds:
         return
-    if proof.diffracted is not None and proof.diffracted.share > ALLOWED_DIFFRACTED:
+    if proof.diffracted is not None and proof.diffracted.share > ALLOWED:
         yield LightOutsideAimWarning(
             f"after diffraction, rays cannot be aimed at {percent(proof.diffracted.share)} of the light: so half of "
             "them go anywhere, and the picture is noisier than that of other cameras; take more samples"

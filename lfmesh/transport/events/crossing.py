@@ -39,8 +39,9 @@ from lfmesh.transport.packets.packet import (
     Options,
     keep_state,
     put,
+    sample_of,
 )
-from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, derived, uniform
+from lfmesh.transport.packets.random import DIMENSIONS_PER_EVENT, uniform
 from lfmesh.transport.packets.sobol import of_event
 
 MAX_TRIES = 12
@@ -72,8 +73,8 @@ def draw_two(options: Options, packet: Any, dimension: int) -> tuple[float, floa
     number = packet.events * DIMENSIONS_PER_EVENT + dimension
     if options.pixels.each == 0:
         return uniform(packet.key, number), uniform(packet.key, number + 1)
-    pixel, sample = packet.source & PIXEL_MASK, (packet.source >> SAMPLE_SHIFT) % options.pixels.each
-    return of_event(derived(options.pixels.stream, pixel), number, sample)
+    stream, sample = sample_of(options.pixels, packet)
+    return of_event(stream, number, sample)
 
 
 @inlined

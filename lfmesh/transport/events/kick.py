@@ -25,7 +25,9 @@ from lfmesh.optics.diffraction import (
     proposed_in_tail,
     rhombus_frequency,
 )
+from lfmesh.transport.packets.packet import PixelSamples, sample_of
 from lfmesh.transport.packets.random import derived, uniform
+from lfmesh.transport.packets.sobol import owen_sobol
 from lfmesh.transport.tables.tables import Apertures
 
 Array = NDArray[np.float64]
@@ -33,12 +35,29 @@ Array = NDArray[np.float64]
 IN_KICK = 1 << 23
 """With the number of the event, number of the key of a change of direction; see `interface.IN_WALK`."""
 
+KICK_U, KICK_V = 6, 7
+"""Dimensions of a path's starting numbers, by which a pixel's sample changes its direction for the first time."""
+
 _DIMENSIONS = 1 << 10
 """Random numbers from one trial to the next."""
 
 
+@inlined
+def key_of_kick(key: np.uint64, events: int) -> np.uint64:
+    """Return the key of the random numbers of a packet's change of direction.
+
+    Parameters
+    ----------
+    key : uint64
+        Of the packet.
+    events : int
+        Number of interfaces that it has met.
+    """
+    return derived(key, IN_KICK + events)
+
+
 @kernel
-def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -> tuple[float, float]:
+def drawn_kick(apertures: Apertures, colour: int, numbers: tuple[float, float], key: np.uint64) -> tuple[float, float]:
     """Return the change of a packet's direction cosines along the aperture, in air.
 
     Parameters
@@ -46,56 +65,115 @@ def drawn_kick(apertures: Apertures, colour: int, key: np.uint64, events: int) -
     apertures : Apertures
     colour : int
         Number of the wavelength.
+    numbers : (2,) float
+        Random numbers, uniform in [0, 1): see `kick_by_key` and `kick_of_packet`.
     key : uint64
-        Of the packet.
-    events : int
-        Number of interfaces that it has met.
+        Of further ones, see `key_of_kick`.
     """
-    own = derived(key, IN_KICK + events)
-    trial = 0
+    (u, v), trial = numbers, 0
     while True:
-        a, b = _drawn_frequency(apertures, own, _DIMENSIONS * trial)
-        trial += 1
+        a, b = _drawn_frequency(apertures, u, v, key, _DIMENSIONS * trial)
         kx, ky = apertures.spread[colour, 0] * a, apertures.spread[colour, 1] * b
         if kx * kx + ky * ky < 1.0:
             return kx, ky
+        trial += 1
+        u, v = _two_numbers(key, trial)
 
 
 @inlined
-def _drawn_frequency(apertures: Apertures, key: np.uint64, first: int) -> tuple[float, float]:
+def _two_numbers(key: np.uint64, trial: int) -> tuple[float, float]:
+    """Return the random numbers of a trial."""
+    return uniform(key, _DIMENSIONS * trial), uniform(key, _DIMENSIONS * trial + _DIMENSIONS // 2)
+
+
+@inlined
+def kick_by_key(apertures: Apertures, colour: int, key: np.uint64, events: int) -> tuple[float, float]:
+    """Return a packet's change of direction by its key alone.
+
+    Parameters
+    ----------
+    apertures, colour
+        As for `drawn_kick`.
+    key, events
+        As for `key_of_kick`.
+    """
+    own = key_of_kick(key, events)
+    return drawn_kick(apertures, colour, _two_numbers(own, 0), own)
+
+
+@inlined
+def is_first_kick(apertures: Apertures, pixels: PixelSamples, events: int) -> bool:
+    """Tell whether a packet's change of direction takes two of the starting numbers of a pixel's sample.
+
+    Parameters
+    ----------
+    apertures : Apertures
+    pixels : PixelSamples
+    events : int
+        Number of interfaces that the packet has met.
+    """
+    return pixels.each > 0 and events == apertures.events
+
+
+@inlined
+def kick_of_packet(
+    apertures: Apertures, pixels: PixelSamples, packet: Any, key: np.uint64, events: int
+) -> tuple[float, float]:
+    """Return a packet's change of direction.
+
+    Parameters
+    ----------
+    apertures : Apertures
+    pixels : PixelSamples
+    packet : PACKET
+    key, events
+        As for `key_of_kick`.
+    """
+    if not is_first_kick(apertures, pixels, events):
+        return kick_by_key(apertures, packet.colour, key, events)
+    stream, sample = sample_of(pixels, packet)
+    point = sample ^ (sample >> 1)
+    numbers = owen_sobol(stream, point, KICK_U), owen_sobol(stream, point, KICK_V)
+    return drawn_kick(apertures, packet.colour, numbers, key_of_kick(key, events))
+
+
+@inlined
+def _drawn_frequency(apertures: Apertures, u: float, v: float, key: np.uint64, first: int) -> tuple[float, float]:
     """Return a frequency drawn for an aperture, in cycles over its widths.
 
     Parameters
     ----------
     apertures : Apertures
+    u, v : float
+        Random numbers, uniform in [0, 1).
     key : uint64
+        Of further ones.
     first : int
-        First of the random numbers.
+        First of these.
     """
-    second = first + _DIMENSIONS // 2
     if apertures.shape == ROUND:
-        radius = _drawn_distance(apertures, uniform(key, first), key, first + 1)
-        angle = 2.0 * np.pi * uniform(key, second)
+        radius, angle = _drawn_distance(apertures, u, key, first + 1), 2.0 * np.pi * v
         return radius * np.cos(angle), radius * np.sin(angle)
     if apertures.shape == HEXAGON:
-        inside, a, b = frequency_in_cells(
-            apertures.cells, uniform(key, first), uniform(key, first + 1), uniform(key, first + 2)
-        )
+        inside, a, b = frequency_in_cells(apertures.cells, u, v, uniform(key, first + 1))
         return (a, b) if inside else _drawn_beyond_cells(apertures, derived(key, first))
-    return _drawn_on_line(apertures, key, first, 0.0), _drawn_on_line(apertures, key, second, 0.0)
+    return (
+        _drawn_on_line(apertures, u, key, first + 1, 0.0),
+        _drawn_on_line(apertures, v, key, first + _DIMENSIONS // 2 + 1, 0.0),
+    )
 
 
 @inlined
-def _drawn_on_line(apertures: Apertures, key: np.uint64, first: int, least: float) -> float:
-    """Return a number with the density sinc², by random numbers from the given one on.
+def _drawn_on_line(apertures: Apertures, u: float, key: np.uint64, first: int, least: float) -> float:
+    """Return a number with the density sinc², by a random number and further ones from the given one on.
 
     Parameters
     ----------
     least : float
         It is none of this share of the least ones.
     """
-    side = 2.0 * uniform(key, first) - 1.0
-    distance = _drawn_distance(apertures, least + (1.0 - least) * abs(side), key, first + 1)
+    side = 2.0 * u - 1.0
+    distance = _drawn_distance(apertures, least + (1.0 - least) * abs(side), key, first)
     return distance if side > 0.0 else -distance
 
 
@@ -107,8 +185,9 @@ def _drawn_beyond_cells(apertures: Apertures, key: np.uint64) -> tuple[float, fl
     while True:
         own = derived(key, trial)
         trial += 1
-        a = _drawn_on_line(apertures, own, 0, NEAR_SHARE)
-        b = _drawn_on_line(apertures, own, _DIMENSIONS // 2, 0.0)
+        u, v = _two_numbers(own, 0)
+        a = _drawn_on_line(apertures, u, own, 1, NEAR_SHARE)
+        b = _drawn_on_line(apertures, v, own, _DIMENSIONS // 2 + 1, 0.0)
         # Two far numbers may be drawn either way round.
         ways, choice = 2.0 if abs(b) > near else 1.0, 6.0 * uniform(own, _DIMENSIONS)
         a, b = (b, a) if choice < 3.0 else (a, b)
@@ -188,7 +267,7 @@ def turned_along(
 
 @inlined
 def kicked(
-    apertures: Any, row: int, colour: int, key: np.uint64, events: int, d: tuple[float, float, float],
+    apertures: Any, row: int, pixels: PixelSamples, packet: Any, key: np.uint64, d: tuple[float, float, float],
     n: tuple[float, float, float],
 ) -> tuple[bool, float, float, float]:  # fmt: skip
     """Return whether a packet goes on past a lenslet's face, and its direction there.
@@ -199,8 +278,8 @@ def kicked(
         None: there is no diffraction.
     row : int
         Of the face among the array's interfaces: only one of two diffracts.
-    colour, key, events
-        As for `drawn_kick`.
+    pixels, packet, key
+        As for `kick_of_packet`.
     d, n : (3,) float
         As for `turned`.
     """
@@ -208,4 +287,5 @@ def kicked(
         return True, d[0], d[1], d[2]
     if apertures.row != row:
         return True, d[0], d[1], d[2]
-    return turned(drawn_kick(apertures, colour, key, events), d[0], d[1], d[2], n[0], n[1], n[2])
+    kick = kick_of_packet(apertures, pixels, packet, key, packet.events)
+    return turned(kick, d[0], d[1], d[2], n[0], n[1], n[2])

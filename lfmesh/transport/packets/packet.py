@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, pasted
+from lfmesh.transport.packets.random import derived
 
 # Stations: what a packet waits for. Embree is asked at OBJECTS, at those with MESH in their name, and in a run that
 # finds no surface by its order at LENS, CELLS and BACK_CELLS too.
@@ -324,6 +325,19 @@ class Options(NamedTuple):
     paths: int  # class of paths that are estimated, see `paths.automaton`
     importance: bool  # weights are importance, which thin lenses change, and not power
     pixels: PixelSamples = PixelSamples()
+
+
+@inlined
+def sample_of(pixels: PixelSamples, packet: Any) -> tuple[np.uint64, int]:
+    """Return the key of the random numbers of the pixel that a packet comes from, and the number of the sample there.
+
+    Parameters
+    ----------
+    pixels : PixelSamples
+        Whose events share Sobol' sets.
+    packet : PACKET
+    """
+    return derived(pixels.stream, packet.source & PIXEL_MASK), (packet.source >> SAMPLE_SHIFT) % pixels.each
 
 
 @inlined

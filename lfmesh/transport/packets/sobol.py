@@ -12,20 +12,23 @@ import numpy as np
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.packets.random import derived, mix
 
-COLUMNS = (0, 1, 2, 21, 3, 4)
+COLUMNS = (0, 1, 2, 21, 3, 4, 6, 11)
 """Dimensions of Joe & Kuo's that are used, counted from zero.
 
 The first two make a (0, 2)-sequence. The next two nearly do, with t = 0 for 8 and 32 points and t = 1 for 16 and 64; in
-Joe & Kuo's own order they would have t = 2 for eight points, and a replicate often has no more.
+Joe & Kuo's own order they would have t = 2 for eight points, and a replicate often has no more. The last two nearly
+make one, too.
 """
 
 DIMENSIONS = len(COLUMNS)
 _BITS = 32
 
-_POLYNOMIALS = ((0, 0), (1, 0), (2, 1), (7, 7), (3, 1), (3, 2))
+_POLYNOMIALS = ((0, 0), (1, 0), (2, 1), (7, 7), (3, 1), (3, 2), (4, 4), (5, 13))
 """Degree and inner coefficients of each dimension's primitive polynomial; the first dimension has none."""
 
-_FIRST_NUMBERS = ((), (1,), (1, 3), (1, 1, 3, 13, 7, 35, 63), (1, 3, 1), (1, 1, 1))
+_FIRST_NUMBERS = (
+    (), (1,), (1, 3), (1, 1, 3, 13, 7, 35, 63), (1, 3, 1), (1, 1, 1), (1, 3, 5, 13), (1, 1, 1, 3, 11),
+)  # fmt: skip
 
 
 def _direction_numbers() -> np.ndarray:

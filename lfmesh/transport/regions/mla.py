@@ -318,7 +318,7 @@ def _ends_by_diffraction(
     if apertures is None:
         return False
     goes_on, dx, dy, dz = kicked(
-        apertures, mla.row, packet.colour, packet.key, packet.events,
+        apertures, mla.row, options.pixels, packet, packet.key,
         (block[rows.DX + i], block[rows.DY + i], block[rows.DZ + i]),
         (block[rows.NX + i], block[rows.NY + i], block[rows.NZ + i]),
     )  # fmt: skip
@@ -379,7 +379,7 @@ def _send_from_curved_face(
     if packet.space == BEFORE:
         sense = 1.0 if refracts else -1.0
         goes_on, dx, dy, dz = kicked(
-            mla.apertures, mla.row, packet.colour, key, packet.events, (dx, dy, dz),
+            mla.apertures, mla.row, options.pixels, packet, key, (dx, dy, dz),
             (sense * normal[0], sense * normal[1], sense * normal[2]),
         )  # fmt: skip
         if not goes_on:

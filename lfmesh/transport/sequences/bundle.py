@@ -36,9 +36,11 @@ T, AGAIN = 29 * BLOCK, 30 * BLOCK
 ETENDUE = 31 * BLOCK
 SCRATCH = 32 * BLOCK
 """First of the rows that the modules for shapes use as working memory."""
-# For diffraction: the key of the ray's packet, an integer in the memory of a float, and the events before the bundle.
+# For diffraction: the key of the ray's packet, an integer in the memory of a float, and the events before the bundle;
+# a change of direction that is drawn already, and after how many events it comes (−1: none is).
 KEY, EVENTS_BEFORE = 40 * BLOCK, 41 * BLOCK
-ROWS = 42
+KICK_X, KICK_Y, KICK_AT = 42 * BLOCK, 43 * BLOCK, 44 * BLOCK
+ROWS = 45
 
 DROPPED = -1.0
 """In place of slot + 1: the ray has left the path that is followed, and all its power was left behind."""

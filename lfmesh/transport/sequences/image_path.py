@@ -37,8 +37,6 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
-    EVENTS_BEFORE,
-    KEY,
     LEFT_BEHIND,
     MET,
     WEIGHT,
@@ -52,6 +50,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.division import take_etendue
 from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, IN_LENS, LENS_AGAIN, Route, follow_legs
+from lfmesh.transport.sequences.kicks import give_keys, give_kicks
 from lfmesh.transport.tables.tables import Camera, LensTables
 
 Array = NDArray[np.float64]
@@ -96,11 +95,11 @@ def follow_image_path(
             numbers[count] = i
             count += 1
             if count == BLOCK:
-                follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
+                _follow_loaded(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
                 count = 0
         if count > 0:
             pad(bundle, count)
-            follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
+            _follow_loaded(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
 
 
 @kernel
@@ -124,8 +123,8 @@ def follow_block(
         Index in the wave of each ray's packet.
     """
     colour, through_lens = wave[numbers[0]].colour, station != PLATE or not to_sensor
-    _give_keys(camera.mla.apertures, wave, count, bundle, numbers)
-    _give_keys(camera.lens.aperture, wave, count, bundle, numbers)
+    give_keys(camera.mla.apertures, wave, count, bundle, numbers)
+    give_keys(camera.lens.aperture, wave, count, bundle, numbers)
     if not to_sensor and station == PLATE:
         follow_legs(bundle, camera, route, ARRAY_AGAIN, LENS_AGAIN, colour, flow.book)
     if through_lens:
@@ -139,14 +138,16 @@ def follow_block(
     _hand_on(wave, to_sensor, count, camera.frames, bundle, numbers, options, flow)
 
 
-@inlined
-def _give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]) -> None:
-    """Enter each ray's key and events so far, where there is diffraction, which needs random numbers."""
-    if apertures is None:
-        return
-    keys = bundle.view(np.uint64)
-    for i in range(count):
-        keys[KEY + i], bundle[EVENTS_BEFORE + i] = wave[numbers[i]].key, wave[numbers[i]].events
+@kernel
+def _follow_loaded(
+    wave: NDArray[np.void], station: int, to_sensor: bool, count: int, camera: Camera, route: Route, bundle: Array,
+    numbers: NDArray[np.int64], options: Options, flow: Flow,
+) -> None:  # fmt: skip
+    """Follow a bundle after drawing what diffraction changes of it."""
+    for_array, for_stop = camera.mla.apertures, camera.lens.aperture
+    give_kicks(for_array, options.pixels, wave, count, bundle, numbers)
+    give_kicks(for_stop, options.pixels, wave, count, bundle, numbers)
+    follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
 
 
 @kernel

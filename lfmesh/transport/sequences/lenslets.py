@@ -34,7 +34,7 @@ from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.events.kick import kicked
+from lfmesh.transport.events.kick import turned
 from lfmesh.transport.packets.book import EVANESCENT, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequences.bundle import (
@@ -47,10 +47,7 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
-    EVENTS_BEFORE,
     FATE,
-    KEY,
-    MET,
     NX,
     NY,
     NZ,
@@ -66,6 +63,7 @@ from lfmesh.transport.sequences.bundle import (
     set_normal,
 )
 from lfmesh.transport.sequences.division import divide
+from lfmesh.transport.sequences.kicks import kick_of_ray
 from lfmesh.transport.sequences.lens_surfaces import sphere_crossing
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 
@@ -156,14 +154,14 @@ def _diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float
     """
     if apertures is None:
         return
-    keys = bundle.view(np.uint64)
+    if apertures.row != row:
+        return
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] != 0.0 or bundle[FATE + i] != 0.0:
             continue
-        goes_on, dx, dy, dz = kicked(
-            apertures, row, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]),
-            (bundle[DX + i], bundle[DY + i], bundle[DZ + i]),
-            (sense * bundle[NX + i], sense * bundle[NY + i], sense * bundle[NZ + i]),
+        goes_on, dx, dy, dz = turned(
+            kick_of_ray(apertures, bundle, i, colour), bundle[DX + i], bundle[DY + i], bundle[DZ + i],
+            sense * bundle[NX + i], sense * bundle[NY + i], sense * bundle[NZ + i],
         )  # fmt: skip
         bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
         if not goes_on:

@@ -14,7 +14,7 @@ from lfmesh.geometry.surfaces.surface import normal_at
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import select
 from lfmesh.transport.events.interface import is_thin_lens
-from lfmesh.transport.events.kick import drawn_kick, turned_along
+from lfmesh.transport.events.kick import turned_along
 from lfmesh.transport.packets.book import EVANESCENT, STOP
 from lfmesh.transport.sequences.bundle import (
     AT_X,
@@ -26,10 +26,7 @@ from lfmesh.transport.sequences.bundle import (
     DZ,
     ENDED_ON,
     ETENDUE,
-    EVENTS_BEFORE,
     FATE,
-    KEY,
-    MET,
     X,
     Y,
     Z,
@@ -38,6 +35,7 @@ from lfmesh.transport.sequences.bundle import (
     move_bundle,
     set_fate,
 )
+from lfmesh.transport.sequences.kicks import kick_of_ray
 from lfmesh.transport.tables.tables import LensTables
 
 Array = NDArray[np.float64]
@@ -97,12 +95,10 @@ def _turn_at_stop(aperture: Any, bundle: Array, colour: int, index: float) -> No
     """Move rays to the plane of a stop that diffracts, and change their directions there."""
     if aperture is None:
         return
-    keys = bundle.view(np.uint64)
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] == 0.0:
             bundle[X + i], bundle[Y + i], bundle[Z + i] = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
-            kick = drawn_kick(aperture, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]))
-            _turn(bundle, i, kick, index, 0.0, 0.0, 1.0)
+            _turn(bundle, i, kick_of_ray(aperture, bundle, i, colour), index, 0.0, 0.0, 1.0)
 
 
 @inlined
@@ -133,12 +129,12 @@ def turn_behind_stop(aperture: Any, bundle: Array, lens: LensTables, k: int, col
         return
     if surface.posed:
         move_bundle(bundle, surface.unpose)
-    keys, index = bundle.view(np.uint64), lens.media.indices[lens.medium[k + 1 if sense > 0.0 else k], colour]
+    index = lens.media.indices[lens.medium[k + 1 if sense > 0.0 else k], colour]
     thin = is_thin_lens(lens.interfaces, k)
     for i in range(BLOCK):
         if bundle[ENDED_ON + i] != 0.0:
             continue
-        kick = drawn_kick(aperture, colour, keys[KEY + i], int(bundle[EVENTS_BEFORE + i] + bundle[MET + i]))
+        kick = kick_of_ray(aperture, bundle, i, colour)
         if thin:
             dz = abs(bundle[DZ + i])
             ux, uy = bundle[DX + i] + kick[0] * dz, bundle[DY + i] + kick[1] * dz

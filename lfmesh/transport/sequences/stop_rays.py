@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.surfaces.tessellation import ALL_ROUND, mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
-from lfmesh.transport.events.kick import drawn_kick
+from lfmesh.transport.events.kick import kick_by_key
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.sequences.bundle import (
@@ -19,7 +19,9 @@ from lfmesh.transport.sequences.bundle import (
     DZ,
     ENDED_ON,
     EVENTS_BEFORE,
-    KEY,
+    KICK_AT,
+    KICK_X,
+    KICK_Y,
     MET,
     WEIGHT,
     X,
@@ -35,6 +37,7 @@ from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, Route, fo
 from lfmesh.transport.sequences.lens_surfaces import at_surface
 from lfmesh.transport.sequences.ray_tables import unread_book
 from lfmesh.transport.tables.tables import (
+    FACES_OF_ARRAY,
     Camera,
     LensTables,
     MlaTables,
@@ -63,10 +66,6 @@ FURTHEST = 1e3
 
 ROOM = 1.15
 """Factor on the largest such distance of a ray that reached the sensor; rays of the measurement are drawn within it."""
-
-
-FACES_OF_ARRAY = 2
-"""Interfaces that a ray towards the sensor has met in the array when lenslets that look to the sensor diffract it."""
 
 
 class Rays(NamedTuple):
@@ -181,17 +180,17 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         mine = slice(number, None, len(colours))
         x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
         one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
-        own, changes = descendant(key, number), np.zeros((len(x_), 2))
+        changes = np.zeros((len(x_), 2))
+        _find_kicks(through.mla.apertures, colour, descendant(key, number), changes)
         ways = [(tx_, ty_, one_way)]
         if through.stop is not None:
             # On the other side of the stop the same rays have another direction.
             ways.append((*_turned_at_stop(through.stop, lens, space, colour, (tx_, ty_), random), one_way.copy()))
         for across, up, landed in ways:
             _follow_both_ways(
-                x_, y_, across, up, z, start, space, pose, colour, camera, route, empty_bundle(), book, own,
+                x_, y_, across, up, z, start, space, pose, colour, camera, route, empty_bundle(), book, changes,
                 landed, other_way,
             )  # fmt: skip
-        _find_kicks(through.mla.apertures, colour, own, changes)
         kick[mine] = changes
         if through.cover is not None:
             _land_behind(one_way, through.cover, colour)
@@ -257,7 +256,7 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 @kernel
 def _follow_both_ways(
     x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
-    camera: Camera, route: Route, bundle: Array, book: Array, key: np.uint64, to_sensor: Array, to_objects: Array,
+    camera: Camera, route: Route, bundle: Array, book: Array, kicks: Array, to_sensor: Array, to_objects: Array,
 ) -> None:  # fmt: skip
     """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
 
@@ -267,8 +266,8 @@ def _follow_both_ways(
         Place, mm, and slopes.
     start : float, mm
         Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
-    key : uint64
-        Of the random numbers of diffraction, whose children are the keys of the rays.
+    kicks : (n, 2) float64
+        Changes of direction by diffraction at the array.
     pose : (3, 4) float64
         Rigid motion of that plane and of the rays from their place in the prescription.
     to_sensor : (n, 6) float64
@@ -302,7 +301,7 @@ def _follow_both_ways(
                 normalise(bundle)
                 _keep_object_side(bundle, count, first, to_objects)
                 continue
-            _give_keys(camera.mla.apertures, bundle, key, first)
+            _give_kicks(camera.mla.apertures, bundle, kicks, first, count)
             follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, book)
             normalise(bundle)
             move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
@@ -310,23 +309,25 @@ def _follow_both_ways(
 
 
 @inlined
-def _give_keys(apertures: Any, bundle: Array, key: np.uint64, first: int) -> None:
-    """Enter the rays' keys, where there is diffraction, and count their events from the array on."""
+def _give_kicks(apertures: Any, bundle: Array, kicks: Array, first: int, count: int) -> None:
+    """Enter the changes of direction of rays that go to the array, where there is diffraction."""
     if apertures is None:
         return
-    keys = bundle.view(np.uint64)
-    for i in range(BLOCK):
-        keys[KEY + i], bundle[EVENTS_BEFORE + i] = derived(key, first + i), -bundle[MET + i]
+    for i in range(count):
+        bundle[KICK_X + i], bundle[KICK_Y + i] = kicks[first + i, 0], kicks[first + i, 1]
+        bundle[EVENTS_BEFORE + i], bundle[KICK_AT + i] = (
+            0.0,
+            bundle[MET + i] + (0.0 if apertures.to_lens else FACES_OF_ARRAY),
+        )
 
 
 @kernel
 def _find_kicks(apertures: Any, colour: int, key: np.uint64, kicks: Array) -> None:
-    """Fill in the rays' changes of direction, (n, 2), before or behind the array's two faces."""
+    """Draw the rays' changes of direction, (n, 2)."""
     if apertures is None:
         return
     for i in range(len(kicks)):
-        events = 0 if apertures.to_lens else FACES_OF_ARRAY
-        kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, colour, derived(key, i), events)
+        kicks[i, 0], kicks[i, 1] = kick_by_key(apertures, colour, derived(key, i), apertures.events)
 
 
 @kernel

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.aims.kick_aim import FURTHEST_SEARCH, SEARCH_AFTER_KICK
 from lfmesh.transport.aims.lenslet_aim import DISCRETE, LISTED, most_listed
+from lfmesh.transport.events.kick import KICK_V
 from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
 from lfmesh.transport.packets.random import derived, start
 from lfmesh.transport.packets.sobol import scramble, scramble_seed, sobol, step
@@ -25,21 +27,22 @@ STARTS = BLOCK
 class StartRoom(NamedTuple):
     """Working memory of a launch, which draws the numbers of `STARTS` samples at a time."""
 
-    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled
+    point: NDArray[np.uint32]  # (6,) Sobol' point of the last sample, not yet scrambled; (8,) with diffraction
     seeds: NDArray[np.uint32]  # (6,) seeds of the scrambling for its pixel
     points: NDArray[np.uint32]  # (6, STARTS)
     scrambling: NDArray[np.uint32]  # (6, STARTS)
     numbers: Array  # (6, STARTS) starting numbers of each sample
     keys: NDArray[np.uint64]  # (STARTS,)
-    near: Array  # (2 · most + 1, LISTED) lenslets that points of a pixel may see, and behind them those of a sample
+    near: Array  # (most + 1, LISTED) lenslets that points of a pixel may see, and behind them those of a sample
     cells: NDArray[np.int64]  # (most + 1,) lenslets that may show it to one point, see `cells_that_show`
     packets: NDArray[np.void]  # (STARTS,) PACKET
 
 
-def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET) -> StartRoom:
-    """Return working memory for a launch, with the packets' record type."""
-    table = (DISCRETE + 1, STARTS)
-    most = most_listed(aim)
+def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET, *, diffracts: bool = False) -> StartRoom:
+    """Return working memory for a launch, with the packets' record type, and whether lenslets diffract them."""
+    table = (KICK_V + 1 if diffracts else DISCRETE + 1, STARTS)
+    of_pixel = most_listed(aim, SEARCH_AFTER_KICK if diffracts else 1.0)
+    most = of_pixel + (most_listed(aim, FURTHEST_SEARCH) if diffracts else 0)
     return StartRoom(
         np.zeros(table[0], np.uint32),
         np.zeros(table[0], np.uint32),
@@ -47,7 +50,7 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET) -> StartRoom
         np.zeros(table, np.uint32),
         np.zeros(table),
         np.zeros(STARTS, np.uint64),
-        np.zeros((2 * most + 1, LISTED)),
+        np.zeros((most + 1, LISTED)),
         np.zeros(most + 1, np.int64),
         np.zeros(STARTS, record),
     )

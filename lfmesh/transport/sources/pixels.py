@@ -17,12 +17,11 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.kick_aim import (
-    MOST_GROWTH,
-    WIDE_SHARE_AFTER_KICK,
-    first_kick,
+    is_far,
     is_in_reach,
     list_cells_after_kick,
     list_cells_of_pixel,
+    wide_share_after_kick,
     without_kick,
 )
 from lfmesh.transport.aims.lenslet_aim import (
@@ -44,6 +43,7 @@ from lfmesh.transport.aims.lenslet_aim import (
 from lfmesh.transport.aims.lenslet_faces import glass_before_faces, lenslet_ahead
 from lfmesh.transport.aims.mixture import aimed
 from lfmesh.transport.engine import Workspace
+from lfmesh.transport.events.kick import KICK_U, KICK_V, drawn_kick, key_of_kick, kick_by_key
 from lfmesh.transport.events.polarisation import behind_polariser
 from lfmesh.transport.packets.book import EMITTED
 from lfmesh.transport.packets.packet import (
@@ -67,6 +67,9 @@ from lfmesh.transport.sequences.bundle import (
     DY,
     DZ,
     ENDED_ON,
+    KICK_AT,
+    KICK_X,
+    KICK_Y,
     WEIGHT,
     X,
     Y,
@@ -77,13 +80,14 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.follower import Route, image_route_of
 from lfmesh.transport.sequences.image_path import follow_block
+from lfmesh.transport.sequences.kicks import give_kicks
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
 from lfmesh.transport.tables.lines import FIRST, Nodes
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import AimTables, Camera, MlaTables, SensorTables, Tables
+from lfmesh.transport.tables.tables import AimTables, Apertures, Camera, MlaTables, SensorTables, Tables
 
 Array = NDArray[np.float64]
 
@@ -140,7 +144,10 @@ class PixelSource(Source):
     def _launch(self, work: Workspace, entries: Entries, colour: int) -> None:
         """Start samples at one wavelength."""
         tables, options = work.tables, work.options
-        room = work.kept(StartRoom, lambda: start_room(tables.aim.lenslets, work.stacks.dtype))
+        room = work.kept(
+            StartRoom,
+            lambda: start_room(tables.aim.lenslets, work.stacks.dtype, diffracts=tables.mla.apertures is not None),
+        )
         seen = tables.frames if tables.apparent is None else tables.apparent
         starts = starting_kernel(tables, options)
         # Of ghosts behind an array, those samples leave their pixels in new directions.
@@ -154,8 +161,7 @@ class PixelSource(Source):
         else:
             launch_adjoint(
                 entries, self.samples, self.stratified, self.key, colour, tables.sensor, clear(tables.mla),
-                tables.aim, seen, len(tables.lens.surfaces), tables.cover is not None, unaimed_too, work.bundle,
-                work.flow(), room,
+                tables.aim, seen, len(tables.lens.surfaces), unaimed_too, work.bundle, work.flow(), room,
             )  # fmt: skip
 
 
@@ -169,7 +175,7 @@ def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
 @kernel
 def launch_adjoint(
     entries: Entries, samples: int, stratified: bool, replicate_key: np.uint64, colour: int, sensor: SensorTables,
-    mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int, has_cover: bool, unaimed_too: bool,
+    mla: MlaTables, aim: AimTables, frames: Array, lens_surfaces: int, unaimed_too: bool,
     bundle: Array, flow: Flow, room: StartRoom,
 ) -> None:  # fmt: skip
     """Start packets of pixels at one wavelength.
@@ -186,8 +192,6 @@ def launch_adjoint(
         Number of the wavelength.
     lens_surfaces : int
         Number of refracting surfaces of the lens.
-    has_cover : bool
-        The sensor has a cover.
     unaimed_too : bool
         Also start samples, with weight 0, for which there is no direction towards the lens.
     bundle : (ROWS · BLOCK,) float64
@@ -202,7 +206,7 @@ def launch_adjoint(
         draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
             room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            has_cover, flow.book,
+            stratified, flow.book,
         )  # fmt: skip
         for i in range(count):
             if unaimed_too or bundle[ENDED_ON + i] == 0.0:
@@ -243,10 +247,11 @@ def launch_along_image_path(
         draw_numbers(room, stratified, replicate_key, entries, which, place, count)
         which, place = _aim_rays(
             room, bundle, entries, which, place, samples, count, replicate_key, colour, sensor, mla, aim, frames,
-            False, flow.book,
+            stratified, flow.book,
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
+        give_kicks(camera.lens.aperture, options.pixels, room.packets, count, bundle, numbers)
         follow_block(room.packets, station, False, count, camera, route, bundle, numbers, options, flow)
 
 
@@ -263,19 +268,19 @@ def _near_cells(
         As for `list_cells`.
     """
     if apertures is None:
-        listed = list_cells(array, p, extent, near)
+        listed = list_cells(array, p, extent, 1.0, near)
         return listed, listed > 0
     return list_cells_of_pixel(array, p, extent, near), True
 
 
 @inlined
 def _cells_shown(
-    apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, key: np.uint64, colour: int,
-    has_cover: bool,
-) -> tuple[Shown, bool]:  # fmt: skip
+    apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, i: int, stratified: bool, colour: int,
+    bundle: Array,
+) -> tuple[Shown, float]:  # fmt: skip
     """Return the lenslets that show the opening to a point of a pixel, with diffraction after the sample's own change.
 
-    Also tell whether that change is far, so that light comes from elsewhere, too: see `MOST_GROWTH`.
+    That change goes to the bundle. If it is far, also return the share of rays that go anywhere; else 0.
 
     Parameters
     ----------
@@ -284,25 +289,38 @@ def _cells_shown(
         Number of lenslets listed for the pixel.
     p : (3,) float, mm
         Array frame.
-    key : uint64
-        Of the sample.
+    i : int
+        Number of the sample in the block.
     """
     if apertures is None:
-        return cells_that_show(array, room.near, near, room.cells, p, 1.0), False
-    growth, seen_from = without_kick(array, p, first_kick(apertures, array, colour, key, has_cover))
+        return cells_that_show(array, room.near, near, room.cells, p, 1.0), 0.0
+    kick = _kick_of_sample(apertures, room, i, stratified, colour)
+    bundle[KICK_X + i], bundle[KICK_Y + i], bundle[KICK_AT + i] = kick[0], kick[1], float(apertures.events)
+    growth, seen_from = without_kick(array, p, kick)
     first, listed = 0, near
     if not is_in_reach(array, p, growth, seen_from):
         # Behind the pixel's list.
         first, listed = near, list_cells_after_kick(array, growth, seen_from, room.near[near:])
     shown = cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)
-    return shown, not 0.0 < growth <= MOST_GROWTH
+    return shown, (wide_share_after_kick(growth) if is_far(growth) else 0.0)
+
+
+@inlined
+def _kick_of_sample(
+    apertures: Apertures, room: StartRoom, i: int, stratified: bool, colour: int
+) -> tuple[float, float]:
+    """Return the first change of direction of a sample, as `kick_of_packet` does when it comes there."""
+    if not stratified:
+        return kick_by_key(apertures, colour, room.keys[i], apertures.events)
+    key = key_of_kick(room.keys[i], apertures.events)
+    return drawn_kick(apertures, colour, (room.numbers[KICK_U, i], room.numbers[KICK_V, i]), key)
 
 
 @kernel
 def _aim_rays(
     room: StartRoom, bundle: Array, entries: Entries, which: int, place: int, samples: int, count: int,
     replicate_key: np.uint64, colour: int, sensor: SensorTables, mla: MlaTables, aim: AimTables, frames: Array,
-    has_cover: bool, book: Array,
+    stratified: bool, book: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a block of rays (sensor frame) and their weights to the bundle, by the numbers that were drawn.
 
@@ -340,13 +358,14 @@ def _aim_rays(
         x, y = (column + numbers[PIXEL_U]) * sensor.pixel, (row + numbers[PIXEL_V]) * sensor.pixel
         if mla.present:
             p = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-            shown, far = _cells_shown(mla.apertures, array, room, near, p, room.keys[i], colour, has_cover)
+            shown, after_kick = _cells_shown(mla.apertures, array, room, near, p, i, stratified, colour, bundle)
             choice, share = numbers[DISCRETE], wide
+            far = after_kick > 0.0
             if far:
-                share = max(wide, WIDE_SHARE_AFTER_KICK)
+                share = max(wide, after_kick)
             elif by_light >= 0:
                 choice = 1.0 if sample < by_light else choice * unaimed
-            dx, dy, dz, importance = aimed_through_array(array, shown, share, normal, p, numbers, choice)
+            dx, dy, dz, importance = aimed_through_array(array, shown, share, normal, p, numbers, choice, far)
             importance *= own_weight if choice >= unaimed and not far else 1.0
             ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:

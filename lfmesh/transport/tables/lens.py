@@ -35,6 +35,8 @@ from lfmesh.transport.tables.media import MediumList, with_media
 from lfmesh.transport.tables.tables import (
     AIR,
     CURVED_ROW,
+    FACES_OF_ARRAY,
+    FACES_OF_COVER,
     FLAT_ROW,
     Apertures,
     Interfaces,
@@ -326,7 +328,9 @@ def with_diffraction(scene: Scene, mla: MlaTables, wavelengths_nm: tuple[float, 
     axis = given.cylinder_axis if face.row == CURVED_ROW or given.back is None else given.back.cylinder_axis
     spread = np.outer(np.array(wavelengths_nm) * 1e-6, [float(axis != each) for each in "xy"]) / width
     cells = hexagon_cells() if shape == HEXAGON else NO_CELLS
-    apertures = Apertures(shape, spread, quantiles, cells, int(face.row), bool(face.curved_to_lens), lever)
+    # Those of the cover, and until a packet has left lenslets that look to the lens; others diffract it before.
+    events = _events_in_cover(scene) + (FACES_OF_ARRAY if face.curved_to_lens else 0)
+    apertures = Apertures(shape, spread, quantiles, cells, int(face.row), bool(face.curved_to_lens), events, lever)
     return with_media(mla, mla.media, apertures=apertures)
 
 
@@ -345,7 +349,16 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
     if lens.stop_space < 0:
         radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
     spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
-    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, 0.0))
+    behind = len(lens.surfaces) - (
+        lens.stop_space if lens.stop_space >= 0 else int(np.argmax(lens.surfaces["stop"] == 1))
+    )
+    events = _events_in_cover(scene) + behind
+    return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, events, 0.0))
+
+
+def _events_in_cover(scene: Scene) -> int:
+    """Return the number of interfaces that light from a pixel meets in the sensor's cover."""
+    return 0 if scene.camera.sensor.cover is None else FACES_OF_COVER
 
 
 def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[MlaTables, float]:

@@ -94,6 +94,7 @@ class Apertures(NamedTuple):
     cells: NDArray[np.float32]  # of a hexagon, see `diffraction.hexagon_cells`; else without rows
     row: int  # of the face that has them among the array's interfaces; of the stop −1
     to_lens: bool  # that face looks to the lens
+    events: int  # interfaces that a packet from a pixel has met when it first comes here
     # Shift of a point of the sensor that turns a ray through a given point of the lenslets aimed at, by one radian
     # behind the array, over the point's distance from them.
     lever: float
@@ -362,6 +363,9 @@ INTERFACE = np.dtype(
         ("slot", "i8"),  # of the book, for light that a coating absorbs
     ]
 )
+
+FACES_OF_ARRAY, FACES_OF_COVER = 2, 2
+"""Interfaces that light meets on its way through the microlens array, and through the sensor's cover."""
 
 CURVED_ROW, FLAT_ROW = 0, 1
 """Rows of the array's interfaces: of the face that `camera.mla` describes, and of the other one."""

@@ -126,7 +126,7 @@ def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(se
     shown = 0
     for middle in (random.integers(0, 8, (150, 2)) - 3.5) * pixel:
         centre = to_array[:, :2] @ middle + to_array[:, 3]
-        listed = list_cells(ArraySeen(mla, aim, 1.0), tuple(centre), extent, near)
+        listed = list_cells(ArraySeen(mla, aim, 1.0), tuple(centre), extent, 1.0, near)
         known = as_complex(near[:listed, :2])
         for off in (random.choice([-0.5, 0.5], 2), random.uniform(-0.5, 0.5, 2)):
             point = to_array[:, :2] @ (middle + off * pixel) + to_array[:, 3]

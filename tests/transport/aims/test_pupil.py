@@ -239,7 +239,7 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
     past, seen = 0, ArraySeen(array, aim, glass)
     for i in out:
         point = tuple(p[i])
-        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), near), cells, point, 1.0)
+        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), 1.0, near), cells, point, 1.0)
         past += max(lenslets_density(seen, shown, point, tuple(d[i]))) == 0.0
     assert len(out) > 500
     assert past == 0

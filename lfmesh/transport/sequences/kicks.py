@@ -1,0 +1,74 @@
+"""Changes of direction by diffraction in bundles of rays: drawn when a ray gets there, or before."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.kernels.decorators import inlined
+from lfmesh.transport.events.kick import is_first_kick, kick_by_key, kick_of_packet
+from lfmesh.transport.packets.packet import PixelSamples
+from lfmesh.transport.sequences.bundle import EVENTS_BEFORE, KEY, KICK_AT, KICK_X, KICK_Y, MET
+from lfmesh.transport.tables.tables import Apertures
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]) -> None:
+    """Enter each ray's key and events so far, where there is diffraction, which needs random numbers.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    wave, count, bundle, numbers
+        As for `image_path.follow_block`.
+    """
+    if apertures is None:
+        return
+    keys = bundle.view(np.uint64)
+    for i in range(count):
+        keys[KEY + i], bundle[EVENTS_BEFORE + i] = wave[numbers[i]].key, wave[numbers[i]].events
+
+
+@inlined
+def give_kicks(
+    apertures: Any, pixels: PixelSamples, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]
+) -> None:
+    """Draw the changes of direction that packets from pixels will come to by their starting numbers.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    pixels : PixelSamples
+    wave, count, bundle, numbers
+        As for `image_path.follow_block`.
+    """
+    if apertures is None:
+        return
+    for i in range(count):
+        packet, at = wave[numbers[i]], -1.0
+        if is_first_kick(apertures, pixels, apertures.events) and packet.events <= apertures.events:
+            kick = kick_of_packet(apertures, pixels, packet, packet.key, apertures.events)
+            bundle[KICK_X + i], bundle[KICK_Y + i] = kick
+            at = float(apertures.events)
+        bundle[KICK_AT + i] = at
+
+
+@inlined
+def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tuple[float, float]:
+    """Return the change of direction of a ray that comes to an aperture.
+
+    Parameters
+    ----------
+    apertures : Apertures
+    bundle : (ROWS · BLOCK,) float64
+    i : int
+        Place in the block.
+    colour : int
+        Number of the wavelength.
+    """
+    events = bundle[EVENTS_BEFORE + i] + bundle[MET + i]
+    if bundle[KICK_AT + i] == events:
+        return bundle[KICK_X + i], bundle[KICK_Y + i]
+    return kick_by_key(apertures, colour, bundle.view(np.uint64)[KEY + i], int(events))

@@ -165,6 +165,22 @@ def test_finer_grids_come_closer_to_fresnel(case: tuple[int, Place]) -> None:
     assert np.abs(found - truth).sum() < 0.004
 
 
+@pytest.mark.parametrize("pitches", instances([-3, 3], long=[3]))
+def test_spreads_of_focused_cameras_are_fresnels(pitches: int) -> None:
+    """Lenslets that image the point, 3 of their focal lengths before or behind them, sharply on the sensor.
+
+    It is an image under each of several lenslets, whose light interferes between them.
+    """
+    place, count = (0.3 * PITCH, 0.0), 9
+    array, gap = IMAGE + pitches * SPREAD, 1.0 / (1.0 / FOCAL - 1.0 / (pitches * SPREAD))
+    found, power = shares(camera(array, gap, count), place, COARSE)
+    truth = square_truth(array, gap, place, count, 360, 6)
+    assert np.abs(found - truth).sum() < 0.0075
+    assert power == pytest.approx(1.0, abs=0.005)
+    # In the lenslets' focal plane the same light is another picture.
+    assert np.abs(found - square_truth(array, FOCAL, place, count, 360, 6)).sum() > 0.5
+
+
 SHIFTED, BRIGHTER = 0.9589, 1.0439
 """Brightest place of an evenly lit square at Fresnel number 3.5636, over its focal length, and the light there."""
 

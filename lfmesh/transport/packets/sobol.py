@@ -23,6 +23,10 @@ make one, too.
 DIMENSIONS = len(COLUMNS)
 _BITS = 32
 
+_FIRST_OF_EVENTS = -7
+"""Number of the child of a pixel's key for an event's number 0: negative, as those of `scramble_seed`, two of which it
+would share with the numbers 0 and 1. No event has these, see `crossing.BOUNCE_U`."""
+
 _POLYNOMIALS = ((0, 0), (1, 0), (2, 1), (7, 7), (3, 1), (3, 2), (4, 4), (5, 13))
 """Degree and inner coefficients of each dimension's primitive polynomial; the first dimension has none."""
 
@@ -135,8 +139,7 @@ def of_event(key: np.uint64, number: int, sample: int) -> tuple[float, float]:
     sample : int
         Number of the sample, below 2³².
     """
-    # Negative numbers beyond those of `scramble_seed`.
-    own = derived(key, -1 - DIMENSIONS - number)
+    own = derived(key, _FIRST_OF_EVENTS - number)
     order, first = np.uint32(own & np.uint64(0xFFFFFFFF)), np.uint32(own >> np.uint64(32))
     index = _scrambled(np.uint32(sample), order)
     # The second coordinate's direction numbers are Pascal's triangle modulo 2, applied in five steps.

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined
-from lfmesh.transport.events.kick import is_first_kick, kick_by_key, kick_of_packet
+from lfmesh.transport.events.kick import is_first_kick, kick_by_key, kick_of_packet, turned
+from lfmesh.transport.packets.book import EVANESCENT
 from lfmesh.transport.packets.packet import PixelSamples
+from lfmesh.transport.sequences import bundle as rows
 from lfmesh.transport.sequences.bundle import EVENTS_BEFORE, KEY, KICK_AT, KICK_X, KICK_Y, MET
 from lfmesh.transport.tables.tables import Apertures
 
@@ -72,3 +74,37 @@ def kick_of_ray(apertures: Apertures, bundle: Array, i: int, colour: int) -> tup
     if bundle[KICK_AT + i] == events:
         return bundle[KICK_X + i], bundle[KICK_Y + i]
     return kick_by_key(apertures, colour, bundle.view(np.uint64)[KEY + i], int(events))
+
+
+@inlined
+def diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float) -> None:
+    """Change the directions of rays in air at the lenslets that they have met, where there is diffraction.
+
+    Parameters
+    ----------
+    apertures : Apertures or None
+    row : int
+        Of the face among the array's interfaces.
+    bundle : (ROWS · BLOCK,) float64
+    colour : int
+        Number of the wavelength.
+    sense : float
+        1: the rays run along the normals in the bundle; −1: against them.
+    """
+    if apertures is None:
+        return
+    if apertures.row != row:
+        return
+    for i in range(rows.BLOCK):
+        if bundle[rows.ENDED_ON + i] != 0.0 or bundle[rows.FATE + i] != 0.0:
+            continue
+        goes_on, dx, dy, dz = turned(
+            kick_of_ray(apertures, bundle, i, colour), bundle[rows.DX + i], bundle[rows.DY + i], bundle[rows.DZ + i],
+            sense * bundle[rows.NX + i], sense * bundle[rows.NY + i], sense * bundle[rows.NZ + i],
+        )  # fmt: skip
+        bundle[rows.DX + i], bundle[rows.DY + i], bundle[rows.DZ + i] = dx, dy, dz
+        if not goes_on:
+            # The ray ends on the face, where it is going to or has come to.
+            for row_of, at in ((rows.X, rows.AT_X), (rows.Y, rows.AT_Y), (rows.Z, rows.AT_Z)):
+                bundle[row_of + i] = bundle[at + i]
+            bundle[rows.ENDED_ON + i] = EVANESCENT + 1.0

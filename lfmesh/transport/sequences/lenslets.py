@@ -34,8 +34,7 @@ from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.surface import conic_distance
 from lfmesh.kernels.decorators import inlined, kernel, pasted
 from lfmesh.kernels.vector import both, select
-from lfmesh.transport.events.kick import turned
-from lfmesh.transport.packets.book import EVANESCENT, MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
+from lfmesh.transport.packets.book import MLA_EDGE, MLA_MASK, MLA_MOUNT, MLA_WALL
 from lfmesh.transport.packets.packet import BACK_FRAME, MLA_FRAME
 from lfmesh.transport.sequences.bundle import (
     AT_X,
@@ -48,9 +47,6 @@ from lfmesh.transport.sequences.bundle import (
     DZ,
     ENDED_ON,
     FATE,
-    NX,
-    NY,
-    NZ,
     SCRATCH,
     X,
     Y,
@@ -63,7 +59,7 @@ from lfmesh.transport.sequences.bundle import (
     set_normal,
 )
 from lfmesh.transport.sequences.division import divide
-from lfmesh.transport.sequences.kicks import kick_of_ray
+from lfmesh.transport.sequences.kicks import diffract
 from lfmesh.transport.sequences.lens_surfaces import sphere_crossing
 from lfmesh.transport.tables.tables import AIR, FLAT_ROW, MlaTables
 
@@ -111,10 +107,10 @@ def at_lenslets(bundle: Array, mla: MlaTables, inward: bool, mirrors: bool, colo
     absorb(bundle, media.absorption, AIR if inward else mla.medium, colour, book)
     in_air = inward == mirrors
     if inward:
-        _diffract(mla.apertures, mla.row, bundle, colour, 1.0)
+        diffract(mla.apertures, mla.row, bundle, colour, 1.0)
     divide(bundle, mla.interfaces, mla.row, colour, _indices(mla, inward, colour), not inward, mirrors, book)
     if in_air:
-        _diffract(mla.apertures, mla.row, bundle, colour, -1.0 if mirrors else 1.0)
+        diffract(mla.apertures, mla.row, bundle, colour, -1.0 if mirrors else 1.0)
     _find_ways_out(bundle, mla.lenslets, inward != mirrors)
     walked = 0
     for i in range(BLOCK):
@@ -138,36 +134,6 @@ def _end_on_mask(bundle: Array, lenslets: Lenslets) -> None:
             x, y = bundle[AT_X + i] - cx, bundle[AT_Y + i] - cy
             if not x * x + y * y <= clear_radius * clear_radius:
                 bundle[FATE + i] = MLA_MASK + 1.0
-
-
-@inlined
-def _diffract(apertures: Any, row: int, bundle: Array, colour: int, sense: float) -> None:
-    """Change the directions of rays in air at the lenslets that they have met, where there is diffraction.
-
-    Parameters
-    ----------
-    apertures : Apertures or None
-    row : int
-        Of the face among the array's interfaces.
-    sense : float
-        1: the rays run along the normals in the bundle; −1: against them.
-    """
-    if apertures is None:
-        return
-    if apertures.row != row:
-        return
-    for i in range(BLOCK):
-        if bundle[ENDED_ON + i] != 0.0 or bundle[FATE + i] != 0.0:
-            continue
-        goes_on, dx, dy, dz = turned(
-            kick_of_ray(apertures, bundle, i, colour), bundle[DX + i], bundle[DY + i], bundle[DZ + i],
-            sense * bundle[NX + i], sense * bundle[NY + i], sense * bundle[NZ + i],
-        )  # fmt: skip
-        bundle[DX + i], bundle[DY + i], bundle[DZ + i] = dx, dy, dz
-        if not goes_on:
-            # The ray ends on the face, where it is going to or has come to.
-            bundle[X + i], bundle[Y + i], bundle[Z + i] = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
-            bundle[ENDED_ON + i] = EVANESCENT + 1.0
 
 
 @inlined

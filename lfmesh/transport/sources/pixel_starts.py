@@ -39,7 +39,16 @@ class StartRoom(NamedTuple):
 
 
 def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET, *, diffracts: bool = False) -> StartRoom:
-    """Return working memory for a launch, with the packets' record type, and whether lenslets diffract them."""
+    """Return working memory for a launch.
+
+    Parameters
+    ----------
+    aim : LensletAim
+    record : dtype
+        Of packets.
+    diffracts : bool
+        Lenslets diffract.
+    """
     table = (KICK_V + 1 if diffracts else DISCRETE + 1, STARTS)
     of_pixel = most_listed(aim, SEARCH_AFTER_KICK if diffracts else 1.0)
     most = of_pixel + (most_listed(aim, FURTHEST_SEARCH) if diffracts else 0)

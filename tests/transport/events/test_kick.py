@@ -16,7 +16,7 @@ from lfmesh.optics.diffraction import (
     hexagon_cells,
     sinc2_quantiles,
 )
-from lfmesh.transport.events.kick import drawn_kick
+from lfmesh.transport.events.kick import kick_by_key
 from lfmesh.transport.packets.random import derived, descendant
 from lfmesh.transport.tables.tables import Apertures
 
@@ -28,14 +28,14 @@ LEVEL_SIGMA = 4.5
 @kernel
 def _fill(apertures: Apertures, key: np.uint64, kicks: np.ndarray) -> None:
     for i in range(len(kicks)):
-        kicks[i, 0], kicks[i, 1] = drawn_kick(apertures, 0, derived(key, i), 3)
+        kicks[i, 0], kicks[i, 1] = kick_by_key(apertures, 0, derived(key, i), 3)
 
 
 def apertures(shape: int, spread: tuple[float, float]) -> Apertures:
     """Apertures of a shape, with wavelengths over their widths."""
     quantiles = airy_quantiles() if shape == ROUND else sinc2_quantiles()
     cells = hexagon_cells() if shape == HEXAGON else np.empty((0, 2), np.float32)
-    return Apertures(shape, np.array([spread]), quantiles, cells, row=0, to_lens=True, lever=1.0)
+    return Apertures(shape, np.array([spread]), quantiles, cells, row=0, to_lens=True, events=2, lever=1.0)
 
 
 def kicks_of(shape: int, spread: float) -> np.ndarray:

@@ -315,10 +315,8 @@ def _give_kicks(apertures: Any, bundle: Array, kicks: Array, first: int, count: 
         return
     for i in range(count):
         bundle[KICK_X + i], bundle[KICK_Y + i] = kicks[first + i, 0], kicks[first + i, 1]
-        bundle[EVENTS_BEFORE + i], bundle[KICK_AT + i] = (
-            0.0,
-            bundle[MET + i] + (0.0 if apertures.to_lens else FACES_OF_ARRAY),
-        )
+        bundle[EVENTS_BEFORE + i] = 0.0
+        bundle[KICK_AT + i] = bundle[MET + i] + (0.0 if apertures.to_lens else FACES_OF_ARRAY)
 
 
 @kernel

@@ -345,14 +345,13 @@ def with_diffracting_stop(scene: Scene, lens: LensTables, wavelengths_nm: tuple[
     """
     if scene.transport.diffraction != "stop":
         return lens
-    radius = lens.stop_radius
-    if lens.stop_space < 0:
-        radius = float(lens.surfaces["semi_diameter"][np.argmax(lens.surfaces["stop"] == 1)])
+    space, radius = lens.stop_space, lens.stop_radius
+    if space < 0:
+        # A surface is the stop.
+        space = int(np.argmax(lens.surfaces["stop"] == 1))
+        radius = float(lens.surfaces["semi_diameter"][space])
     spread = np.outer(wavelengths_nm, (1.0, 1.0)) * 1e-6 / (2.0 * radius)
-    behind = len(lens.surfaces) - (
-        lens.stop_space if lens.stop_space >= 0 else int(np.argmax(lens.surfaces["stop"] == 1))
-    )
-    events = _events_in_cover(scene) + behind
+    events = _events_in_cover(scene) + len(lens.surfaces) - space
     return lens._replace(aperture=Apertures(ROUND, spread, airy_quantiles(), NO_CELLS, -1, False, events, 0.0))
 
 

@@ -30,7 +30,7 @@ def scene(surfaces: Any, **parts: Any) -> lf.Scene:
 def test_an_opaque_sheet_near_the_lens_is_dark_where_it_is_lit_from_behind(
     surfaces: Any, engine: str, split: str
 ) -> None:
-    """At any tilt, whatever else may scatter light: none goes round the sheet, so not a single path may find any."""
+    """At any tilt, with a disk behind it that scatters light: none goes round the sheet, so no path may find any."""
     draw = np.random.default_rng(5)
     for _ in range(3):
         tilt = draw.uniform(-60.0, 60.0, 2)
@@ -40,10 +40,10 @@ def test_an_opaque_sheet_near_the_lens_is_dark_where_it_is_lit_from_behind(
             "rotation_deg": (*tilt, draw.uniform(0.0, 90.0)),
             "material": {"reflectance": 0.9},
         }
-        aside = {"shape": {"kind": "disk", "radius_mm": 1.0}, "position_mm": (0.0, 500.0, 300.0)}
+        behind = {"shape": {"kind": "disk", "radius_mm": 1.0}, "position_mm": (5.0, 0.0, -800.0)}
         lamp = {"kind": "point", "position_mm": (0.0, 0.0, -400.0), "power_w": 1.0}
         given = scene(
-            surfaces, targets=[sheet, aside], lights=[lamp],
+            surfaces, targets=[sheet, behind], lights=[lamp],
             transport={"engine": engine, "split": split, "samples": 1024, "replicates": 2},
         )  # fmt: skip
         assert lf.render(given).mean.max() == 0.0, tilt

@@ -159,6 +159,17 @@ def test_a_furnace_shows_no_rough_glass(folder: Path, finish: Any, index: float,
     assert 0.95 < reached / all_of_it < 1.0 + 1e-9
 
 
+def test_a_path_that_leaves_glass_beside_an_edge_meets_a_facet(folder: Path) -> None:
+    """With these random numbers one ray starts along a facet, so that its query begins beyond the next one.
+
+    It would reach a wall as if in glass, and bring 1 / n² of its light.
+    """
+    body = glass("ball.stl", -50.0, DIFFUSE, 1.5)
+    image, empty = (lf.render(furnace(folder, each).changed({"transport.seed": 4})) for each in ([body], []))
+    expected = image.ledger.reached_target / empty.ledger.reached_target
+    assert image.mean.sum() / empty.mean.sum() == pytest.approx(expected, rel=1e-9)
+
+
 def test_fine_ground_glass_looks_polished(folder: Path) -> None:
     """To 3 sigma at a roughness that is traced as such; to the last bit below the one that counts as polished."""
     images = {}

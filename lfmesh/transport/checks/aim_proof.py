@@ -256,7 +256,8 @@ def _measured_light(aim: AimTables, through: CameraTables, rays: Rays) -> AimTab
     shown = unmeasured_light()
     if len(rays.throughput) >= FEWEST:
         off, radius, _ = seen_from_cells(aim, through, rays)
-        shown = shown_by((off / radius)[radius > 0.0], rays.throughput[radius > 0.0])
+        seen = radius > 0.0
+        shown = shown_by(off[seen] / radius[seen], rays.throughput[seen])
     return aim._replace(lenslets=aim.lenslets._replace(shown=shown))
 
 

@@ -122,7 +122,7 @@ def shade_objects(
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
             continue
-        if packet.kind != SHADOW and curved[0] < 0 and not _in_its_medium(objects, packet, prim, along):
+        if packet.kind != SHADOW and curved[0] < 0 and not _in_its_medium(objects, packet, prim, t, along):
             if prim >= 0 and abs(packet.tries) < MAX_TRIES and _is_in_contact(objects.glass, prim):
                 # To rounding, a face of a body that was already entered or left where it touches another body.
                 requery(options, flow, frames, OBJECTS, packet, next_query_from(facet, packet, t), False, LOST_OUTSIDE)
@@ -312,14 +312,24 @@ def _enters_lens(frames: Array, lens: LensTables, packet: Any, t: float) -> bool
 
 
 @inlined
-def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, along: float) -> bool:
-    """Tell whether a packet can meet a facet from that side, by the bodies it is in; −1: whether it can meet none."""
+def _in_its_medium(objects: ObjectTables, packet: Any, prim: int, t: float, along: float) -> bool:
+    """Tell whether a packet can meet a facet there from that side, by the bodies it is in; −1: or can meet none."""
     if prim < 0:
         return packet.bodies < 0
     body = objects.facets[prim].body
     if body >= 0 and objects.medium[body] != OPAQUE:
         return (along > 0.0) == is_in(bodies_round(packet), objects.rank[body])
-    return True
+    return packet.bodies < 0 or not _is_outside(objects.glass, objects, packet, t)
+
+
+@inlined
+def _is_outside(glass: Any, objects: ObjectTables, packet: Any, t: float) -> bool:
+    """Tell whether a packet that is in a body of glass would have left its box at a distance."""
+    if glass is None:
+        return False
+    low, high = glass.boxes[objects.by_rank[bodies_round(packet) & RANK]]
+    x, y, z = packet.x + t * packet.dx, packet.y + t * packet.dy, packet.z + t * packet.dz
+    return not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2])
 
 
 @inlined
@@ -358,7 +368,7 @@ def _first_crossing(objects: ObjectTables, packet: Any) -> tuple[int, float, flo
         if t < nearest and t > -back and prim != packet.facet:
             body = objects.facets[prim].body
             glass = body >= 0 and objects.medium[body] != OPAQUE
-            if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, along):
+            if (glass or t > 0.0) and _in_its_medium(objects, packet, prim, t, along):
                 if _is_sheer(objects, body) and passes(objects, packet, prim, t):
                     continue
                 first, nearest, steepness = prim, t, along

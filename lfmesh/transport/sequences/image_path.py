@@ -50,7 +50,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.division import take_etendue
 from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, IN_LENS, LENS_AGAIN, Route, follow_legs
-from lfmesh.transport.sequences.kicks import give_keys, give_kicks
+from lfmesh.transport.sequences.kicks import draw_kick, give_keys
 from lfmesh.transport.tables.tables import Camera, LensTables
 
 Array = NDArray[np.float64]
@@ -92,14 +92,16 @@ def follow_image_path(
             load(
                 bundle, count, packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz, packet.weight
             )  # fmt: skip
+            draw_kick(camera.mla.apertures, options.pixels, packet, bundle, count)
+            draw_kick(camera.lens.aperture, options.pixels, packet, bundle, count)
             numbers[count] = i
             count += 1
             if count == BLOCK:
-                _follow_loaded(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
+                follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
                 count = 0
         if count > 0:
             pad(bundle, count)
-            _follow_loaded(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
+            follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
 
 
 @kernel
@@ -136,18 +138,6 @@ def follow_block(
         follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, flow.book)
     normalise(bundle)
     _hand_on(wave, to_sensor, count, camera.frames, bundle, numbers, options, flow)
-
-
-@kernel
-def _follow_loaded(
-    wave: NDArray[np.void], station: int, to_sensor: bool, count: int, camera: Camera, route: Route, bundle: Array,
-    numbers: NDArray[np.int64], options: Options, flow: Flow,
-) -> None:  # fmt: skip
-    """Follow a bundle after drawing what diffraction changes of it."""
-    for_array, for_stop = camera.mla.apertures, camera.lens.aperture
-    give_kicks(for_array, options.pixels, wave, count, bundle, numbers)
-    give_kicks(for_stop, options.pixels, wave, count, bundle, numbers)
-    follow_block(wave, station, to_sensor, count, camera, route, bundle, numbers, options, flow)
 
 
 @kernel

@@ -34,27 +34,26 @@ def give_keys(apertures: Any, wave: NDArray[np.void], count: int, bundle: Array,
 
 
 @inlined
-def give_kicks(
-    apertures: Any, pixels: PixelSamples, wave: NDArray[np.void], count: int, bundle: Array, numbers: NDArray[np.int64]
-) -> None:
-    """Draw the changes of direction that packets from pixels will come to by their starting numbers.
+def draw_kick(apertures: Any, pixels: PixelSamples, packet: Any, bundle: Array, i: int) -> None:
+    """Draw the change of direction that a packet from a pixel will come to by its starting numbers.
 
     Parameters
     ----------
     apertures : Apertures or None
     pixels : PixelSamples
-    wave, count, bundle, numbers
-        As for `image_path.follow_block`.
+    packet : PACKET
+    bundle : (ROWS · BLOCK,) float64
+    i : int
+        Place of the packet's ray in the block.
     """
     if apertures is None:
         return
-    for i in range(count):
-        packet, at = wave[numbers[i]], -1.0
-        if is_first_kick(apertures, pixels, apertures.events) and packet.events <= apertures.events:
-            kick = kick_of_packet(apertures, pixels, packet, packet.key, apertures.events)
-            bundle[KICK_X + i], bundle[KICK_Y + i] = kick
-            at = float(apertures.events)
-        bundle[KICK_AT + i] = at
+    at = -1.0
+    if is_first_kick(apertures, pixels, apertures.events) and packet.events <= apertures.events:
+        kick = kick_of_packet(apertures, pixels, packet, packet.key, apertures.events)
+        bundle[KICK_X + i], bundle[KICK_Y + i] = kick
+        at = float(apertures.events)
+    bundle[KICK_AT + i] = at
 
 
 @inlined

@@ -80,7 +80,7 @@ from lfmesh.transport.sequences.bundle import (
 )
 from lfmesh.transport.sequences.follower import Route, image_route_of
 from lfmesh.transport.sequences.image_path import follow_block
-from lfmesh.transport.sequences.kicks import give_kicks
+from lfmesh.transport.sequences.kicks import draw_kick
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
@@ -251,7 +251,8 @@ def launch_along_image_path(
         )  # fmt: skip
         pad(bundle, count)
         move_bundle(bundle, frames[SENSOR_FRAME, CAMERA_FRAME])
-        give_kicks(camera.lens.aperture, options.pixels, room.packets, count, bundle, numbers)
+        for i in range(count):
+            draw_kick(camera.lens.aperture, options.pixels, room.packets[i], bundle, i)
         follow_block(room.packets, station, False, count, camera, route, bundle, numbers, options, flow)
 
 

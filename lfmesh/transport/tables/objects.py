@@ -45,6 +45,9 @@ from lfmesh.transport.tables.tables import (
 )
 from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
 
+BOX_SLACK = 1e-6
+"""By which the box of a body is larger, of its size: where Embree's float32 may put what touches the body."""
+
 
 def middle_of(targets: list[TargetMesh]) -> Array:
     """Return the middle of the targets' bounding box in the world frame."""
@@ -209,7 +212,7 @@ def object_tables(
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
-    glass = GlassTables(interfaces, level, patches, across, tree, first, partners, near)
+    glass = GlassTables(interfaces, level, patches, across, tree, first, partners, near, _boxes(parts, level))
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -258,6 +261,19 @@ def object_tables(
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_emitting_facets(tables, mesh), *_emitting_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _boxes(bodies: list[Mesh], level: NDArray[np.int64]) -> Array:
+    """Return the corners of the boxes that surely hold bodies, (n, 2, 3) mm."""
+    boxes = np.zeros((len(bodies), 2, 3))
+    for box, body, of in zip(boxes, bodies, level, strict=True):
+        corners = body.vertices[body.faces]
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+        # An arc of less than half a turn bulges by less than half its chord.
+        slack = 0.5 * longest if of == PATCH else BOX_SLACK * float((high - low).max())
+        box[:] = low - slack, high + slack
+    return boxes
 
 
 def _of_smooth_patches(scene: Scene, bodies: NDArray[np.int64], level: NDArray[np.int64]) -> NDArray[np.bool_]:

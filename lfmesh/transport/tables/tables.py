@@ -206,6 +206,7 @@ class GlassTables(NamedTuple):
     contact_first: NDArray[np.int64]  # (m + 1,) where each facet's `contacts` begin; (0,) where no bodies touch
     contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
     contact_mm: float  # distance within which facets are in contact
+    boxes: Array  # (targets, 2, 3) mm, object frame: corners of the box that holds each target
 
 
 @by_address

@@ -128,6 +128,21 @@ def test_a_white_picture_is_the_pupil_blurred_by_the_apertures_pattern(case: str
     assert abs(image.ledger.imbalance) < 1e-12
 
 
+@pytest.mark.parametrize("engine", instances(["sequential", "mesh"], long=["mesh"]))
+def test_between_small_micro_images_lies_what_lenslets_throw_there(engine: str) -> None:
+    """The pupil's image is a fifth of a pitch wide: most pixels have diffracted light alone."""
+    scene = camera(5.6, pixel_mm=0.01, f_number=200.0, engine=engine, samples=3200, replicates=32)
+    image, truth = lf.render(scene), white_picture(5.6, 0.14, 14, 0.2)
+    assert shows(image, truth)
+    # Each ray of a uniform surround comes through some lenslet, but for what runs beyond a right angle.
+    expected = 0.96**2 * math.pi * (0.5 / 200.0) ** 2 * 0.14**2 * 1e-6
+    assert image.mean.sum() == pytest.approx(expected, abs=4.0 * math.hypot(*image.error.ravel()))
+    assert math.hypot(*image.error.ravel()) < 0.01 * expected
+    proof = lf.build(scene).aim_proof
+    assert proof is not None
+    assert proof.holds
+
+
 @pytest.mark.parametrize("engine", ["sequential", "mesh"])
 def test_round_apertures_show_the_pupil_blurred_by_airys_pattern(engine: str) -> None:
     given, _, _ = CASES["D"]

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.lenslet_aim import ArraySeen, list_cells
+from lfmesh.transport.aims.lenslet_aim import ArraySeen, Shown, cells_that_show, list_cells, most_listed
 from lfmesh.transport.aims.lenslet_faces import path_to_apexes
+from lfmesh.transport.tables.tables import LensletAim
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,9 @@ SEARCH_AFTER_KICK, FURTHEST_SEARCH = 2.0, 5.0
 widest ones."""
 
 SHIFT_IN_REACH, GROWTH_IN_REACH = 0.5, 1.25
-"""Shift in pitches of the point that needs no change of direction, and growth of the views, up to which a sample takes
-the lenslets that were listed for its pixel. The few samples beyond list their own, which takes far longer."""
+"""Shift in pitches, where its chief ray meets the array, of the point that needs no change of direction, and growth of
+the views, up to which a sample takes the lenslets that were listed for its pixel. The few samples beyond list their
+own, which takes far longer."""
 
 MOST_GROWTH = 1.02
 """Growth of the views above which changes of direction are far, so that rays go anywhere, too, and the proof of the aim
@@ -36,6 +38,12 @@ The views miss some thousandths of the light at a growth of 1.1, and some hundre
 some sixty times as much as those to the views, over this share: fewer would gather that light in bright pixels."""
 
 
+def most_listed_after_kick(aim: LensletAim) -> int:
+    """Return the largest number of lenslets that may be listed for a pixel, and behind them for a sample."""
+    of_pixel = most_listed(aim, SEARCH_AFTER_KICK * aim.search + SHIFT_IN_REACH)
+    return of_pixel + most_listed(aim, FURTHEST_SEARCH * aim.search)
+
+
 @kernel
 def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
     """List the lenslets by which points of a pixel may see the opening after changes of direction within reach.
@@ -46,26 +54,44 @@ def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float]
         As for `list_cells`.
     """
     lateral, deep = extent
-    pitch, depth = array.mla.lenslets.lattice.pitch, abs(p[2] - array.aim.apex_z)
     # A difference in depth widens the views that are listed by this factor, and a little more.
-    extent = lateral + SHIFT_IN_REACH * pitch, deep + (GROWTH_IN_REACH - 1.0) * (depth + deep)
-    return list_cells(array, p, extent, SEARCH_AFTER_KICK, near)
+    extent = lateral + _shift_in_reach(array, p), deep + (GROWTH_IN_REACH - 1.0) * (abs(p[2] - array.aim.apex_z) + deep)
+    return list_cells(array, p, extent, SEARCH_AFTER_KICK * array.aim.search + SHIFT_IN_REACH, near)
 
 
 @inlined
-def is_in_reach(array: ArraySeen, p: Vector, growth: float, seen_from: Vector) -> bool:
-    """Tell whether the pixel's list holds the lenslets that a point of it needs after a change of direction.
+def _shift_in_reach(array: ArraySeen, p: Vector) -> float:
+    """Return the largest shift, mm, of the point that needs no change of direction, for which lenslets are listed.
+
+    It moves the place where the chief ray meets the array by `SHIFT_IN_REACH` pitches.
+    """
+    aim = array.aim
+    return SHIFT_IN_REACH * array.mla.lenslets.lattice.pitch * (1.0 + aim.pupil_vergence * abs(p[2] - aim.apex_z))
+
+
+@inlined
+def shown_after_kick(
+    array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector, kick: tuple[float, float]
+) -> tuple[Shown, float]:
+    """Return the lenslets that show the opening to a point after a change of direction, and the growth of their views.
 
     Parameters
     ----------
     array : ArraySeen
+    near, listed
+        From `list_cells_of_pixel`; those of the point are listed behind them where they are out of reach.
+    cells : (n,) int64
+        As for `cells_that_show`.
     p : (3,) float, mm
         Array frame.
-    growth, seen_from
-        From `without_kick`.
+    kick : (2,) float
+        See `events.kick.drawn_kick`.
     """
-    x, y, reach = seen_from[0] - p[0], seen_from[1] - p[1], SHIFT_IN_REACH * array.mla.lenslets.lattice.pitch
-    return growth <= GROWTH_IN_REACH and x * x + y * y <= reach * reach
+    growth, seen_from = without_kick(array, p, kick)
+    x, y, reach, first = seen_from[0] - p[0], seen_from[1] - p[1], _shift_in_reach(array, p), 0
+    if growth > GROWTH_IN_REACH or x * x + y * y > reach * reach:
+        first, listed = listed, list_cells_after_kick(array, growth, seen_from, near[listed:])
+    return cells_that_show(array, near[first:], listed, cells, seen_from, growth * growth), growth
 
 
 @kernel
@@ -83,7 +109,8 @@ def list_cells_after_kick(array: ArraySeen, growth: float, seen_from: Vector, ne
     if not growth > 0.0:
         return 0
     extent = 0.0, (growth - 1.0) * abs(seen_from[2] - array.aim.apex_z)
-    return list_cells(array, seen_from, extent, min(max(growth, SEARCH_AFTER_KICK), FURTHEST_SEARCH), near)
+    wider = min(max(growth, SEARCH_AFTER_KICK), FURTHEST_SEARCH)
+    return list_cells(array, seen_from, extent, wider * array.aim.search, near)
 
 
 @inlined

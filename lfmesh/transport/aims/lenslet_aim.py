@@ -117,9 +117,9 @@ class Shown(NamedTuple):
     on_wider: float
 
 
-def most_listed(aim: LensletAim, wider: float = 1.0) -> int:
-    """Return the largest number of lenslets that `list_cells` may list, with its `wider`."""
-    most = (2.0 * wider * aim.search + 1.0) * (2.0 * wider * aim.search / ROW_SPACING + 1.0)
+def most_listed(aim: LensletAim, search: float) -> int:
+    """Return the largest number of lenslets that `list_cells` may list, with its `search`."""
+    most = (2.0 * search + 1.0) * (2.0 * search / ROW_SPACING + 1.0)
     return int(min(most, len(aim.slope_radius2)))
 
 
@@ -135,7 +135,7 @@ def pixel_extent(sensor: SensorTables, frames: Array) -> tuple[float, float]:
 
 
 @pasted
-def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], wider: float, near: Array) -> int:
+def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], search: float, near: Array) -> int:
     """List the lenslets that may show the lens's opening to points of a pixel.
 
     A lenslet at c shows it to the point x at a distance d where |c − x − s d| ≤ ρ d, s being the middle of its view and
@@ -149,8 +149,8 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], wider: 
         Centre of the pixel, array frame.
     extent : (2,) float, mm
         See `pixel_extent`.
-    wider : float
-        Factor on the distance at which lenslets are looked for.
+    search : float
+        Distance from the pixel's chief ray at which lenslets are looked for, in pitches.
     near : (n, LISTED) float64
         Filled with a row for each lenslet: centre (0, 1), centre of the opening that it sees (2, 3) and the square of
         its radius (4), in slopes, curvature (5), decentre of the apex (6, 7), relative solid angle (8), a place for
@@ -169,7 +169,7 @@ def list_cells(array: ArraySeen, p: Vector, extent: tuple[float, float], wider: 
     # Where the chief ray meets the array.
     chief_x = (kappa * aim.pupil_x + over * x) / (kappa + over)
     chief_y = (kappa * aim.pupil_y + over * y) / (kappa + over)
-    distance = wider * aim.search * lattice.pitch
+    distance = search * lattice.pitch
     count = 0
     first_row, end_row = rows_near(lattice, chief_y, distance)
     for r in range(first_row, end_row):

@@ -10,10 +10,17 @@ from lfmesh.geometry.array.lenslets import shape_of, type_of
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
-from lfmesh.transport.aims.kick_aim import FURTHEST_SEARCH, is_far, list_cells_after_kick, without_kick
+from lfmesh.transport.aims.kick_aim import (
+    is_far,
+    list_cells_of_pixel,
+    most_listed_after_kick,
+    shown_after_kick,
+    without_kick,
+)
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
+    Shown,
     cells_that_show,
     lenslets_density,
     list_cells,
@@ -52,7 +59,10 @@ def beyond_sensor_aim(aim: AimTables, through: CameraTables, rays: Rays) -> Arra
         if aim.exit.wide_share < 1.0:
             _beyond_exit(rays.sensor, aim.exit.opening, through.frames, beyond)
         return beyond
-    most = most_listed(aim.lenslets, 1.0 if through.mla.apertures is None else FURTHEST_SEARCH)
+    if through.mla.apertures is None:
+        most = most_listed(aim.lenslets, aim.lenslets.search)
+    else:
+        most = most_listed_after_kick(aim.lenslets)
     near, cells = np.zeros((most + 1, LISTED)), np.zeros(most + 1, np.int64)
     _outside_cells(
         rays.sensor,
@@ -172,24 +182,23 @@ def _outside_cells(
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
         array = ArraySeen(mla, aim, glass_before_faces(mla, colour[i]))
         p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        listed, growth, seen_from = _listed(
-            mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near
+        shown, growth = _shown(
+            mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near, cells
         )  # fmt: skip
         if is_far(growth):
             continue
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
-        shown = cells_that_show(array, near, listed, cells, seen_from, growth * growth)
         on_cells, on_wider = lenslets_density(array, shown, p, d)
         if not on_cells + on_wider > 0.0:
             outside[i] = np.inf
 
 
 @inlined
-def _listed(
+def _shown(
     apertures: Any, array: ArraySeen, pixel: Vector, extent: tuple[float, float], p: Vector,
-    kick: tuple[float, float], near: Array,
-) -> tuple[int, float, Vector]:  # fmt: skip
-    """List the lenslets that a pixel's rays go to after diffraction, the growth of their views, and whence they show.
+    kick: tuple[float, float], near: Array, cells: NDArray[np.int64],
+) -> tuple[Shown, float]:  # fmt: skip
+    """Return the lenslets that a pixel's rays go to, as `_aim_rays` finds them, and the growth of their views.
 
     Parameters
     ----------
@@ -198,10 +207,11 @@ def _listed(
         Its centre, and the point of the ray.
     kick : (2,) float
     """
-    growth, seen_from = _seen_after_kick(apertures, array, p, kick)
     if apertures is None:
-        return list_cells(array, pixel, extent, 1.0, near), growth, seen_from
-    return list_cells_after_kick(array, growth, seen_from, near), growth, seen_from
+        return cells_that_show(
+            array, near, list_cells(array, pixel, extent, array.aim.search, near), cells, p, 1.0
+        ), 1.0
+    return shown_after_kick(array, near, list_cells_of_pixel(array, pixel, extent, near), cells, p, kick)
 
 
 @inlined

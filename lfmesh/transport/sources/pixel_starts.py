@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
-from lfmesh.transport.aims.kick_aim import FURTHEST_SEARCH, SEARCH_AFTER_KICK
+from lfmesh.transport.aims.kick_aim import most_listed_after_kick
 from lfmesh.transport.aims.lenslet_aim import DISCRETE, LISTED, most_listed
 from lfmesh.transport.events.kick import KICK_V
 from lfmesh.transport.packets.packet import CAMERA, NO_SURFACE, PACKET
@@ -50,8 +50,7 @@ def start_room(aim: LensletAim, record: np.dtype[np.void] = PACKET, *, diffracts
         Lenslets diffract.
     """
     table = (KICK_V + 1 if diffracts else DISCRETE + 1, STARTS)
-    of_pixel = most_listed(aim, SEARCH_AFTER_KICK if diffracts else 1.0)
-    most = of_pixel + (most_listed(aim, FURTHEST_SEARCH) if diffracts else 0)
+    most = most_listed_after_kick(aim) if diffracts else most_listed(aim, aim.search)
     return StartRoom(
         np.zeros(table[0], np.uint32),
         np.zeros(table[0], np.uint32),

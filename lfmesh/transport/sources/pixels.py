@@ -18,11 +18,9 @@ from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.kick_aim import (
     is_far,
-    is_in_reach,
-    list_cells_after_kick,
     list_cells_of_pixel,
+    shown_after_kick,
     wide_share_after_kick,
-    without_kick,
 )
 from lfmesh.transport.aims.lenslet_aim import (
     CELL_U,
@@ -269,7 +267,7 @@ def _near_cells(
         As for `list_cells`.
     """
     if apertures is None:
-        listed = list_cells(array, p, extent, 1.0, near)
+        listed = list_cells(array, p, extent, array.aim.search, near)
         return listed, listed > 0
     return list_cells_of_pixel(array, p, extent, near), True
 
@@ -297,12 +295,7 @@ def _cells_shown(
         return cells_that_show(array, room.near, near, room.cells, p, 1.0), 0.0
     kick = _kick_of_sample(apertures, room, i, stratified, colour)
     bundle[KICK_X + i], bundle[KICK_Y + i], bundle[KICK_AT + i] = kick[0], kick[1], float(apertures.events)
-    growth, seen_from = without_kick(array, p, kick)
-    first, listed = 0, near
-    if not is_in_reach(array, p, growth, seen_from):
-        # Behind the pixel's list.
-        first, listed = near, list_cells_after_kick(array, growth, seen_from, room.near[near:])
-    shown = cells_that_show(array, room.near[first:], listed, room.cells, seen_from, growth * growth)
+    shown, growth = shown_after_kick(array, room.near, near, room.cells, p, kick)
     return shown, (wide_share_after_kick(growth) if is_far(growth) else 0.0)
 
 

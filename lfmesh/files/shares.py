@@ -55,10 +55,26 @@ class Cut:
     scene : Scene
         With the digests of its files.
     shares : int
+    facts : dict
+        Values that all shares have in common. The scene as a folder keeps it has other paths, so that they are not told
+        from that.
     """
 
     scene: Scene
     shares: int
+    facts: dict[str, Any]
+
+    @classmethod
+    def of(cls, scene: Scene, shares: int) -> "Cut":
+        """Return the division of a scene that is as its author wrote it."""
+        facts = {
+            "format": FORMAT,
+            "program": program(),
+            "scene": scene.changed({"transport.threads": 0}).digest,
+            "files": sorted(scene.digests.values()),
+            "shares": shares,
+        }
+        return cls(scene, shares, facts)
 
     @property
     def blocks(self) -> int:
@@ -68,17 +84,6 @@ class Cut:
     def jobs(self, tracer: Tracer) -> list[Job]:
         """Return all jobs, replicate by replicate."""
         return list(jobs_of(self.scene, range(self.scene.transport.replicates), tracer.plan.blocks(self.blocks)))
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """Values that all shares have in common."""
-        return {
-            "format": FORMAT,
-            "program": program(),
-            "scene": self.scene.changed({"transport.threads": 0}).digest,
-            "files": sorted(self.scene.digests.values()),
-            "shares": self.shares,
-        }
 
     def facts_of(self, job: Job) -> dict[str, Any]:
         """Return what a piece says that it is."""
@@ -113,7 +118,7 @@ def trace_share(
             "transport.target_error: where noisy pixels get more samples is known when all shares are done: leave it "
             "out, or take --dask"
         )
-    cut = Cut(scene, shares)
+    cut = Cut.of(scene, shares)
     _begin(folder, cut)
     tracer = Tracer(build(scene))
     mine = cut.jobs(tracer)[share - 1 :: shares]
@@ -156,7 +161,7 @@ def merged(folders: Sequence[Path]) -> Image:
         if facts["cut"] != held[0]["cut"]:
             raise FileError(f"{folder} holds a share of another render than {folders[0]}")
     scene = scene_from(held[0], folders[0])
-    cut = Cut(scene, held[0]["cut"]["shares"])
+    cut = Cut(scene, held[0]["cut"]["shares"], held[0]["cut"])
     tracer = Tracer(build(scene))
     places = [_found(folders, job) for job in cut.jobs(tracer)]
     missing = sorted({number % cut.shares + 1 for number, place in enumerate(places) if place is None})

@@ -9,6 +9,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh import provenance
+from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import sealed
@@ -25,6 +26,8 @@ LAMP = {"kind": "point", "position_mm": [20.0, -15.0, -25.0], "power_w": 1.0}
 SCENES = {
     "reflections": ({"transport.split": "both", "transport.samples": 12}, ()),
     "forward": ({"transport.method": "forward"}, ()),
+    # Its folder keeps another path.
+    "texture": ({"targets[0].material.texture": str(asset_path("charts/chart.png"))}, ()),
     "lamp, two wavelengths": (
         {"transport.split": "transmit", "transport.wavelengths_nm": [500.0, 600.0]},
         (LAMP,),

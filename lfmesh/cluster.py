@@ -164,7 +164,12 @@ def _lack_of(client: Any) -> str:
 
 def _refuse_other_programs(client: Any) -> None:
     """Refuse workers whose lfmesh, or whose libraries that decide bits, are not those of this process."""
-    for worker, theirs in client.run(_program).items():
+    for worker, theirs in client.run(_program, on_error="return").items():
+        if isinstance(theirs, OSError):
+            # It has gone, and the scheduler has yet to learn it.
+            continue
+        if isinstance(theirs, Exception):
+            raise theirs
         if said := provenance.difference(theirs):
             raise LfmeshError(f"--dask: worker {worker} runs another program: {said}")
 

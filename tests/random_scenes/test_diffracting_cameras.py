@@ -25,8 +25,8 @@ IN_SUITE = (1, 3)
 """Square and hexagonal lenslets, so small that pictures without diffraction are told from those with it."""
 
 
-STOPPED_DOWN = 0.25
-"""Of the smallest rim of the lens: the micro-images are small, and much light lies between them."""
+SLOWER = 4.0
+"""The f-number of a lens with a small stop over that of the drawn one: much light lies between the micro-images."""
 
 
 def diffracting(number: int) -> lf.Scene:
@@ -37,8 +37,8 @@ def diffracting(number: int) -> lf.Scene:
 def stopped_down(number: int) -> lf.Scene:
     """Return such a camera with a small stop."""
     scene = diffracting(number)
-    least = min(surface.semi_diameter_mm for surface in scene.camera.lens.surfaces)
-    return scene.changed({"camera.lens.stop_semi_diameter_mm": STOPPED_DOWN * least})
+    f_number = SLOWER * lf.first_order(scene).working_f_number
+    return scene.changed({"camera.lens.f_number": f_number, "camera.lens.stop_semi_diameter_mm": None})
 
 
 def check(scene: lf.Scene, name: str, record_property: Callable[[str, object], None]) -> None:

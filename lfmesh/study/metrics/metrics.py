@@ -419,8 +419,9 @@ def _mtf50(pair: Comparison) -> Array:
     most = SHARPEST * pair.reference_chief_rays.centres_px.shape[0]
     for values in found.T:
         value, error = combined(values)
-        if value > most + RESOLVED * error:
-            values[:] = math.nan
+        # Beyond what is possible by noise, it is at the border; by more, it is wrong.
+        if value > most:
+            values[:] += most - value if value <= most + RESOLVED * error else math.nan
     return found
 
 

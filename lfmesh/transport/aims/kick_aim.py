@@ -6,6 +6,8 @@ the direction before the change, and in the direction of the opening's centre. S
 them, whatever the change, and next to all rays reach the opening, with the weights that they have without diffraction.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,19 +46,24 @@ def most_listed_after_kick(aim: LensletAim) -> int:
     return of_pixel + most_listed(aim, FURTHEST_SEARCH * aim.search)
 
 
-@kernel
-def list_cells_of_pixel(array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
-    """List the lenslets by which points of a pixel may see the opening after changes of direction within reach.
+@inlined
+def list_cells_of_pixel(apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array) -> int:
+    """List the lenslets by which a pixel's points may see the opening, after changes of direction within reach as well.
 
     Parameters
     ----------
+    apertures : Apertures or None
     array, p, extent, near
         As for `list_cells`.
     """
     lateral, deep = extent
-    # A difference in depth widens the views that are listed by this factor, and a little more.
-    extent = lateral + _shift_in_reach(array, p), deep + (GROWTH_IN_REACH - 1.0) * (abs(p[2] - array.aim.apex_z) + deep)
-    return list_cells(array, p, extent, SEARCH_AFTER_KICK * array.aim.search + SHIFT_IN_REACH, near)
+    search = array.aim.search
+    if apertures is not None:
+        lateral += _shift_in_reach(array, p)
+        # A difference in depth widens the views that are listed by this factor, and a little more.
+        deep += (GROWTH_IN_REACH - 1.0) * (abs(p[2] - array.aim.apex_z) + deep)
+        search = SEARCH_AFTER_KICK * search + SHIFT_IN_REACH
+    return list_cells(array, p, (lateral, deep), search, near)
 
 
 @inlined
@@ -71,12 +78,15 @@ def _shift_in_reach(array: ArraySeen, p: Vector) -> float:
 
 @inlined
 def shown_after_kick(
-    array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector, kick: tuple[float, float]
-) -> tuple[Shown, float]:
+    apertures: Any, array: ArraySeen, near: Array, listed: int, cells: NDArray[np.int64], p: Vector,
+    kick: tuple[float, float],
+) -> tuple[Shown, float]:  # fmt: skip
     """Return the lenslets that show the opening to a point after a change of direction, and the growth of their views.
 
     Parameters
     ----------
+    apertures : Apertures or None
+        None: the direction does not change.
     array : ArraySeen
     near, listed
         From `list_cells_of_pixel`; those of the point are listed behind them where they are out of reach.
@@ -87,6 +97,8 @@ def shown_after_kick(
     kick : (2,) float
         See `events.kick.drawn_kick`.
     """
+    if apertures is None:
+        return cells_that_show(array, near, listed, cells, p, 1.0), 1.0
     growth, seen_from = without_kick(array, p, kick)
     x, y, reach, first = seen_from[0] - p[0], seen_from[1] - p[1], _shift_in_reach(array, p), 0
     if growth > GROWTH_IN_REACH or x * x + y * y > reach * reach:

@@ -235,7 +235,7 @@ def aimed_rays(share: float, samples: int, key: np.uint64) -> tuple[int, float]:
 
 @pasted
 def aimed_through_array(
-    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, choice: float, far: bool
+    array: ArraySeen, shown: Shown, wide: float, normal: Vector, p: Vector, numbers: Numbers, far: bool
 ) -> tuple[float, float, float, float]:
     """Return a direction (array frame) from a point of the sensor, and cos θ over its density among a pixel's samples.
 
@@ -253,13 +253,13 @@ def aimed_through_array(
     p : (3,) float, mm
         The point, array frame.
     numbers : Numbers
-    choice : float
-        From 0 to 1: below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its solid
-        angle, else to one by the light that it shows.
+        By the last one, below `wide` the ray goes anywhere, for the next part of `unaimed_share` to a lenslet by its
+        solid angle, else to one by the light that it shows.
     far : bool
         The lenslets' views are so wide that all rays together estimate all directions.
     """
-    point, by_light = (numbers[CELL_U], numbers[CELL_V]), choice >= unaimed_share(wide) and shown.by_light > 0.0
+    point, choice = (numbers[CELL_U], numbers[CELL_V]), numbers[DISCRETE]
+    by_light = choice >= unaimed_share(wide) and shown.by_light > 0.0
     if choice < wide:
         d = lambertian(normal[0], normal[1], normal[2], point[0], point[1])
         on_cells, on_wider = lenslets_density(array, shown, p, d)

@@ -20,10 +20,7 @@ from lfmesh.transport.aims.kick_aim import (
 from lfmesh.transport.aims.lenslet_aim import (
     LISTED,
     ArraySeen,
-    Shown,
-    cells_that_show,
     lenslets_density,
-    list_cells,
     most_listed,
     pixel_extent,
 )
@@ -182,36 +179,14 @@ def _outside_cells(
         px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
         array = ArraySeen(mla, aim, glass_before_faces(mla, colour[i]))
         p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
-        shown, growth = _shown(
-            mla.apertures, array, (px, py, pz), extent, p, (kick[i, 0], kick[i, 1]), near, cells
-        )  # fmt: skip
+        listed = list_cells_of_pixel(mla.apertures, array, (px, py, pz), extent, near)
+        shown, growth = shown_after_kick(mla.apertures, array, near, listed, cells, p, (kick[i, 0], kick[i, 1]))
         if is_far(growth):
             continue
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         on_cells, on_wider = lenslets_density(array, shown, p, d)
         if not on_cells + on_wider > 0.0:
             outside[i] = np.inf
-
-
-@inlined
-def _shown(
-    apertures: Any, array: ArraySeen, pixel: Vector, extent: tuple[float, float], p: Vector,
-    kick: tuple[float, float], near: Array, cells: NDArray[np.int64],
-) -> tuple[Shown, float]:  # fmt: skip
-    """Return the lenslets that a pixel's rays go to, as `_aim_rays` finds them, and the growth of their views.
-
-    Parameters
-    ----------
-    apertures : Apertures or None
-    pixel, p : (3,) float, mm
-        Its centre, and the point of the ray.
-    kick : (2,) float
-    """
-    if apertures is None:
-        return cells_that_show(
-            array, near, list_cells(array, pixel, extent, array.aim.search, near), cells, p, 1.0
-        ), 1.0
-    return shown_after_kick(array, near, list_cells_of_pixel(array, pixel, extent, near), cells, p, kick)
 
 
 @inlined

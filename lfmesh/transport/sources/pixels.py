@@ -33,8 +33,6 @@ from lfmesh.transport.aims.lenslet_aim import (
     Shown,
     aimed_rays,
     aimed_through_array,
-    cells_that_show,
-    list_cells,
     pixel_extent,
     unaimed_share,
 )
@@ -88,6 +86,8 @@ from lfmesh.transport.tables.pixel import area_of_sample
 from lfmesh.transport.tables.tables import AimTables, Apertures, Camera, MlaTables, SensorTables, Tables
 
 Array = NDArray[np.float64]
+
+_NO_KICK = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,24 +255,6 @@ def launch_along_image_path(
 
 
 @inlined
-def _near_cells(
-    apertures: Any, array: ArraySeen, p: Vector, extent: tuple[float, float], near: Array
-) -> tuple[int, bool]:
-    """List the lenslets that points of a pixel may see, and tell whether there are any; diffraction may add others.
-
-    Parameters
-    ----------
-    apertures : Apertures or None
-    array, p, extent, near
-        As for `list_cells`.
-    """
-    if apertures is None:
-        listed = list_cells(array, p, extent, array.aim.search, near)
-        return listed, listed > 0
-    return list_cells_of_pixel(array, p, extent, near), True
-
-
-@inlined
 def _cells_shown(
     apertures: Any, array: ArraySeen, room: StartRoom, near: int, p: Vector, i: int, stratified: bool, colour: int,
     bundle: Array,
@@ -291,11 +273,11 @@ def _cells_shown(
     i : int
         Number of the sample in the block.
     """
-    if apertures is None:
-        return cells_that_show(array, room.near, near, room.cells, p, 1.0), 0.0
-    kick = _kick_of_sample(apertures, room, i, stratified, colour)
-    bundle[KICK_X + i], bundle[KICK_Y + i], bundle[KICK_AT + i] = kick[0], kick[1], float(apertures.events)
-    shown, growth = shown_after_kick(array, room.near, near, room.cells, p, kick)
+    kick = _NO_KICK
+    if apertures is not None:
+        kick = _kick_of_sample(apertures, room, i, stratified, colour)
+        bundle[KICK_X + i], bundle[KICK_Y + i], bundle[KICK_AT + i] = kick[0], kick[1], float(apertures.events)
+    shown, growth = shown_after_kick(apertures, array, room.near, near, room.cells, p, kick)
     return shown, (wide_share_after_kick(growth) if is_far(growth) else 0.0)
 
 
@@ -340,7 +322,9 @@ def _aim_rays(
             if mla.present:
                 x, y = (column + 0.5) * sensor.pixel, (row + 0.5) * sensor.pixel
                 px, py, pz = move_point(frames, SENSOR_FRAME, MLA_FRAME, x, y, 0.0)
-                near, sees = _near_cells(mla.apertures, array, (px, py, pz), extent, room.near)
+                near = list_cells_of_pixel(mla.apertures, array, (px, py, pz), extent, room.near)
+                # Diffraction may add others.
+                sees = near > 0 or mla.apertures is not None
                 wide = aim.exit.wide_share if sees else aim.exit.share_without_aim
                 unaimed = unaimed_share(wide)
                 by_light, own_weight = aimed_rays(unaimed, samples, derived(replicate_key, pixel))
@@ -359,7 +343,9 @@ def _aim_rays(
                 share = max(wide, after_kick)
             elif by_light >= 0:
                 choice = 1.0 if sample < by_light else choice * unaimed
-            dx, dy, dz, importance = aimed_through_array(array, shown, share, normal, p, numbers, choice, far)
+            dx, dy, dz, importance = aimed_through_array(
+                array, shown, share, normal, p, (*numbers[:DISCRETE], choice), far
+            )
             importance *= own_weight if choice >= unaimed and not far else 1.0
             ux, uy, uz = move_direction(frames, MLA_FRAME, SENSOR_FRAME, dx, dy, dz)
         else:

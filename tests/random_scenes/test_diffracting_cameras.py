@@ -54,7 +54,8 @@ def test_all_ways_to_render_a_camera_whose_lenslets_diffract_agree_or_warn(
     check(diffracting(number), f"diffracting camera {number}", record_property)
 
 
-@pytest.mark.parametrize("number", instances(CAMERAS[1::2], long=[n for n in CAMERAS[1::2] if n != IN_SUITE[0]]))
+@pytest.mark.long
+@pytest.mark.parametrize("number", CAMERAS[1::2])
 def test_all_ways_agree_or_warn_behind_a_small_stop(
     number: int, record_property: Callable[[str, object], None]
 ) -> None:

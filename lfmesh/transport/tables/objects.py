@@ -19,7 +19,7 @@ from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
-from lfmesh.transport.tables.contacts import contacts
+from lfmesh.transport.tables.contacts import contacts, touching_mm
 from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
 from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.gloss_places import media_round_gloss
@@ -44,9 +44,6 @@ from lfmesh.transport.tables.tables import (
     ObjectTables,
 )
 from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
-
-BOX_SLACK = 1e-6
-"""By which the box of a body is larger, of its size: where Embree's float32 may put what touches the body."""
 
 
 def middle_of(targets: list[TargetMesh]) -> Array:
@@ -271,7 +268,7 @@ def _boxes(bodies: list[Mesh], level: NDArray[np.int64]) -> Array:
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
         low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
         # An arc of less than half a turn bulges by less than half its chord.
-        slack = 0.5 * longest if of == PATCH else BOX_SLACK * float((high - low).max())
+        slack = 0.5 * longest if of == PATCH else touching_mm([body])
         box[:] = low - slack, high + slack
     return boxes
 

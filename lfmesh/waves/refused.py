@@ -34,6 +34,13 @@ class NoLightError(LfmeshError):
     """No light of a point falls on the sensor."""
 
 
+def no_light(point: Array) -> NoLightError:
+    """Return the error of a point (camera frame, mm) whose light misses the pixels."""
+    return NoLightError(
+        f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
+    )
+
+
 def refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
     """Refuse values out of range.
 

@@ -81,7 +81,8 @@ class Traced(NamedTuple):
         On the last face.
     path_mm : (n,) float64
         Optical path from the object point up to there, less that to the origin; of a parallel bundle from the plane
-        through the origin square to it. Behind ideal lenses, less the same for all: their paths from a point to its image are equal.
+        through the origin square to it. Behind ideal lenses, less the same for all: their paths from a point to its
+        image are equal.
     heights : (n, faces) float64
         Distance from the axis of each refracting face, over its semi-diameter.
     index_behind : float
@@ -330,10 +331,8 @@ def further_than(position: Array, point: Array) -> Array:
     position : (n, 3) float64
     point : (3,) float64
     """
-    off = position - point
-    return np.asarray(
-        ((position - 2.0 * point) * position).sum(axis=1) / (np.linalg.norm(off, axis=1) + np.linalg.norm(point))
-    )
+    both = np.linalg.norm(position - point, axis=1) + np.linalg.norm(point)
+    return np.asarray(((position - 2.0 * point) * position).sum(axis=1) / both)
 
 
 def nearest_to_all(position: Array, direction: Array) -> Array:

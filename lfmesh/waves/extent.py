@@ -21,6 +21,13 @@ FIRST_BAND, FIRST_RINGS = 1.5, 30.0
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
 
+CAUSES = (
+    ("its rays between lens and sensor are", "give a point nearer the plane in focus, or a smaller stop"),
+    ("the diffraction rings of its narrow beam are", "give a wider stop"),
+    ("lenslets make it", "give a smaller pitch of the same f-number"),
+)
+"""Why grids are large, and what helps: by rays, by rings, by lenslets."""
+
 
 @dataclass(frozen=True)
 class Extent:
@@ -91,14 +98,26 @@ class Extent:
         LfmeshError
             It has more than `MOST` places on a side.
         """
-        reach, rings, added, band = self._half_and_band
-        wavelength = self.pupil.wavelength_mm
-        step = wavelength / (2.0 * band * fineness)
-        places = max(LEAST, math.ceil((reach + rings + added) * fineness / step) * 2)
+        wide, (places, step) = self._half_and_band[:3], self._places(fineness)
         if places > MOST:
+            cause, advice = CAUSES[int(np.argmax(wide))]
             raise LfmeshError(
-                f"{words}: its light is {2e3 * reach:.4g} µm wide between lens and sensor, and needs grids of "
-                f"{places} places on a side, {MOST} are possible; give a point nearer the plane in focus, or a larger "
-                "tolerance"
+                f"{words}: its waves need grids of {places} places on a side, {MOST} are possible: "
+                f"{cause} {2e3 * max(wide):.4g} µm wide; {advice}"
             )
-        return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, wavelength, self.pupil.middle)
+        return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, self.pupil.wavelength_mm, self.pupil.middle)
+
+    def fits(self, fineness: float) -> bool:
+        """Return True of a grid, see `grid`, that has no more than `MOST` places on a side.
+
+        Parameters
+        ----------
+        fineness : float
+        """
+        return self._places(fineness)[0] <= MOST
+
+    def _places(self, fineness: float) -> tuple[int, float]:
+        """Return the number of places on a side of a grid, and the step between them, mm."""
+        *wide, band = self._half_and_band
+        step = self.pupil.wavelength_mm / (2.0 * band * fineness)
+        return max(LEAST, math.ceil(sum(wide) * fineness / step) * 2), step

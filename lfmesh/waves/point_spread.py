@@ -348,10 +348,25 @@ class _Monochrome:
         first, change, fineness = self._on_grid(self.extent.grid(1.0, self.words), report), math.inf, 1.0
         while change > tolerance:
             fineness *= FINER
+            if not self.extent.fits(fineness):
+                self._refuse_unsettled(first, change, tolerance)
             finer = self._on_grid(self.extent.grid(fineness, self.words), report)
             change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
             first = finer
         return replace(first, change=change)
+
+    def _refuse_unsettled(self, last: PointSpread, change: float, tolerance: float) -> None:
+        """Refuse a picture that still changes on the finest grids; almost none on the pixels is no light."""
+        share = float(last.mean.sum()) / last.entered_w
+        if share < tolerance:
+            raise no_light(self.point)
+        # Rounded up, so that it is reached.
+        reached = math.ceil(1e4 * change) / 1e4
+        more = f"give a tolerance of {reached:g} or more" if reached < 1.0 else "give a wider window"
+        raise LfmeshError(
+            f"tolerance = {tolerance:g}: the picture of {self.words} has changed by {change:.2g} of its light on the "
+            f"finest grid that is possible; {more}"
+        )
 
     def refuse_wide(self) -> None:
         """Refuse light for which the second grid, which each spread needs, has too many places."""

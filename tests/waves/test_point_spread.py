@@ -12,6 +12,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.progress import Progress
 from lfmesh.waves.particles import particle_film
+from lfmesh.waves.point_spread import refuse_point
 
 WAVE_NM, WAVE = 550.0, 0.55e-3
 PITCH, FOCAL, PIXEL = 0.14, 2.5, 0.014
@@ -181,7 +182,7 @@ def test_figures_of_several_wavelengths_are_those_of_the_weightiest() -> None:
 
 
 def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="wide between lens and sensor"):
+    with pytest.raises(lf.LfmeshError, match=r"its rays between lens and sensor are .* nearer the plane in focus"):
         lf.point_spread(light_field_camera(IMAGE), (0.0, 0.0, -8.0))
 
 
@@ -269,3 +270,29 @@ def test_a_particle_beside_the_array_is_dark(tmp_path: Path) -> None:
         "transport": {"diffraction": "lenslets", "split": "transmit", "wavelengths_nm": [WAVE_NM]},
     }  # fmt: skip
     assert not particle_film(lf.build(lf.Scene.model_validate(given).in_folder(tmp_path))).any()
+
+
+def test_what_limits_the_grid_is_named_and_the_advice_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rings of a slow lens before any wave is followed: a wider stop; too small a tolerance: a larger one."""
+
+    def slow(stop_mm: float) -> lf.Scene:
+        given = {
+            "focus_mm": 200.0, "lens": {"surfaces": ideal(100.0, stop_mm)}, "mla": NEAR_ARRAY,
+            "sensor": {"pixels": [64, 64], "pixel_mm": 0.004},
+        }  # fmt: skip
+        return lf.Scene.model_validate({"schema_version": 1, "camera": given})
+
+    told: list[Progress] = []
+    with pytest.raises(
+        lf.LfmeshError, match=r"the diffraction rings of its narrow beam are 6.* wide; give a wider stop"
+    ):
+        lf.point_spread(slow(0.5), (0.0, 0.0, -200.0), 500.0, progress=told.append)
+    assert not told
+    refuse_point(slow(0.7), np.array([0.0, 0.0, -200.0]), (500.0,))
+
+    monkeypatch.setattr("lfmesh.waves.extent.MOST", 300)
+    camera, point = conventional(1.25, 50.0, 0.005, 15), (0.0, 0.0, -FAR)
+    with pytest.raises(lf.LfmeshError, match=r"tolerance = 1e-12: .* give a tolerance of [\d.]+ or more$") as error:
+        lf.point_spread(camera, point, WAVE_NM, tolerance=1e-12)
+    enough = float(str(error.value).split()[-3])
+    assert lf.point_spread(camera, point, WAVE_NM, tolerance=enough).change <= enough

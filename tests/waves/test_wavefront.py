@@ -215,7 +215,7 @@ def test_rays_that_miss_the_reference_sphere_are_refused_without_a_warning_befor
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])
 def test_waves_of_far_points_come_closer_to_those_of_infinity_as_one_over_the_distance(slope: float) -> None:
-    """By h² / 2L over the stop of 1.5 mm to the second order, at every distance allowed, and with no noise beside it."""
+    """By h² / 2L over the stop of 1.5 mm to the second order, at all distances, and with no noise beside it."""
     camera = {
         "focus_mm": math.inf,
         "lens": {"surfaces": [

@@ -111,7 +111,8 @@ def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[fl
 def numbers_of(name: str, given: object) -> Array:
     """Return numbers as an array, (n,)."""
     try:
-        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+        # NumPy takes None for NaN.
+        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64)) if given is not None else np.empty((0, 0))
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1:

@@ -113,6 +113,7 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
     [
         ({"point_mm": (0.0, 0.0, 5.0)}, "z below 0"),
         ({"point_mm": "here"}, 'point_mm = "here": must be a number, or a list of numbers'),
+        ({"point_mm": None}, "point_mm = None: must be a number, or a list of numbers"),
         ({"point_mm": (0.0, 0.0, -1e300)}, r"z must be -1e\+15 or more"),
         ({"point_mm": (1000.0, 0.0, -FAR)}, "no light falls on the sensor's pixels"),
         ({"wavelengths_nm": "red"}, 'wavelengths_nm = "red": must be a number: the scene has no bands'),

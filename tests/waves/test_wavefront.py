@@ -232,3 +232,10 @@ def test_waves_of_far_points_come_closer_to_those_of_infinity_as_one_over_the_di
         assert off == pytest.approx(1.5**2 / 2.0 / distance / 550e-6, rel=0.01, abs=1e-9)
     near, far = (lf.point_spread(given, (0.01 * slope * z, 0.0, -z), 550.0, window=8) for z in (1e8, 1e15))
     np.testing.assert_allclose(far.mean * 1e14, near.mean, rtol=0.01)
+
+
+@pytest.mark.parametrize("terms", ["a", 2.5, None, True])
+def test_terms_that_do_not_count_are_refused(terms: Any) -> None:
+    given = lf.load(asset_path("scenes/first_light.toml"))
+    with pytest.raises(lf.LfmeshError, match=r"terms = .*: must be a whole number"):
+        lf.wavefront(given, across=8).zernike(terms)

@@ -72,7 +72,9 @@ class PointSpread(Pictured):
     entered_w : float
         Power behind the lens.
     power_w : float
-        Power on the plane of the sensor, beside its pixels too.
+        Power on the plane of the sensor, beside its pixels too, of the waves of the last grid. Tails of the lens's
+        diffraction beside the grid at the focus are missing, and are not part of `beyond`: a perfect lens without an
+        array has 0.5 to 1 % less here than `entered_w`. That of an aberrated lens has been 0.2 % above it.
     peak_w_mm2 : float
         Largest irradiance, at the weightiest one of the wavelengths.
     strehl : float or None

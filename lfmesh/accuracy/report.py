@@ -8,7 +8,6 @@ images of its first scene.
 
 import os
 import platform
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from lfmesh.accuracy.image_efficiency import QUICK, USUAL, ImageStudy, study_ima
 from lfmesh.accuracy.lens_accuracy import QUICK_RAYS, QUICK_RINGS, RAYS, RINGS, LensStudy, lens_scenes, study_lens
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError
+from lfmesh.files.whole import try_folder
 from lfmesh.scene import Scene
 
 LENS_CSV, IMAGE_CSV, PAGE = "lenses.csv", "images.csv", "accuracy.html"
@@ -90,20 +90,7 @@ def prepare(folder: str | Path) -> None:
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise FileError(f"{folder}: is a file; give a folder for the report")
-    made: list[Path] = []
-    try:
-        for path in [*reversed(folder.parents), folder]:
-            if not path.exists():
-                path.mkdir()
-                made.append(path)
-        # Only a file that is made tells; permissions do not speak of full disks, nor for the superuser.
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
-    finally:
-        for path in reversed(made):
-            path.rmdir()
+    try_folder(folder)
 
 
 def measure(

@@ -2,13 +2,12 @@
 
 import io
 import json
-import os
 from pathlib import Path
 
 from lfmesh.errors import FileError
 from lfmesh.files.exr import write_maps
 from lfmesh.files.json_values import plain_json
-from lfmesh.files.whole import make_folder, write_whole
+from lfmesh.files.whole import make_folder, try_folder, write_whole
 from lfmesh.waves.point_spread import PointSpread
 
 PNG_DPI = 150
@@ -28,9 +27,7 @@ def prepare(folder: Path) -> None:
     there = next((name for name in NAMES if (folder / name).exists()), None)
     if there is not None:
         raise FileError(f"{folder / there} is there already: move it, or choose another folder")
-    nearest = next(each for each in (folder, *folder.absolute().parents) if each.exists())
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
-        raise FileError(f"{folder} cannot be written: {nearest} is no folder that takes files")
+    try_folder(folder)
 
 
 def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:

@@ -54,6 +54,30 @@ def make_folder(folder: Path) -> None:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
 
 
+def try_folder(folder: Path) -> None:
+    """Check that a folder for results can be made and written; leave nothing behind.
+
+    Raises
+    ------
+    FileError
+        It cannot.
+    """
+    made: list[Path] = []
+    try:
+        for path in [*reversed(folder.parents), folder]:
+            if not path.exists():
+                path.mkdir()
+                made.append(path)
+        # Only a file that is made tells; permissions do not speak of full disks, nor for the superuser.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        for path in reversed(made):
+            path.rmdir()
+
+
 def make_like_any_other(temporary: Path) -> None:
     """Give a temporary file, which is its owner's alone, the rights that any new file has."""
     mask = os.umask(0)

@@ -80,8 +80,9 @@ class Traced(NamedTuple):
     position : (n, 3) float64, mm
         On the last face.
     path_mm : (n,) float64
-        Optical path from the object point up to there; of a parallel bundle from the plane through the origin square to
-        it. Behind ideal lenses, less the same for all: their paths from a point to its image are equal.
+        Optical path from the object point up to there, less that to the origin; of a parallel bundle from the plane
+        through the origin square to it. Behind ideal lenses, less the same for all: their paths from a point to its
+        image are equal.
     heights : (n, faces) float64
         Distance from the axis of each refracting face, over its semi-diameter.
     index_behind : float
@@ -280,7 +281,7 @@ class LensRays:
         if math.isinf(self.object_mm):
             path = (position * direction).sum(axis=1)
         else:
-            path = np.linalg.norm(position - [*(field * self.object_mm), -self.object_mm], axis=1)
+            path = further_than(position, np.array([*(field * self.object_mm), -self.object_mm]))
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         path = media[0] * path
@@ -320,6 +321,18 @@ class LensRays:
                 better[beyond] = entries[end] + slope * (wanted[beyond] - h[end])
             guess = guess + (better - guess @ along)[:, None] * along
         return np.asarray(guess)
+
+
+def further_than(position: Array, point: Array) -> Array:
+    """Return how much farther places (n, 3) are from a point than the origin is, without a difference of large numbers.
+
+    Parameters
+    ----------
+    position : (n, 3) float64
+    point : (3,) float64
+    """
+    both = np.linalg.norm(position - point, axis=1) + np.linalg.norm(point)
+    return np.asarray(((position - 2.0 * point) * position).sum(axis=1) / both)
 
 
 def nearest_to_all(position: Array, direction: Array) -> Array:

@@ -141,6 +141,12 @@ class WaveFace:
         _, slope, *_ = self._relief(self.lenslets, x, y)
         return float(np.abs(slope).max()), pitch
 
+    def missed_by(self, places: Array) -> float:
+        """Return by how much the box about places (n, 2) misses the lenslets, 0 if it does not, mm."""
+        assert self.lenslets is not None
+        own = places @ self.frame[:2, :2].T + self.frame[:2, 3]
+        return outside(own, np.asarray(self.lenslets.lattice.half_extent))
+
     def met_by(self, places: Array) -> int:
         """Return the number of lenslets that rays to places (n, 2), mm, meet."""
         assert self.lenslets is not None
@@ -186,6 +192,11 @@ class WaveFace:
             found = np.array([looked_up(table.values, first, table.pieces, 0, float(np.sqrt(c))) for c in cosines])
             share = found if table.absorbs else 1.0 - found
         return sines, np.sqrt(share)
+
+
+def outside(places: Array, half: Array) -> float:
+    """Return how far the box about places (n, 2) lies beside one of a half size about the origin; 0 if they meet."""
+    return float(np.maximum(places.min(axis=0) - half, -half - places.max(axis=0)).max(initial=0.0))
 
 
 def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> list[WaveFace]:

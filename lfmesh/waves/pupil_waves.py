@@ -20,6 +20,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.transport.world import World
 from lfmesh.waves.bundle import LensRays, nearest_to_all, pupil_grid
+from lfmesh.waves.refused import NoLightError
 from lfmesh.waves.wavefront import NM_PER_MM
 
 Array = NDArray[np.float64]
@@ -172,7 +173,7 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
     try:
         return waves_of_field(rays, camera, point_mm[:2] / rays.object_mm, wavelength_nm)
     except LfmeshError as error:
-        raise LfmeshError(f"point_mm = {[float(x) for x in point_mm]}: {error}") from None
+        raise type(error)(f"point_mm = {[float(x) for x in point_mm]}: {error}") from None
 
 
 def waves_of_field(
@@ -193,12 +194,16 @@ def waves_of_field(
 
     Raises
     ------
+    NoLightError
+        None of its light passes.
     LfmeshError
         Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass, or light that is
         collimated or too aberrated behind the lens.
     """
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
+    if not passes.any():
+        raise NoLightError("the lens lets none of its light pass; move it into the field of view")
     if passes.sum() < LEAST_RAYS:
         raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)

@@ -34,6 +34,13 @@ class NoLightError(LfmeshError):
     """No light of a point falls on the sensor."""
 
 
+def no_light(point: Array) -> NoLightError:
+    """Return the error of a point (camera frame, mm) whose light misses the pixels."""
+    return NoLightError(
+        f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
+    )
+
+
 def refuse_values(scene: Scene, point: Array, window: int | None, oversample: int, tolerance: float) -> None:
     """Refuse values out of range.
 
@@ -104,7 +111,8 @@ def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[fl
 def numbers_of(name: str, given: object) -> Array:
     """Return numbers as an array, (n,)."""
     try:
-        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64))
+        # NumPy takes None for NaN.
+        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64)) if given is not None else np.empty((0, 0))
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1:

@@ -118,8 +118,9 @@ class Wavefront(Pictured):
         if order not in ("fringe", "noll"):
             raise LfmeshError(f'order = {order!r}: use "fringe" or "noll"')
         most = FRINGE_TERMS if order == "fringe" else len(self.opd_waves)
+        check_whole(terms=terms)
         if not 1 <= terms <= min(most, len(self.opd_waves)):
-            raise LfmeshError(f"terms = {terms}: must be from 1 to {min(most, len(self.opd_waves))}")
+            raise LfmeshError(f"terms = {shown(terms)}: must be from 1 to {min(most, len(self.opd_waves))}")
         return fitted(self.pupil, self.opd_waves, terms, order)
 
 

@@ -33,7 +33,9 @@ def test_files_hold_the_point_spread_of_the_script(tmp_path: Path, capsys: pytes
     assert (tmp_path / "spread.png").stat().st_size > 0
 
 
-@pytest.mark.parametrize(("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "lets 0 of")])
+@pytest.mark.parametrize(
+    ("point", "words"), [(["0", "0", "500"], "z below 0"), (["9000", "0", "-500"], "lets none of its light pass")]
+)
 def test_points_that_cannot_be_are_refused_in_one_line(
     point: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -52,7 +54,12 @@ def test_what_is_wrong_with_the_folder_is_said_before_the_waves_are_followed(
     monkeypatch.setattr("lfmesh.waves.point_spread.point_spread", never)
     (tmp_path / "file").write_text("mine")
     (tmp_path / "spread.png").write_text("mine")
-    for folder, words in ((tmp_path / "file" / "out", "is no folder"), (tmp_path, "spread.png is there already")):
+    for folder, words in (
+        (tmp_path / "file" / "out", "cannot be written: Not a directory"),
+        # Its rights let the superuser write there, and still nothing can be made.
+        (Path("/proc/none"), "cannot be written"),
+        (tmp_path, "spread.png is there already"),
+    ):
         assert main(["psf", SCENE, "--point-mm", "0", "0", "-500", "-o", str(folder)]) == 2
         assert words in " ".join(capsys.readouterr().err.split())
     assert (tmp_path / "spread.png").read_text() == "mine"

@@ -1,6 +1,7 @@
 """Point spreads: focal shifts, Airy's disk, Strehl's ratio, power, and what is refused."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.special import j0, j1
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.progress import Progress
+from lfmesh.waves.particles import particle_film
+from lfmesh.waves.point_spread import refuse_point
 
 WAVE_NM, WAVE = 550.0, 0.55e-3
 PITCH, FOCAL, PIXEL = 0.14, 2.5, 0.014
@@ -110,6 +113,7 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
     [
         ({"point_mm": (0.0, 0.0, 5.0)}, "z below 0"),
         ({"point_mm": "here"}, 'point_mm = "here": must be a number, or a list of numbers'),
+        ({"point_mm": None}, "point_mm = None: must be a number, or a list of numbers"),
         ({"point_mm": (0.0, 0.0, -1e300)}, r"z must be -1e\+15 or more"),
         ({"point_mm": (1000.0, 0.0, -FAR)}, "no light falls on the sensor's pixels"),
         ({"wavelengths_nm": "red"}, 'wavelengths_nm = "red": must be a number: the scene has no bands'),
@@ -179,7 +183,7 @@ def test_figures_of_several_wavelengths_are_those_of_the_weightiest() -> None:
 
 
 def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match="wide between lens and sensor"):
+    with pytest.raises(lf.LfmeshError, match=r"its rays between lens and sensor are .* nearer the plane in focus"):
         lf.point_spread(light_field_camera(IMAGE), (0.0, 0.0, -8.0))
 
 
@@ -212,7 +216,7 @@ def test_targets_beside_and_behind_a_point_and_under_it_change_nothing() -> None
 
 def test_progress_is_told_in_parts_of_each_grid(monkeypatch: pytest.MonkeyPatch) -> None:
     """With lenslets, from 0 to 100 % on ever finer grids, which may be small here."""
-    monkeypatch.setattr("lfmesh.waves.point_spread.FIRST_RINGS", 3.0)
+    monkeypatch.setattr("lfmesh.waves.extent.FIRST_RINGS", 3.0)
     told: list[Progress] = []
     lf.point_spread(light_field_camera(IMAGE, 3), (0.0, 0.0, -FAR), tolerance=0.5, progress=told.append)
     stages = list(dict.fromkeys(each.stage for each in told))
@@ -227,7 +231,7 @@ def test_progress_is_told_in_parts_of_each_grid(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.filterwarnings("ignore::lfmesh.errors.DiffractionWarning")
 def test_light_of_steep_lenslets_is_on_the_grid_or_beyond_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of f/3, behind a lens of f/4, on a small grid, whose rim takes a percent of the light from centre and corner."""
-    monkeypatch.setattr("lfmesh.waves.point_spread.FIRST_RINGS", 6.0)
+    monkeypatch.setattr("lfmesh.waves.extent.FIRST_RINGS", 6.0)
     mla = {"count": [5, 5], "pitch_mm": 0.02, "focal_length_mm": 0.06, "index": 1.5, "thickness_mm": 0.01,
            "distance_mm": IMAGE, "conic": -1.0}  # fmt: skip
     camera = scene(ideal(1.0 / (1.0 / IMAGE + 1.0 / FAR), IMAGE / 8.0), {"pixels": [50, 50], "pixel_mm": 0.002}, mla)
@@ -238,3 +242,58 @@ def test_light_of_steep_lenslets_is_on_the_grid_or_beyond_it(monkeypatch: pytest
     on, in_all = (found.power_w / found.entered_w / 0.96**2 for found in (centre, corner))
     assert in_all < on - 0.003
     assert in_all * (1.0 + corner.beyond) == pytest.approx(on, abs=0.0025)
+
+
+NEAR_ARRAY = {"count": [3, 3], "pitch_mm": 0.1, "focal_length_mm": 2.0, "index": 1.5, "thickness_mm": 0.3}
+
+
+@pytest.mark.parametrize("x_mm", [1.0, 3.0, 1e4])
+@pytest.mark.parametrize("mla", [NEAR_ARRAY, None], ids=["array", "bare"])
+def test_a_point_whose_light_misses_array_or_pixels_has_one_clear_line(x_mm: float, mla: dict[str, Any] | None) -> None:
+    """However far it misses them, before the first wave is followed."""
+    given = {
+        "focus_mm": 200.0, "lens": {"surfaces": ideal(100.0, 2.0)}, "sensor": {"pixels": [64, 64], "pixel_mm": 0.004},
+    }  # fmt: skip
+    camera = lf.Scene.model_validate({"schema_version": 1, "camera": given | ({"mla": mla} if mla else {})})
+    with pytest.raises(lf.LfmeshError, match=rf"point_mm = \[{x_mm}, .*: no light falls on the sensor's pixels; move"):
+        lf.point_spread(camera, (x_mm, 0.0, -200.0), WAVE_NM)
+
+
+def test_a_particle_beside_the_array_is_dark(tmp_path: Path) -> None:
+    """Far aside as well, where a real lens lets nothing pass."""
+    camera = {
+        "focus_mm": 500.0, "lens": {"file": "lib:double_gauss_50mm", "stop_semi_diameter_mm": 4.77},
+        "mla": NEAR_ARRAY, "sensor": {"pixels": [16, 16], "pixel_mm": 0.02},
+    }  # fmt: skip
+    (tmp_path / "points.csv").write_text("x_mm,y_mm,z_mm\n60,0,-500\n5000,0,-500\n")
+    given = {
+        "schema_version": 1, "camera": camera, "particles": [{"file": "points.csv", "intensity_w_sr": 2.0}],
+        "transport": {"diffraction": "lenslets", "split": "transmit", "wavelengths_nm": [WAVE_NM]},
+    }  # fmt: skip
+    assert not particle_film(lf.build(lf.Scene.model_validate(given).in_folder(tmp_path))).any()
+
+
+def test_what_limits_the_grid_is_named_and_the_advice_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rings of a slow lens before any wave is followed: a wider stop; too small a tolerance: a larger one."""
+
+    def slow(stop_mm: float) -> lf.Scene:
+        given = {
+            "focus_mm": 200.0, "lens": {"surfaces": ideal(100.0, stop_mm)}, "mla": NEAR_ARRAY,
+            "sensor": {"pixels": [64, 64], "pixel_mm": 0.004},
+        }  # fmt: skip
+        return lf.Scene.model_validate({"schema_version": 1, "camera": given})
+
+    told: list[Progress] = []
+    with pytest.raises(
+        lf.LfmeshError, match=r"the diffraction rings of its narrow beam are 6.* wide; give a wider stop"
+    ):
+        lf.point_spread(slow(0.5), (0.0, 0.0, -200.0), 500.0, progress=told.append)
+    assert not told
+    refuse_point(slow(0.7), np.array([0.0, 0.0, -200.0]), (500.0,))
+
+    monkeypatch.setattr("lfmesh.waves.extent.MOST", 300)
+    camera, point = conventional(1.25, 50.0, 0.005, 15), (0.0, 0.0, -FAR)
+    with pytest.raises(lf.LfmeshError, match=r"tolerance = 1e-12: .* give a tolerance of [\d.]+ or more$") as error:
+        lf.point_spread(camera, point, WAVE_NM, tolerance=1e-12)
+    enough = float(str(error.value).split()[-3])
+    assert lf.point_spread(camera, point, WAVE_NM, tolerance=enough).change <= enough

@@ -211,3 +211,31 @@ def test_rays_that_miss_the_reference_sphere_are_refused_without_a_warning_befor
     scene = lf.load(asset_path("scenes/first_light.toml"))
     with pytest.raises(lf.LfmeshError, match="rays miss the reference sphere"):
         lf.wavefront(scene, image_z_mm=14.3)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_waves_of_far_points_come_closer_to_those_of_infinity_as_one_over_the_distance(slope: float) -> None:
+    """By h² / 2L over the stop of 1.5 mm to the second order, at all distances, and with no noise beside it."""
+    camera = {
+        "focus_mm": math.inf,
+        "lens": {"surfaces": [
+            {"radius_mm": math.inf, "thickness_mm": 5.0, "index": 1.5, "semi_diameter_mm": 1.5, "stop": True},
+            {"radius_mm": -25.0, "semi_diameter_mm": 6.0},
+        ]},
+        "sensor": {"pixels": [32, 32], "pixel_mm": 0.002},
+    }  # fmt: skip
+    given = lf.Scene.model_validate({"schema_version": 1, "camera": camera})
+    infinite = lf.wavefront(given, slope, 550.0)
+    for distance in 10.0 ** np.arange(6, 16):
+        found = lf.wavefront(given, slope * distance, 550.0, object_mm=distance)
+        off = np.abs(found.opd_waves - infinite.opd_waves).max()
+        assert off == pytest.approx(1.5**2 / 2.0 / distance / 550e-6, rel=0.01, abs=1e-9)
+    near, far = (lf.point_spread(given, (0.01 * slope * z, 0.0, -z), 550.0, window=8) for z in (1e8, 1e15))
+    np.testing.assert_allclose(far.mean * 1e14, near.mean, rtol=0.01)
+
+
+@pytest.mark.parametrize("terms", ["a", 2.5, None, True])
+def test_terms_that_do_not_count_are_refused(terms: Any) -> None:
+    given = lf.load(asset_path("scenes/first_light.toml"))
+    with pytest.raises(lf.LfmeshError, match=r"terms = .*: must be a whole number"):
+        lf.wavefront(given, across=8).zernike(terms)

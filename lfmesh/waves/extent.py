@@ -1,0 +1,123 @@
+"""How wide a point's light is between lens and sensor: the grid that follows it, and light that misses the sensor."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.waves.angular_spectrum import Grid
+from lfmesh.waves.camera_faces import WaveFace, outside
+from lfmesh.waves.pupil_waves import PupilWaves
+
+Array = NDArray[np.float64]
+
+FIRST_BAND, FIRST_RINGS = 1.5, 30.0
+"""Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+
+LEAST, MOST = 128, 3072
+"""Places on a side of a grid."""
+
+CAUSES = (
+    ("its rays between lens and sensor are", "give a point nearer the plane in focus, or a smaller stop"),
+    ("the diffraction rings of its narrow beam are", "give a wider stop"),
+    ("lenslets make it", "give a smaller pitch of the same f-number"),
+)
+"""Why grids are large, and what helps: by rays, by rings, by lenslets."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """The light of a point behind the lens, and what it meets.
+
+    Attributes
+    ----------
+    pupil : PupilWaves
+    faces : list of WaveFace
+        From the lens to the sensor.
+    sensor_mm : (3,) float64
+        Its middle, camera frame.
+    pixels_mm : (2,) float64
+        Width and height of all pixels.
+    """
+
+    pupil: PupilWaves
+    faces: list[WaveFace]
+    sensor_mm: Array
+    pixels_mm: Array
+
+    @property
+    def relief(self) -> list[WaveFace]:
+        """Those of the faces that have lenslets."""
+        return [face for face in self.faces if face.lenslets is not None]
+
+    @property
+    def misses(self) -> bool:
+        """True of light that misses lenslets, or without them pixels, by more than the margin of the first grid."""
+        face = next(iter(self.relief), None)
+        # Behind plane faces before it, light is nearer to the axis than in air, but not than before the first one.
+        planes = [*(each.z_mm for each in self.faces[:1]), face.z_mm if face else float(self.sensor_mm[2])]
+        places = np.vstack([self.pupil.places_at(z) for z in planes])
+        missed = face.missed_by(places) if face else outside(places - self.sensor_mm[:2], 0.5 * self.pixels_mm)
+        return missed > FIRST_RINGS * self.pupil.wavelength_mm / (2.0 * float(self.pupil.half.max()))
+
+    @cached_property
+    def _half_and_band(self) -> tuple[float, float, float, float]:
+        """Half width of the rays, of the rings about them and of what lenslets add, mm, and range of directions."""
+        pupil, sensor_z = self.pupil, float(self.sensor_mm[2])
+        planes = [*(face.z_mm for face in self.faces), sensor_z]
+        middle_z = math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
+        reach = 0.0
+        for z in planes:
+            chief = pupil.focus_mm[:2] + (z - pupil.focus_mm[2]) * pupil.middle / middle_z
+            reach = max(reach, float(np.abs(pupil.places_at(z) - chief).max()))
+        cone = float(pupil.half.max())
+        rings, added, turned, index = FIRST_RINGS * pupil.wavelength_mm / (2.0 * cone), 0.0, 0.0, 1.0
+        for face in self.faces:
+            steep, pitch = face.reach_mm(pupil.places_at(face.z_mm))
+            turn = abs(face.index - index) * steep + (4.0 * pupil.wavelength_mm / pitch if pitch else 0.0)
+            added += pitch + turn * (sensor_z - face.z_mm)
+            turned, index = turned + turn, face.index
+        band = FIRST_BAND * (cone + turned) + (reach + rings + added) / abs(pupil.radius_mm)
+        return reach, rings, added, band
+
+    def grid(self, fineness: float, words: str) -> Grid:
+        """Return a grid that is finer and wider than the first one by a factor.
+
+        Parameters
+        ----------
+        fineness : float
+        words : str
+            Of the point, for messages.
+
+        Raises
+        ------
+        LfmeshError
+            It has more than `MOST` places on a side.
+        """
+        wide, (places, step) = self._half_and_band[:3], self._places(fineness)
+        if places > MOST:
+            cause, advice = CAUSES[int(np.argmax(wide))]
+            raise LfmeshError(
+                f"{words}: its waves need grids of {places} places on a side, {MOST} are possible: "
+                f"{cause} {2e3 * max(wide):.4g} µm wide; {advice}"
+            )
+        return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, self.pupil.wavelength_mm, self.pupil.middle)
+
+    def fits(self, fineness: float) -> bool:
+        """Return True of a grid, see `grid`, that has no more than `MOST` places on a side.
+
+        Parameters
+        ----------
+        fineness : float
+        """
+        return self._places(fineness)[0] <= MOST
+
+    def _places(self, fineness: float) -> tuple[int, float]:
+        """Return the number of places on a side of a grid, and the step between them, mm."""
+        *wide, band = self._half_and_band
+        step = self.pupil.wavelength_mm / (2.0 * band * fineness)
+        return max(LEAST, math.ceil(sum(wide) * fineness / step) * 2), step

@@ -74,6 +74,12 @@ def test_a_camera_that_cannot_be_focused_is_found_where_it_is_focused_anew() -> 
         lf.Study(small_scene(), axes=axes, refocus=True, metrics=["light"])
 
 
+def test_python_names_a_fault_of_a_study_by_the_public_class() -> None:
+    with pytest.raises(lf.LfmeshError, match=r"^Study\.foo") as told:
+        shifted(foo=1)
+    assert "StudyFile" not in str(told.value)
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

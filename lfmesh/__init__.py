@@ -14,8 +14,10 @@ Names are imported when first used, so that ``import lfmesh`` does not wait for 
 
 from functools import partial
 from importlib import import_module
+from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
+from lfmesh.arguments import with_checked_arguments
 from lfmesh.notebook import show_by
 
 if TYPE_CHECKING:
@@ -445,7 +447,12 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _version()
     elif name in _HOME:
-        value = getattr(import_module(_HOME[name]), name)
+        home = import_module(_HOME[name])
+        value = getattr(home, name)
+        if isfunction(value):
+            value = with_checked_arguments(value)
+            # By its home a function is pickled.
+            setattr(home, name, value)
     else:
         raise AttributeError(f"module 'lfmesh' has no attribute {name!r}")
     globals()[name] = value

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "lfmesh"
 
 FOUNDATION = [
-    *["assets", "cluster", "errors", "notebook", "provenance", "regular_file", "signatures", "templates"],
+    *["arguments", "assets", "cluster", "errors", "notebook", "provenance", "regular_file", "signatures", "templates"],
     "wrapping",
 ]
 ORDER = [

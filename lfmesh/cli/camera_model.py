@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from lfmesh.cli.application import app
 from lfmesh.cli.interrupts import defer_interrupt
-from lfmesh.cli.options import SceneFile, Whole
+from lfmesh.cli.options import Whole
 from lfmesh.cli.printing import list_files
 from lfmesh.cli.progress import status
 from lfmesh.wrapping import wrapped
@@ -21,7 +21,7 @@ More examples:
 """
 )
 def camera_model(
-    scene: SceneFile,
+    scene: Annotated[Path, Parameter(name="scene", help="Scene file (TOML), or run folder.")],
     /,
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py.")],
@@ -34,10 +34,11 @@ def camera_model(
     """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""
     with defer_interrupt():
         from lfmesh.files.camera_model import check_model_path, write_camera_model
+        from lfmesh.files.run import open_run
         from lfmesh.lightfield.rays import camera_model as models
         from lfmesh.scene import load
     check_model_path(out)
-    loaded = load(scene)
+    loaded = open_run(scene) if scene.is_dir() else load(scene)
     with status() as report:
         report("tracing pixels and views")
         model = models.camera_model(

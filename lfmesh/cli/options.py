@@ -102,9 +102,15 @@ def overridden(scene: "Scene", overrides: Overrides | None) -> "Scene":
     """Return the scene with other transport settings, checked as those of a file are."""
     changes = overrides.given() if overrides else {}
     try:
-        return scene.changed({f"transport.{name}": value for name, value in changes.items()})
+        changed = scene.changed({f"transport.{name}": value for name, value in changes.items()})
     except SceneError as error:
         raise SceneError(_as_options(str(error))) from None
+    if "max_samples" in changes and changed.transport.target_error is None:
+        raise SceneError(
+            f"--max-samples = {changes['max_samples']}: changes nothing without --target-error, up to which pixels get "
+            "more samples; give both, or --samples alone"
+        )
+    return changed
 
 
 def as_option(field: str) -> str:

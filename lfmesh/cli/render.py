@@ -335,6 +335,11 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
 
     # An image that cannot be decoded needs no white one: calibrating says so before the render.
     scene = run.open_run(folder).scene
+    if run.scene_is_edited(folder):
+        say_note(
+            f"{folder / run.SCENE} was edited since it was rendered; the white image is of the camera of {run.RAW}, "
+            "which it is to divide"
+        )
     calibration = calibrate(scene)
     with progress() as report:
         image = white_image(overridden(scene, overrides), progress=report)

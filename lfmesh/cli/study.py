@@ -11,6 +11,7 @@ from lfmesh.cli.options import Dask, Shard, Whole, share_of
 from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
     from lfmesh.study.sweeps.study import Progress, Study
@@ -153,6 +154,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
+    from lfmesh.study.sweeps.sentences import largest_changes
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
@@ -169,5 +171,7 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     print(
         f"{done} of {len(table.rows)} points are done" + (f", {missing} of other shares are not." if missing else ".")
     )
+    for line in largest_changes(table):
+        print(wrapped(line))
     list_files(files)
     return CASE_FAILED if len(table.failed) > missing else 0

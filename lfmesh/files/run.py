@@ -255,7 +255,8 @@ def report_of(path: Path) -> dict[str, Any]:
     _check_folder(path)
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
     if missing:
-        raise FileError(f"{path} is no complete run: {' and '.join(missing)} missing; render it again")
+        mended = f"lfmesh render --resume {path} goes on with it" if has_checkpoint(path) else "render it again"
+        raise FileError(f"{path} is no complete run: {' and '.join(missing)} missing; {mended}")
     report = _read_report(path)
     if report is None:
         raise FileError(f"{path / REPORT} is damaged or not a report of lfmesh; render the scene again")
@@ -397,6 +398,11 @@ def _held_by(path: Path) -> dict[str, Entry | None]:
     files = (_read_report(path) or {}).get("files")
     ours = [] if not isinstance(files, list) else [name for name in files if is_safe(name) and _OURS.fullmatch(name)]
     return {name: None for name in ours if (path / name).is_file()}
+
+
+def scene_is_edited(path: Path) -> bool:
+    """Tell whether somebody has changed the scene file of a run, which then is not that of its image."""
+    return SCENE in _edited(path, _held_by(path))
 
 
 def _edited(path: Path, held: dict[str, Entry | None]) -> list[str]:

@@ -68,7 +68,9 @@ class _ModelClass(ModelMetaclass):
         try:
             return super().__call__(*args, **values)
         except ValidationError as error:
-            raise SceneError("\n".join(listed(fault_lines(error, values, prefix=cls.__name__)))) from None
+            # Python gives the content of a `StudyFile` to a `Study`.
+            prefix = cls.__name__.removesuffix("File")
+            raise SceneError("\n".join(listed(fault_lines(error, values, prefix=prefix)))) from None
 
 
 class Model(BaseModel, metaclass=_ModelClass):

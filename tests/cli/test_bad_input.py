@@ -147,6 +147,13 @@ def test_a_wrong_scene_gets_one_line(
     assert files(folder) == before
 
 
+def test_max_samples_without_a_target_error_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = files(folder)
+    assert main(["render", "scene.toml", "-o", "run", "--max-samples", "256"]) == 2
+    assert "--max-samples = 256: changes nothing without --target-error" in complaint(capsys)
+    assert files(folder) == before
+
+
 def test_every_fault_of_a_file_is_said_at_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     faults = [SAID_BY_THE_SCENE[name] for name in ("unknown key", "nan", "missing texture")]
     text = SCENE

@@ -263,6 +263,19 @@ def test_a_damaged_checkpoint_does_not_stand_in_the_way_of_a_restart(cut_short: 
     assert lf.open_run("run").scene.transport.seed == 5
 
 
+def test_what_reads_a_run_that_was_killed_says_that_it_can_go_on(
+    cut_short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in (run.RAW, run.REPORT):
+        (cut_short / name).unlink()
+    capsys.readouterr()
+    assert main(["decode", "run"]) == 2
+    assert "lfmesh render --resume run goes on with it" in capsys.readouterr().err
+    (cut_short / CHECKPOINT).unlink()
+    assert main(["decode", "run"]) == 2
+    assert "render it again" in capsys.readouterr().err
+
+
 def test_an_edited_checkpoint_is_refused(cut_short: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Any number of any array, with the zip's checksums made right: a count, a mean that is no number."""
     path = cut_short / CHECKPOINT

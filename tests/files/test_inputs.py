@@ -18,6 +18,7 @@ from lfmesh.files import inputs, run
 from lfmesh.files.folder import MANIFEST, manifest_of
 from lfmesh.geometry.files.mesh_file import companions, load_mesh
 from lfmesh.scene.inputs import files_of
+from tests.study.studies import small_scene
 
 Build = Callable[..., lf.Image]
 
@@ -195,6 +196,20 @@ def test_a_scene_file_that_was_edited_is_not_replaced(image_of: Build, tmp_path:
         assert (tmp_path / run.SCENE).read_text() != mine
         run.prepare(tmp_path)
         (tmp_path / run.SCENE).write_text(mine)
+
+
+def test_white_says_that_an_edited_scene_file_is_not_the_one_it_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lf.save(lf.render(small_scene(samples=4)), tmp_path)
+    assert main(["white", str(tmp_path)]) == 0
+    assert "edited" not in capsys.readouterr().err
+    scene = tmp_path / run.SCENE
+    scene.write_text(scene.read_text() + "# my work\n")
+    assert main(["white", str(tmp_path)]) == 0
+    assert "scene.toml was edited since it was rendered; the white image is of the camera of raw.exr" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_a_copied_input_that_was_edited_stays_when_the_run_goes(

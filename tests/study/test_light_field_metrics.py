@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
@@ -79,6 +80,22 @@ def test_an_edge_is_refocused_where_first_order_optics_says(
     assert abs(size - abs(expected)) < 4.0 * error + 0.04 * abs(expected)
 
 
+@pytest.mark.parametrize(
+    ("changes", "metric", "why"),
+    [
+        ({"camera.mla.count": (11, 24)}, "refocus", "needs 12 × 12 lenslets at least, and the camera has 11 × 24"),
+        ({"camera.mla.count": (24, 9)}, "mtf50", "needs 10 × 10 lenslets at least, and the camera has 24 × 9"),
+        ({"camera.sensor.pixel_mm": 0.03}, "refocus", "needs 3 columns of views .* micro-images are .* pixels wide"),
+    ],
+)
+def test_a_camera_without_what_a_metric_needs_is_refused_before_anything_is_traced(
+    changes: dict[str, Any], metric: str, why: str
+) -> None:
+    axes = [{"path": "camera.mla.pose.tilt_deg[2]", "values": [0.1]}]
+    with pytest.raises(lf.LfmeshError, match=f"^study: metrics: {metric} {why}"):
+        lf.Study(camera(24).changed(changes), axes=axes, metrics=[metric])
+
+
 def test_a_shift_by_half_a_pixel_does_not_refocus(tmp_path: Path) -> None:
     """Views at the pupil's border, which a shift cuts off, would."""
     _, other = moved(camera(24), "camera.mla.pose.shift_mm[0]", 0.00625, "refocus", tmp_path, edge_distance_mm=560.0)
@@ -99,11 +116,41 @@ def test_the_shift_of_an_edge_between_views_is_found_whatever_the_slant() -> Non
         one = np.clip(x - (place[:, None, None] + slant * y) + 0.5, 0.0, 1.0) + 0.1
         data = np.broadcast_to(one[None, ..., None], (v, u, t, s, 1)).astype(np.float32)
         # However bright the lenslets of each column are.
-        white = np.broadcast_to(draw.uniform(0.5, 1.0, (v, u, 1, s, 1)), data.shape).astype(np.float32)
+        bright = draw.uniform(0.5, 1.0, (v, u, 1, s, 1))
+        # Not the views: those of less light are taken for cut off.
+        bright /= bright[:, :, :, s // 8 : s - s // 8].mean(axis=3, keepdims=True)
+        white = np.broadcast_to(bright, data.shape).astype(np.float32)
         edges, blank = replace(field, data=data * white), replace(field, data=white)
         found = edge_shift_mm(edges, blank)
         assert found == pytest.approx(shift * field.spacing_mm[1], abs=1e-3 * field.spacing_mm[1])
         assert math.isnan(edge_shift_mm(blank, blank))
+
+
+def ideal_edges(field: lf.LightField, place: NDArray[np.float64], bright: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Return views of edges at places by (v, u, t), in samples from the middle, and of white as bright as (v, u)."""
+    v, u, t, s, _ = field.data.shape
+    x = np.arange(s) - 0.5 * (s - 1)
+    one = np.clip(x - place[..., None] + 0.5, 0.0, 1.0) + 0.1
+    white = np.broadcast_to(bright[:, :, None, None, None], (v, u, t, s, 1)).astype(np.float32)
+    return replace(field, data=(one[..., None] * white).astype(np.float32)), replace(field, data=white)
+
+
+def test_views_that_the_pupil_cuts_and_places_within_a_sample_do_not_move_the_edge() -> None:
+    """A view of 93 % of the light shows it half a sample off; a third of one is added by where lenslets are crossed."""
+    scene = camera(16)
+    field = lf.decode(lf.white_image(scene.changed({"transport.samples": 4})), scene)
+    v, u, t, _, _ = field.data.shape
+    shift, rows = 0.15, np.arange(t) - 0.5 * (t - 1)
+    across = np.arange(u) - 0.5 * (u - 1)
+    place = 0.3 - shift * across[None, :, None] + math.tan(math.radians(5.0)) * rows + np.zeros((v, 1, 1))
+    cut = np.ones((v, u))
+    cut[:, : u // 2 - 2] = 0.93
+    for places, bright in (
+        (place + np.where(cut < 1.0, 0.5, 0.0)[..., None], cut),
+        (place + 0.3 * np.sin(2.0 * np.pi * place), np.ones((v, u))),
+    ):
+        found = edge_shift_mm(*ideal_edges(field, places, bright)) / field.spacing_mm[1]
+        assert found == pytest.approx(shift, abs=2e-3)
 
 
 def textured(scene: lf.Scene, at_mm: float) -> lf.Scene:

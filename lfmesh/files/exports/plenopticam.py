@@ -99,7 +99,7 @@ def _warn(calibration: Calibration) -> None:
     spot = calibration.microlens_f_number / calibration.f_number
     if spot > LARGEST_SPOT:
         warnings.warn(
-            f"PlenoptiCam may miss the pitch: the micro-images are {spot:.2g} of it wide; stop the lens down until "
-            f"they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or less",
+            f"PlenoptiCam may miss the pitch of the micro-images: they are {spot:.2g} pitches wide; stop the lens down "
+            f"until they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or less",
             stacklevel=3,
         )

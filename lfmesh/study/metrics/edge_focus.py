@@ -4,10 +4,14 @@ An edge that view u shows at place x0 − a u is sharp in the photograph that mo
 straight line through its places, by least squares, is the photograph in which the rms of its blur is least.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.lightfield.views.field import LightField
+from lfmesh.study.cameras.compare import EDGE_DEG
 
 Array = NDArray[np.float64]
 
@@ -17,8 +21,20 @@ LEAST_CONTRAST = 0.2
 DARK = 0.1
 """A view is unknown where a column of its white image has less than this share of the light of its brightest one."""
 
+LEAST_LIGHT = 0.96
+"""A view with less of the light of the brightest one is cut off by the pupil: it is not seen from its middle."""
+
 LEAST_VIEWS = 3
 """Different u, of which a slope has an error."""
+
+CROSSING_ROWS = 1.0 / math.tan(math.radians(EDGE_DEG))
+"""Rows of samples in which the slanted edge moves on by one sample."""
+
+LEAST_ROWS = math.ceil(CROSSING_ROWS)
+"""Rows of samples that show every place of the edge within a sample."""
+
+LEAST_WIDTH_PX = 5.2
+"""Width of a micro-image with so many views, whether there is a view in the middle or not."""
 
 
 def edge_shift_mm(edge: LightField, white: LightField) -> float:
@@ -33,14 +49,17 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     edge, white : LightField
         Of the edge and of a white plane, from the same samples.
     """
-    if len(edge.u_rad) < LEAST_VIEWS:
+    if min(edge.data.shape[2:4]) < LEAST_ROWS:
         return float("nan")
-    off_axis = np.hypot(edge.v_rad[:, None], edge.u_rad[None, :])
+    inner = _inner_views(edge.v_rad, edge.u_rad, edge.model.f_number)
+    if not inner.any():
+        return float("nan")
     columns, bright = (_columns(field) for field in (edge, white))
-    # A view at the border of the pupil is not seen from its middle.
-    whole = 0.5 / edge.model.f_number - abs(edge.u_rad[1] - edge.u_rad[0])
-    known = np.isfinite(columns).all(axis=2) & (off_axis <= whole)
-    known &= bright.min(axis=2) > DARK * np.nanmax(bright, axis=2)
+    known = inner & np.isfinite(columns).all(axis=2) & np.isfinite(bright).all(axis=2)
+    known &= bright.min(axis=2) > DARK * bright.max(axis=2)
+    # The pupil may lie elsewhere than in the camera to plan, as where the array has moved along the axis.
+    light = bright.mean(axis=2)
+    known &= light > LEAST_LIGHT * light[known].max(initial=0.0)
     v, u = np.nonzero(known)
     if len(np.unique(u)) < LEAST_VIEWS:
         return float("nan")
@@ -54,12 +73,57 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     return float(slope) * edge.spacing_mm[1]
 
 
+def why_unknown(rows: int, columns: int, model: RayModel) -> str:
+    """Return in words why a camera cannot tell where an edge is refocused; nothing where it can.
+
+    Parameters
+    ----------
+    rows, columns : int
+        Of its lenslets.
+    model : RayModel
+    """
+    if min(rows, columns) < LEAST_ROWS:
+        return f"needs {LEAST_ROWS} × {LEAST_ROWS} lenslets at least, and the camera has {columns} × {rows}"
+    count = max(1, math.floor(model.micro_image_pitch_px))
+    directions = np.asarray(model.slope_step * (np.arange(count) - 0.5 * (count - 1)), dtype=np.float64)
+    seen = int(_inner_views(directions, directions, model.f_number).any(axis=0).sum())
+    if seen >= LEAST_VIEWS:
+        return ""
+    width = model.lenslet_to_sensor_mm / model.f_number / model.pixel_mm
+    return (
+        f"needs {LEAST_VIEWS} columns of views at least that the pupil does not cut, and the camera has {seen}: its "
+        f"micro-images are {width:.3g} pixels wide; {LEAST_WIDTH_PX:g} are enough"
+    )
+
+
+def _inner_views(v_rad: Array, u_rad: Array, f_number: float) -> NDArray[np.bool_]:
+    """Tell which views are not at the border of the pupil, of which the light is not seen from their middle."""
+    if len(u_rad) < LEAST_VIEWS:
+        return np.zeros((len(v_rad), len(u_rad)), dtype=bool)
+    return np.asarray(np.hypot(v_rad[:, None], u_rad[None, :]) <= 0.5 / f_number - abs(u_rad[1] - u_rad[0]))
+
+
 def _columns(field: LightField) -> Array:
     """Return the mean light of each column in the middle of each view, (v, u, s)."""
     height, width = field.data.shape[2:4]
     # Micro-images at the border may be cut off.
-    middle = field.data[:, :, height // 10 : height - height // 10, width // 8 : width - width // 8]
-    return np.asarray(middle.mean(axis=(2, 4), dtype=np.float64))
+    skipped = max(0, min(height // 10, (height - LEAST_ROWS) // 2))
+    middle = field.data[:, :, skipped : height - skipped, width // 8 : width - width // 8]
+    weights = _row_weights(middle.shape[2])
+    return np.asarray(np.tensordot(middle.mean(axis=4, dtype=np.float64), weights, axes=(2, 0)))
+
+
+def _row_weights(count: int) -> Array:
+    """Return weights of rows by which every place of the edge within a sample counts the same.
+
+    Lenslets that are not in focus on the pupil see neighbouring places through overlapping footprints, so that the
+    light of one row does not go with the edge's place. What repeats with every sample drops out of a mean weighted by a
+    box of one crossing, convolved with a box of the rows that are left.
+    """
+    from_border = 0.5 + np.minimum(np.arange(count), np.arange(count)[::-1])
+    ramp = min(CROSSING_ROWS, count - CROSSING_ROWS)
+    weights = np.minimum(1.0, from_border / ramp) if ramp > 0.0 else np.ones(count)
+    return np.asarray(weights / weights.sum())
 
 
 def _bright_samples(rows: Array) -> tuple[Array, bool]:

@@ -18,12 +18,13 @@ from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.calibration.centres import estimate_centres
 from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.lightfield.photographs.refocus import refocus
+from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.lightfield.views.decode import decode
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import Scene
 from lfmesh.study.cameras.compare import measuring
 from lfmesh.study.metrics.depth_error import depth_errors_mm, textured, true_depth_mm
-from lfmesh.study.metrics.edge_focus import edge_shift_mm
+from lfmesh.study.metrics.edge_focus import edge_shift_mm, why_unknown
 from lfmesh.study.metrics.pictures import Camera, Films, edge_scene, image_of
 from lfmesh.study.metrics.resolution import edge_mtf50
 from lfmesh.study.metrics.similarity import structural_similarity
@@ -60,6 +61,9 @@ ROUNDING = 1e-9
 
 TRACED_DECIMALS = 9
 """Of pixels and degrees that traced rays move: what follows is rounding."""
+
+LEAST_LENSLETS = 10
+"""Along each axis, of which the middle, without micro-images that may be cut off, is enough for an MTF."""
 
 SHARPEST = 0.6034
 """MTF50 of a box as wide as a sample, cycles a sample; samples that gather light of their whole width have no more."""
@@ -272,12 +276,19 @@ Compute = Callable[[Comparison], Array]
 
 
 class Metric(NamedTuple):
-    """A metric: its columns, the pictures that it needs, and how it is computed."""
+    """A metric: its columns, the pictures that it needs, how it is computed, and why a camera may have none."""
 
     columns: tuple[Column, ...]
     pictures: tuple[str, ...]
     compute: Compute
     needs_mla: bool = False
+    unknown: Callable[[Scene], str] = lambda _: ""
+
+    def why_unknown(self, scene: Scene) -> str:
+        """Return in words why the metric cannot be computed of a scene's camera; nothing where it can."""
+        if self.needs_mla and scene.camera.mla is None:
+            return "needs a camera with a microlens array"
+        return self.unknown(scene)
 
 
 def _psnr(pair: Comparison) -> Array:
@@ -454,6 +465,20 @@ def _refocus(pair: Comparison) -> Array:
     return np.column_stack([distance, *(column for shift in shifts for column in (shift, mean_square(shift)))])
 
 
+def _no_refocus(scene: Scene) -> str:
+    assert scene.camera.mla is not None
+    columns, rows = scene.camera.mla.count
+    return why_unknown(rows, columns, RayModel.of(scene))
+
+
+def _no_mtf50(scene: Scene) -> str:
+    assert scene.camera.mla is not None
+    columns, rows = scene.camera.mla.count
+    if min(columns, rows) >= LEAST_LENSLETS:
+        return ""
+    return f"needs {LEAST_LENSLETS} × {LEAST_LENSLETS} lenslets at least, and the camera has {columns} × {rows}"
+
+
 def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> float:
     """Return at which distance the photograph of the edge is sharpest; NaN where that is no real one."""
     edge, white = measuring(nominal), measuring(white_scene(nominal))
@@ -568,6 +593,7 @@ METRICS: Mapping[str, Metric] = {
         ("edge", "white"),
         _mtf50,
         needs_mla=True,
+        unknown=_no_mtf50,
     ),
     "refocus": Metric(
         (
@@ -586,6 +612,7 @@ METRICS: Mapping[str, Metric] = {
         ("edge", "white"),
         _refocus,
         needs_mla=True,
+        unknown=_no_refocus,
     ),
     "depth": Metric(
         (

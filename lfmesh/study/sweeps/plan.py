@@ -288,6 +288,12 @@ def _is_omitted(scene: Scene, path: str) -> bool:
         return False
 
 
+def _focus_of(scene: Scene) -> tuple[Any, ...]:
+    """Return the distances of array and sensor of a solved scene."""
+    camera = scene.camera
+    return camera.mla and camera.mla.distance_mm, camera.sensor.distance_mm
+
+
 def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
     """Return a solved scene that says what a study varies as the scene does: focal lengths of lenslets, the stop."""
     changes: dict[str, Any] = {}
@@ -344,8 +350,8 @@ def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
     if "efficiency" in study.metrics and "noise" not in study.metrics:
         yield "metrics: efficiency is 1/(noise² · time); add noise"
     for name in study.metrics:
-        if METRICS[name].needs_mla and scene.camera.mla is None:
-            yield f"metrics: {name} needs a camera with a microlens array"
+        if why := METRICS[name].why_unknown(scene):
+            yield f"metrics: {name} {why}"
 
 
 def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
@@ -420,10 +426,12 @@ def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ..
 def _point_faults(plan: Plan) -> Iterator[str]:
     """Yield the points whose scene is not valid, or has another sensor or array than the reference."""
     size = _sizes(plan.scene_of(plan.points[0]))
+    distances = set()
     for point in plan.points:
         try:
             scene = plan.scene_of(point)
-            (solved_camera(scene).scene if _has_meshes(scene) else solved(scene))
+            ready = solved_camera(scene).scene if _has_meshes(scene) else solved(scene)
+            distances.add(_focus_of(ready))
             for each in plan.study.compensators if point.number else ():
                 for change in each.range:
                     solved(each.applied(scene, change))
@@ -440,6 +448,11 @@ def _point_faults(plan: Plan) -> Iterator[str]:
                     f"point {point.number} ({plan.label(point)}): {what} = {[here, there]} differs from the "
                     f"reference's {list(size[what])}: images are compared pixel by pixel"
                 )
+    if plan.study.refocus and len(plan.points) > 1 and len(distances) == 1:
+        yield (
+            "refocus = true: changes nothing: by first-order optics every point has the reference's distances of array "
+            "and sensor; omit it. A compensator of camera.mla.distance_mm refocuses what poses and the like defocus"
+        )
 
 
 def _has_meshes(scene: Scene) -> bool:

@@ -92,8 +92,12 @@ def first_column(table: Table) -> Column | None:
 
 
 def ranked_by(rows: list[Row], column: Column) -> list[Row]:
-    """Return the points apart from the reference, the best first."""
-    known = [row for row in rows if row.point.number and not math.isnan(row.means[column.name].value)]
+    """Return the points apart from the reference and from those that are searched, the best first."""
+    known = [
+        row
+        for row in rows
+        if row.point.number and row.point.searched is None and not math.isnan(row.means[column.name].value)
+    ]
     return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
 
 
@@ -311,7 +315,7 @@ def _adjustments(table: Table) -> Iterator[str]:
 
 def _ends(table: Table) -> Iterator[str]:
     column = first_column(table)
-    rows = [row for row in table.rows if row.estimates and row.point.searched is None]
+    rows = [row for row in table.rows if row.estimates]
     ranked = ranked_by(rows, column) if column is not None else []
     # Of a single camera neither is said.
     if column is None or len(ranked) < 2:

@@ -406,7 +406,7 @@ class Run:
         values = [
             (float(outcome.columns[column.name].mean()), point)
             for (point, _), outcome in self.outcomes.items()
-            if point and column.name in outcome.columns
+            if point and self.plan.points[point].searched is None and column.name in outcome.columns
         ]
         if not values:
             return "", ""

@@ -18,6 +18,7 @@ from lfmesh.lightfield.rays.pixel_bundles import cell_points
 from lfmesh.scene import Scene
 from tests.frames import motion
 from tests.instances import instances
+from tests.study.studies import small_scene
 
 COVER = {"thickness_mm": 0.04, "gap_mm": 0.02, "glass": "SCHOTT/N-SF5", "coating": "none"}
 BEHIND_A_COVER = {"camera.sensor.cover": COVER, "camera.sensor.reflectance": 0.2}
@@ -90,6 +91,17 @@ def test_files_hold_the_map_and_the_views(camera: Callable[..., Scene], tmp_path
         for name in ("origin", "direction", "footprint", "weight", "lenslet", "central"):
             assert np.array_equal(file[name][()], getattr(model, name), equal_nan=True), name
         assert np.array_equal(file["views/translation_mm"][()], model.views.translation_mm, equal_nan=True)
+
+
+def test_the_camera_of_a_run_is_that_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    lf.save(lf.render(small_scene(samples=4)), "run")
+    rays: list[dict[str, Any]] = []
+    for what in ("run", "run/scene.toml"):
+        assert main(["camera-model", what, "-o", "camera.exr"]) == 0
+        with OpenEXR.File("camera.exr", separate_channels=True) as file:
+            rays.append({name: channel.pixels.copy() for name, channel in file.parts[0].channels.items()})
+    assert all(np.array_equal(rays[0][name], pixels, equal_nan=True) for name, pixels in rays[1].items())
 
 
 @pytest.mark.parametrize(

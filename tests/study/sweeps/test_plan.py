@@ -74,6 +74,22 @@ def test_a_camera_that_cannot_be_focused_is_found_where_it_is_focused_anew() -> 
         lf.Study(small_scene(), axes=axes, refocus=True, metrics=["light"])
 
 
+def test_refocus_that_refocuses_nothing_is_refused() -> None:
+    with pytest.raises(lf.LfmeshError, match=r"^study: refocus = true: changes nothing.*compensator"):
+        shifted(refocus=True)
+
+
+def test_a_limit_of_metrics_without_columns_to_limit_says_so() -> None:
+    with pytest.raises(lf.LfmeshError, match=r"no column that can be limited; metrics = \['efficiency'\] have none"):
+        shifted(metrics=("efficiency",), limits={"psnr_db": 30.0})
+
+
+def test_python_names_a_fault_of_a_study_by_the_public_class() -> None:
+    with pytest.raises(lf.LfmeshError, match=r"^Study\.foo") as told:
+        shifted(foo=1)
+    assert "StudyFile" not in str(told.value)
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

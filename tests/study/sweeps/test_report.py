@@ -10,6 +10,7 @@ import pytest
 from pyarrow import parquet
 
 import lfmesh as lf
+from lfmesh.cli import main
 from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.sweeps.figures import TITLE_LETTERS
 from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE
@@ -162,3 +163,22 @@ def test_a_value_has_the_digits_that_its_error_leaves(value: float, error: float
 def test_no_two_columns_have_one_title() -> None:
     titles = [column.title for column in columns_of(tuple(METRICS))]
     assert len(set(titles)) == len(titles)
+
+
+def test_best_and_worst_are_the_same_above_pictures_and_below(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Points at which a limit is reached are near the reference, and no answers to "which error is least"."""
+    (tmp_path / "scene.toml").write_text(small_scene().dump_toml())
+    (tmp_path / "study.toml").write_text(
+        'scene = "scene.toml"\nmetrics = ["chief_rays", "light"]\nlimits = { chief_rays_rms_px = 0.3 }\n'
+        f'[[axes]]\npath = "{SHIFT}"\nvalues = [0.06, 0.1]\nlabel = "decentre / mm"\n'
+    )
+    assert main(["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out"), "--workers", "0"]) == 0
+    page = html.unescape((tmp_path / "out/report.html").read_text())
+    said = " ".join(capsys.readouterr().out.split())
+    for which in ("Best", "Worst"):
+        (above,) = re.findall(rf"{which} by chief rays: displacement, rms: (decentre = [\d.]+ mm)", page)
+        below = re.findall(rf"{which.lower()} by chief rays: displacement, rms: ([^<\"]*)<", page)
+        assert set(below) == {above}
+    assert re.search(r"decentre may change by \+0\.\d+ \(\+[\d.e-]+ to \+[\d.e-]+\) mm, until a limit is reached", said)

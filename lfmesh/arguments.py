@@ -1,0 +1,62 @@
+"""Arguments of public functions: those of another kind than lfmesh's own classes are refused in one line."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, get_args, get_type_hints
+
+from lfmesh.errors import LfmeshError
+
+MADE_BY = {
+    "Scene": 'lf.load("scene.toml") reads one',
+    "World": "lf.build(scene) makes one",
+    "Image": 'lf.render(scene) makes one, lf.open_run("run/") reads one',
+    "LightField": "lf.decode(image) makes one",
+    "Calibration": "lf.calibrate(scene) makes one",
+    "LensAnalysis": "lf.analyse(scene) makes one",
+    "CameraModel": "lf.camera_model(scene) makes one",
+    "FocalStack": "lf.focal_stack(field) makes one",
+}
+"""Sources of each class, in the words of a message."""
+
+
+def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that refuses other arguments than those of lfmesh's classes which its annotations name.
+
+    Parameters whose annotation also names anything else, such as arrays or paths, are left to the function.
+    """
+    try:
+        hints = get_type_hints(function)
+    except NameError:
+        # Annotations that only a type checker knows.
+        return function
+    signature = inspect.signature(function, follow_wrapped=False)
+    kinds = {name: found for name in signature.parameters if (found := _own_classes(hints.get(name)))}
+    if not kinds:
+        return function
+
+    @wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        given = dict(zip(signature.parameters, args, strict=False)) | kwargs
+        for name, classes in kinds.items():
+            if name in given and not isinstance(given[name], classes):
+                raise LfmeshError(_refusal(function.__name__, name, given[name], classes))
+        return function(*args, **kwargs)
+
+    return checked
+
+
+def _own_classes(annotation: Any) -> tuple[type, ...]:
+    """Return the classes that an annotation allows if some are lfmesh's and the others None; else none."""
+    classes = get_args(annotation) or (annotation,)
+    own = [each for each in classes if each is not type(None)]
+    plain = all(isinstance(each, type) and each.__module__.startswith("lfmesh.") for each in own)
+    return tuple(classes) if own and plain and not any(getattr(each, "_is_protocol", False) for each in own) else ()
+
+
+def _refusal(function: str, name: str, value: Any, classes: tuple[type, ...]) -> str:
+    names = [each.__name__ for each in classes if each is not type(None)]
+    ways = [MADE_BY[each] for each in names if each in MADE_BY]
+    given = repr(value) if isinstance(value, str) else f"of type {type(value).__name__}"
+    how = f"; {', or '.join(ways)}" if ways else ""
+    return f"lf.{function} needs {' or '.join(names)} for {name}, which is {given}{how}"

@@ -20,6 +20,7 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene, load
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME, Status
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.trace import trace
 from lfmesh.transport.world import World, build
 from lfmesh.view.rays.launch_line import launch
 from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, FieldPoints, Rays
@@ -40,6 +41,9 @@ INSIDE = 0.97
 
 FAR = 20.0
 """Focal lengths at which the points of the first look stand where the camera is focused on infinity."""
+
+BEFORE_MM = 0.01
+"""Distance from lens and targets at which points of the first look are seen, and lie."""
 
 MOST_PX = 4096
 """Side of the picture on the sensor; larger ones are reduced."""
@@ -161,12 +165,14 @@ def launched(
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    hidden = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := hidden_by(part))]
-    return Launched(rays, (words, *hidden), pixels_on_array(rays))
+    dark = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := hidden_by(part))]
+    return Launched(rays, (words, *dark), pixels_on_array(rays))
 
 
 def hidden_by(rays: Rays) -> str:
-    """Return, in words, which targets keep all rays of field points from the lens; nothing, where some get there."""
+    """Return, in words, why no ray gets from field points to the lens, or from pixels out of it; else nothing."""
+    if rays.from_sensor and not np.isin(rays.status, (Status.TARGET, Status.ESCAPED)).any():
+        return "no ray leaves the camera"
     if rays.field is None or not (rays.status == Status.TARGET).all() or (np.diff(rays.offsets) > 2).any():
         return ""
     names = " and ".join(rays.surfaces[number] for number in np.unique(rays.end))
@@ -174,7 +180,10 @@ def hidden_by(rays: Rays) -> str:
 
 
 def first_look(world: World) -> list[str]:
-    """Return the launches of the first picture: points of the plane in focus, on the axis, in the zone, at the edge."""
+    """Return the launches of the first picture: points of the plane in focus, on the axis, in the zone, at the edge.
+
+    Where a target stands before one, the point lies on that.
+    """
     distance = world.first_order.object_distance_mm
     half = 0.5 * world.first_order.field_of_view_mm[1]
     if not 0.0 < distance < np.inf:
@@ -182,8 +191,18 @@ def first_look(world: World) -> list[str]:
         distance = FAR * abs(world.first_order.efl_mm)
         half = 0.5 * sensor * FAR
     points = [[0.0, -INSIDE * field * half, -distance] for field in FIELDS]
-    placed = frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], points)
-    return ["field " + ",".join(f"{value:.4g}" for value in point) for point in placed + 0.0]
+    to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
+    placed = frames.points(to_world, points)
+    # From a place before the lens one sees what stands in the way.
+    front = frames.points(to_world, [[0.0, 0.0, world.tables.lens.box_low[2] - BEFORE_MM]])
+    ahead = placed - front
+    seen = trace(world, np.repeat(front, len(ahead), axis=0), ahead, split="transmit", max_events=1, threads=1)
+    distance = np.linalg.norm(ahead, axis=1)
+    for i, status, place in zip(seen.source, seen.status, seen.position, strict=True):
+        way = float(np.linalg.norm(place - front)) - BEFORE_MM
+        if status == Status.TARGET and way + 2.0 * BEFORE_MM < distance[i]:
+            placed[i] = front + way / distance[i] * ahead[i]
+    return ["field " + ",".join(f"{value:.6g}" for value in point) for point in placed + 0.0]
 
 
 def together(parts: Sequence[Rays]) -> Rays:

@@ -254,6 +254,29 @@ position_mm = [0.0, 20.0, -150.0]
     assert seen.rays.arrives.any()
 
 
+def test_the_first_look_is_at_a_target_that_stands_before_the_plane_in_focus() -> None:
+    ball = """
+[[targets]]
+shape = { kind = "sphere", radius_mm = 30.0 }
+position_mm = [0.0, 0.0, -170.0]
+"""
+    world = lf.build(loads(SCENE.replace("[[lights]]", ball + "[[lights]]")))
+    seen = launched(world, count=30)
+    assert len(seen.caption) == 1
+    assert seen.rays is not None
+    starts = np.unique(seen.rays.position[seen.rays.offsets[:-1]].round(6), axis=0)
+    assert np.hypot(np.hypot(*starts[:, :2].T), starts[:, 2] + 170.0) == pytest.approx(30.0, abs=0.3)
+    assert seen.rays.arrives.mean() > 0.3
+
+
+def test_a_pixel_from_which_no_ray_leaves_the_camera_is_named() -> None:
+    """At the corner of four lenslets, behind a small stop."""
+    world = lf.build(loads(SCENE).changed({"camera.lens.stop_semi_diameter_mm": 0.5}))
+    row, column = middle_pixel(world)
+    seen = launched(world, [f"pixel {column},{row}", "pixel 60,50"], 8)
+    assert seen.caption[1:] == ("pixel 60,50: no ray leaves the camera",)
+
+
 @pytest.mark.parametrize(
     "replaced", [("", ""), ("count = [12, 10]", "count = [11, 9]"), ("pixels = [120", "pixels = [121")]
 )

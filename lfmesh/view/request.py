@@ -171,7 +171,7 @@ def launched(
 
 def hidden_by(rays: Rays) -> str:
     """Return, in words, why no ray gets from field points to the lens, or from pixels out of it; else nothing."""
-    if rays.from_sensor and not np.isin(rays.status, (Status.TARGET, Status.ESCAPED)).any():
+    if rays.from_sensor and not rays.arrives.any():
         return "no ray leaves the camera"
     if rays.field is None or not (rays.status == Status.TARGET).all() or (np.diff(rays.offsets) > 2).any():
         return ""

@@ -3,7 +3,8 @@
 import inspect
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, get_args, get_type_hints
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from lfmesh.errors import LfmeshError
 
@@ -48,7 +49,7 @@ def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _own_classes(annotation: Any) -> tuple[type, ...]:
     """Return the classes that an annotation allows if some are lfmesh's and the others None; else none."""
-    classes = get_args(annotation) or (annotation,)
+    classes = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     own = [each for each in classes if each is not type(None)]
     plain = all(isinstance(each, type) and each.__module__.startswith("lfmesh.") for each in own)
     return tuple(classes) if own and plain and not any(getattr(each, "_is_protocol", False) for each in own) else ()

@@ -1,4 +1,4 @@
-"""How wide a point's light is between lens and sensor: the grid that follows it, and light that misses the sensor."""
+"""Width of a point's light between lens and sensor: the grid that follows it, and light that misses the sensor."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ CAUSES = (
     ("the diffraction rings of its narrow beam are", "give a wider stop"),
     ("lenslets make it", "give a smaller pitch of the same f-number"),
 )
-"""Why grids are large, and what helps: by rays, by rings, by lenslets."""
+"""Causes of large grids, and what helps: by rays, by rings, by lenslets."""
 
 
 @dataclass(frozen=True)

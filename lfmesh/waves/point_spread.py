@@ -247,8 +247,6 @@ def followed(
     LfmeshError
         As there.
     """
-    if not isinstance(scene, Scene):
-        raise LfmeshError(f"scene = {scene!r}: must be a Scene; read a file by lf.load")
     point = numbers_of("point_mm", point_mm)
     if isinstance(wavelengths_nm, str):
         if weights is not None:

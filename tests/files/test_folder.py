@@ -239,7 +239,7 @@ def test_an_export_killed_at_any_step_is_there_entirely_or_not(tmp_path: Path, m
         return {"files": ["view.png"]}
 
     monkeypatch.setitem(export._FIELD_WRITERS, "views", write)
-    field: Any = None
+    field = object.__new__(lf.LightField)
     for _ in kill_at_every_step(home, lambda: export.export_field(field, home / "out", "views"), least=5):
         assert not (home / "out").exists() or files_in(home / "out") == {"view.png", export.NOTE}
         export.export_field(field, home / "next", "views")

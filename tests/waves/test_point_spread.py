@@ -124,7 +124,7 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
         ({"window": 2.5}, "window = 2.5: must be a whole number"),
         ({"oversample": "a"}, 'oversample = "a": must be a whole number'),
         ({"tolerance": None}, "tolerance = None"),
-        ({"scene": "scene.toml"}, "read a file by lf.load"),
+        ({"scene": "scene.toml"}, r'lf\.load\("scene\.toml"\) reads one'),
         ({"point_mm": (0.0, math.nan, -5.0)}, "finite"),
         ({"oversample": 0}, "oversample = 0"),
         ({"window": 0}, "window = 0"),

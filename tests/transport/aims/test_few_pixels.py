@@ -120,13 +120,13 @@ def test_every_lenslet_that_shows_the_opening_to_a_point_of_a_pixel_is_listed(se
     aim, mla, frames = world.aim.lenslets, world.tables.mla, world.tables.frames
     centres, radius = mla.lenslets.lattice.centres().reshape(-1, 2), np.sqrt(np.maximum(aim.slope_radius2, 0.0))
     to_array = frames[SENSOR_FRAME, MLA_FRAME]
-    near = np.zeros((most_listed(aim) + 1, LISTED))
+    near = np.zeros((most_listed(aim, aim.search) + 1, LISTED))
     extent = pixel_extent(world.tables.sensor, frames)
     random = np.random.default_rng(seed)
     shown = 0
     for middle in (random.integers(0, 8, (150, 2)) - 3.5) * pixel:
         centre = to_array[:, :2] @ middle + to_array[:, 3]
-        listed = list_cells(ArraySeen(mla, aim, 1.0), tuple(centre), extent, 1.0, near)
+        listed = list_cells(ArraySeen(mla, aim, 1.0), tuple(centre), extent, aim.search, near)
         known = as_complex(near[:listed, :2])
         for off in (random.choice([-0.5, 0.5], 2), random.uniform(-0.5, 0.5, 2)):
             point = to_array[:, :2] @ (middle + off * pixel) + to_array[:, 3]

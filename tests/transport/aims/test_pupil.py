@@ -234,12 +234,15 @@ def test_no_path_through_a_lenslets_corner_goes_past_the_cells_aimed_at(name: st
         world, frames.points(to_world, p + 1e-9 * d), d @ to_world[:, :3].T, split="transmit", engine="sequential"
     )
     out = paths.source[paths.status == lf.Status.ESCAPED]
-    near, cells = np.zeros((most_listed(aim) + 1, LISTED)), np.zeros(most_listed(aim) + 1, np.int64)
+    near, cells = (
+        np.zeros((most_listed(aim, aim.search) + 1, LISTED)),
+        np.zeros(most_listed(aim, aim.search) + 1, np.int64),
+    )
     glass = float(array.media.indices[array.medium, 0]) if array.curved_to_lens else 1.0
     past, seen = 0, ArraySeen(array, aim, glass)
     for i in out:
         point = tuple(p[i])
-        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), 1.0, near), cells, point, 1.0)
+        shown = cells_that_show(seen, near, list_cells(seen, point, (0.0, 0.0), aim.search, near), cells, point, 1.0)
         past += max(lenslets_density(seen, shown, point, tuple(d[i]))) == 0.0
     assert len(out) > 500
     assert past == 0

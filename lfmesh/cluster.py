@@ -164,8 +164,10 @@ def _lack_of(client: Any) -> str:
 
 def _refuse_other_programs(client: Any) -> None:
     """Refuse workers whose lfmesh, or whose libraries that decide bits, are not those of this process."""
+    from distributed.comm import CommClosedError
+
     for worker, theirs in client.run(_program, on_error="return").items():
-        if isinstance(theirs, OSError):
+        if isinstance(theirs, CommClosedError):
             # It has gone, and the scheduler has yet to learn it.
             continue
         if isinstance(theirs, Exception):

@@ -209,7 +209,9 @@ def object_tables(
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
-    glass = GlassTables(interfaces, level, patches, across, tree, first, partners, near, _boxes(parts, level))
+    glass = GlassTables(
+        interfaces, level, patches, across, tree, first, partners, near, _boxes(parts, ranks > 0, level)
+    )
     tables = ObjectTables(
         facets=facets,
         uv=uv,
@@ -260,16 +262,25 @@ def object_tables(
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
-def _boxes(bodies: list[Mesh], level: NDArray[np.int64]) -> Array:
-    """Return the corners of the boxes that surely hold bodies, (n, 2, 3) mm."""
+def _boxes(bodies: list[Mesh], is_glass: NDArray[np.bool_], level: NDArray[np.int64]) -> Array:
+    """Return the corners of the boxes that surely hold bodies of glass, (n, 2, 3) mm; of other targets zeros.
+
+    Parameters
+    ----------
+    bodies : list of Mesh
+    is_glass : (n,) bool
+    level : (n,) int64
+        Surface level of each.
+    """
     boxes = np.zeros((len(bodies), 2, 3))
-    for box, body, of in zip(boxes, bodies, level, strict=True):
-        corners = body.vertices[body.faces]
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-        low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-        # An arc of less than half a turn bulges by less than half its chord.
-        slack = 0.5 * longest if of == PATCH else touching_mm([body])
-        box[:] = low - slack, high + slack
+    for i in np.flatnonzero(is_glass):
+        body = bodies[i]
+        slack = touching_mm([body])
+        if level[i] == PATCH:
+            corners = body.vertices[body.faces]
+            # An arc of less than half a turn bulges by less than half its chord.
+            slack = 0.5 * float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        boxes[i] = body.vertices.min(axis=0) - slack, body.vertices.max(axis=0) + slack
     return boxes
 
 

@@ -24,7 +24,7 @@ from lfmesh.lightfield.views.field import LightField
 from lfmesh.scene import Scene
 from lfmesh.study.cameras.compare import measuring
 from lfmesh.study.metrics.depth_error import depth_errors_mm, textured, true_depth_mm
-from lfmesh.study.metrics.edge_focus import edge_shift_mm, why_unknown
+from lfmesh.study.metrics.edge_focus import LEAST_VIEWS, edge_shift_mm, why_unknown
 from lfmesh.study.metrics.pictures import Camera, Films, edge_scene, image_of
 from lfmesh.study.metrics.resolution import edge_mtf50
 from lfmesh.study.metrics.similarity import structural_similarity
@@ -276,13 +276,27 @@ Compute = Callable[[Comparison], Array]
 
 
 class Metric(NamedTuple):
-    """A metric: its columns, the pictures that it needs, how it is computed, and why a camera may have none."""
+    """A metric.
+
+    Attributes
+    ----------
+    columns : tuple of Column
+    pictures : tuple of str
+        That it needs, see `pictures.films`.
+    compute : callable
+    needs_mla : bool
+    unknown : callable
+        Given a scene, returns in words why its camera can have none, or "".
+    unseen : str
+        What pictures lack, in words, where a value is not known although the camera could have one.
+    """
 
     columns: tuple[Column, ...]
     pictures: tuple[str, ...]
     compute: Compute
     needs_mla: bool = False
     unknown: Callable[[Scene], str] = lambda _: ""
+    unseen: str = "there is no light, or not enough of it"
 
     def why_unknown(self, scene: Scene) -> str:
         """Return in words why the metric cannot be computed of a scene's camera; nothing where it can."""
@@ -594,6 +608,7 @@ METRICS: Mapping[str, Metric] = {
         _mtf50,
         needs_mla=True,
         unknown=_no_mtf50,
+        unseen="the middle of the photograph shows no straight edge, or one that is lost in noise",
     ),
     "refocus": Metric(
         (
@@ -613,6 +628,10 @@ METRICS: Mapping[str, Metric] = {
         _refocus,
         needs_mla=True,
         unknown=_no_refocus,
+        unseen=(
+            "the edge leaves the middle of the picture, is lost in noise, or is seen by fewer than "
+            f"{LEAST_VIEWS} columns of views that the pupil does not cut"
+        ),
     ),
     "depth": Metric(
         (
@@ -622,6 +641,7 @@ METRICS: Mapping[str, Metric] = {
         ("scene", "white"),
         _depth,
         needs_mla=True,
+        unseen="no part of the reference's picture has texture enough to tell depth",
     ),
     "crosstalk": Metric(
         (Column("crosstalk_share", CROSSED, "chance", worse="high", possible=SHARE),),

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 from lfmesh.scene.literals import literal
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.metrics import METRICS, Column
 from lfmesh.study.sweeps.axes import name_and_unit
 from lfmesh.study.sweeps.table import CONFIDENCE, Row, Table
 from lfmesh.study.tolerances.budget import Budget, budget_of
@@ -32,6 +32,7 @@ def in_short(table: Table) -> list[str]:
     """Return the answers of a study, a sentence each."""
     return [
         _progress(table),
+        *_unknown(table),
         *_limits(table),
         *_yield(table),
         *largest_changes(table),
@@ -114,6 +115,18 @@ def _progress(table: Table) -> str:
     if waiting:
         words.append(f"{waiting} are not computed yet")
     return "; ".join(words) + "."
+
+
+def _unknown(table: Table) -> Iterator[str]:
+    """Yield for every metric the points at which it is not known, and why that may be."""
+    rows = [row for row in table.rows if row.estimates]
+    for name in table.plan.metrics:
+        metric = METRICS[name]
+        lacking = [row for row in rows if any(column_value(row, each) == NOT_KNOWN for each in metric.columns)]
+        if lacking:
+            first = ", ".join(words_of(table, row) for row in lacking[:MOST_NAMED])
+            more = f" and {len(lacking) - MOST_NAMED} more" if len(lacking) > MOST_NAMED else ""
+            yield f"{name} is {NOT_KNOWN} at {len(lacking)} of {len(rows)} points ({first}{more}): {metric.unseen}."
 
 
 def _limits(table: Table) -> Iterator[str]:

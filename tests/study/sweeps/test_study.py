@@ -27,6 +27,7 @@ from lfmesh.study.metrics import metrics
 from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
 from lfmesh.study.sweeps.pool import Result, in_pool
+from lfmesh.study.sweeps.sentences import NOT_KNOWN, in_short
 from lfmesh.study.sweeps.study_folder import logged
 from lfmesh.study.sweeps.unit import FORMAT, Unit, run_unit, unpacked
 from tests.study.studies import PLANE, SHIFT, shifted, small_scene
@@ -472,6 +473,14 @@ def test_scenes_are_compared_with_the_first(tmp_path: Path) -> None:
     table = lf.Study(scenes, metrics=["light"]).run(tmp_path, workers=0)
     assert table.rows[1].estimates["light_ratio"].value == pytest.approx(0.5, rel=1e-12)
     assert "dim" in (tmp_path / "table.csv").read_text()
+
+
+def test_a_report_says_why_a_metric_is_not_known(tmp_path: Path) -> None:
+    black = {**PLANE, "material": {"reflectance": 0.0, "radiance_w_m2_sr": 0.0}}
+    scenes = [small_scene(), small_scene().changed({"targets": [black], "name": "black"})]
+    table = lf.Study(scenes, metrics=["light", "noise"]).run(tmp_path, workers=0)
+    said = [line for line in in_short(table) if NOT_KNOWN in line]
+    assert said == ["noise is not known at 1 of 2 points (black): there is no light, or not enough of it."]
 
 
 def test_a_folder_that_was_emptied_serves_another_study_in_the_same_process(tmp_path: Path) -> None:

@@ -165,11 +165,11 @@ def launched(
     split = split or world.scene.transport.split
     how = "refracted only" if split == "transmit" else f"split: {split}"
     words = f"{number} rays{' each' if len(given) > 1 else ''} from {'; '.join(given)}; {how}"
-    dark = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := hidden_by(part))]
+    dark = [f"{spec}: {why}" for spec, part in zip(given, parts, strict=True) if (why := why_dark(part))]
     return Launched(rays, (words, *dark), pixels_on_array(rays))
 
 
-def hidden_by(rays: Rays) -> str:
+def why_dark(rays: Rays) -> str:
     """Return, in words, why no ray gets from field points to the lens, or from pixels out of it; else nothing."""
     if rays.from_sensor and not rays.arrives.any():
         return "no ray leaves the camera"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.waves.angular_spectrum import Grid
-from lfmesh.waves.camera_faces import WaveFace, outside
+from lfmesh.waves.camera_faces import GRAZING, WaveFace, outside
 from lfmesh.waves.pupil_waves import PupilWaves
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
 
 CAUSES = (
-    ("its rays between lens and sensor are", "give a point nearer the plane in focus, or a smaller stop"),
+    ("its rays at lenslets or sensor are", "give a point nearer the plane in focus, or a smaller stop"),
     ("the diffraction rings of its narrow beam are", "give a wider stop"),
     ("lenslets make it", "give a smaller pitch of the same f-number"),
 )
@@ -68,12 +68,18 @@ class Extent:
     def _half_and_band(self) -> tuple[float, float, float, float]:
         """Half width of the rays, of the rings about them and of what lenslets add, mm, and range of directions."""
         pupil, sensor_z = self.pupil, float(self.sensor_mm[2])
-        planes = [*(face.z_mm for face in self.faces), sensor_z]
-        middle_z = math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
         reach = 0.0
-        for z in planes:
-            chief = pupil.focus_mm[:2] + (z - pupil.focus_mm[2]) * pupil.middle / middle_z
-            reach = max(reach, float(np.abs(pupil.places_at(z) - chief).max()))
+        # Plane faces pass each direction as it is, so that the grid need not hold the light across them.
+        p, index, z = np.vstack([pupil.middle, pupil.rays[1][:, :2]]), 1.0, self.faces[0].z_mm if self.faces else sensor_z
+        way = (z - pupil.focus_mm[2]) / math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
+        places = np.vstack([pupil.focus_mm[:2] + way * pupil.middle, pupil.places_at(z)])
+        for face in [*self.faces, None]:
+            end = sensor_z if face is None else face.z_mm
+            along = np.sqrt(np.maximum(index**2 - (p**2).sum(axis=1, keepdims=True), GRAZING**2))
+            places, z = places + (end - z) * p / along, end
+            if face is None or face.lenslets is not None:
+                reach = max(reach, float(np.abs(places[1:] - places[0]).max()))
+            index = index if face is None else face.index
         cone = float(pupil.half.max())
         rings, added, turned, index = FIRST_RINGS * pupil.wavelength_mm / (2.0 * cone), 0.0, 0.0, 1.0
         for face in self.faces:

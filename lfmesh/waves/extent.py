@@ -70,7 +70,8 @@ class Extent:
         pupil, sensor_z = self.pupil, float(self.sensor_mm[2])
         reach = 0.0
         # Plane faces pass each direction as it is, so that the grid need not hold the light across them.
-        p, index, z = np.vstack([pupil.middle, pupil.rays[1][:, :2]]), 1.0, self.faces[0].z_mm if self.faces else sensor_z
+        p, index = np.vstack([pupil.middle, pupil.rays[1][:, :2]]), 1.0
+        z = self.faces[0].z_mm if self.faces else sensor_z
         way = (z - pupil.focus_mm[2]) / math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
         places = np.vstack([pupil.focus_mm[:2] + way * pupil.middle, pupil.places_at(z)])
         for face in [*self.faces, None]:

@@ -183,8 +183,25 @@ def test_figures_of_several_wavelengths_are_those_of_the_weightiest() -> None:
 
 
 def test_a_spread_too_wide_for_the_largest_grid_is_refused() -> None:
-    with pytest.raises(lf.LfmeshError, match=r"its rays between lens and sensor are .* nearer the plane in focus"):
+    with pytest.raises(lf.LfmeshError, match=r"its rays at lenslets or sensor are .* nearer the plane in focus"):
         lf.point_spread(light_field_camera(IMAGE), (0.0, 0.0, -8.0))
+
+
+@pytest.mark.parametrize("thick", [5.0, 10.0])
+def test_a_thick_cover_in_a_wide_beam_has_its_own_spherical_aberration(thick: float) -> None:
+    """At NA 0.15 its light is 0.9 mm wide before it, a hundred times as wide as the spread."""
+    index, image, stop, wave_nm = 1.5, 100.0, 15.0, 500.0
+    cover = {"thickness_mm": thick, "gap_mm": 1.0, "index": index}
+    sensor = {"pixels": [32, 32], "pixel_mm": 0.001, "cover": cover, "distance_mm": image + thick * (1.0 - 1.0 / index)}
+    found = lf.point_spread(scene(ideal(50.0, stop), sensor), (0.0, 0.0, -100.0), wave_nm, tolerance=0.01)
+    # Along the axis, with the light of a flat lens: even over tan θ.
+    slope = np.linspace(0.0, stop / image, 4001)
+    sine = slope / np.hypot(1.0, slope)
+    cosine, inside = np.sqrt(1.0 - sine**2), index * np.sqrt(1.0 - (sine / index) ** 2)
+    path = thick * (inside - cosine - (index - 1.0) + (1.0 - 1.0 / index) * (cosine - 1.0))
+    wave = np.exp(2j * np.pi * path / (1e-6 * wave_nm))
+    strehl = abs(np.trapezoid(wave * slope, slope) / np.trapezoid(slope, slope)) ** 2
+    assert found.strehl == pytest.approx(strehl, abs=0.005)
 
 
 PLATE = {"shape": {"kind": "plane", "width_mm": 100.0, "height_mm": 100.0}}

@@ -130,7 +130,9 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
         microlens_fresnel_number=fresnel,
-        kick_error=_kick_error(camera, fresnel, beyond, in_focus=not focused) if fresnel and beyond else None,
+        kick_error=_kick_error(camera, fresnel, beyond, micro, in_focus=not focused)
+        if fresnel and beyond and micro
+        else None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
@@ -153,11 +155,17 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     return facts
 
 
-def _kick_error(camera: Camera, fresnel: float, beyond: float, *, in_focus: bool) -> KickError | None:
+def _kick_error(
+    camera: Camera, fresnel: float, beyond: float, micro: tuple[float, float, float], *, in_focus: bool
+) -> KickError | None:
     """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables."""
     if camera.mla is None or camera.mla.clear_diameter_mm is not None:
         return None
-    return kick_error(fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus)
+    _, pitch, diameter = micro
+    pixels = max(1, round(camera.mla.pitch_mm / camera.sensor.pixel_mm))
+    return kick_error(
+        fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus, width=diameter / pitch, pixels=pixels
+    )
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

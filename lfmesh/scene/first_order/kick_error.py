@@ -1,16 +1,38 @@
-"""Error of pictures of extended light, by the Fresnel number of the lenslets: with and without their diffraction.
+"""Error of pictures of extended light, with and without the diffraction of lenslets.
 
-Tables hold sums of absolute differences from scalar waves over the light: of square or hexagonal lenslets, pixels of a
-tenth of the pitch, and a lens with a round pupil at infinity whose micro-images are 0.9 pitches wide. White pictures
-are those of a wide array; in its focal plane waves of neighbours leave no trace in them, and diffraction of each
-lenslet is all. Edges in focus are seen behind the three nearest lenslets, as the mean of an edge through a lenslet's
-middle and one between two lenslets; of hexagons they are not known. The tests of this module compute the tables by
-Fresnel integrals.
+Errors are sums of absolute differences from scalar waves over the light, on pixels, of a lens with a round pupil at
+infinity. White pictures are those of a wide array. Of square lenslets they are computed: the waves of each point of the
+pupil behind lenslets without end are a Fourier series over the pitch, in closed form. White pictures behind hexagons,
+and edges in focus behind the three nearest square lenslets, as the mean of an edge through a lenslet's middle and one
+between two lenslets, have tables, for pixels of about a tenth of the pitch and micro-images about 0.9 pitches wide. The
+tests of this module compute the tables by Fresnel integrals. Edges behind hexagons are not known.
 """
 
+import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j1
+
+Array = NDArray[np.float64]
+
+WIDTH, PIXELS = 0.9, 10
+"""Of the tables: width of micro-images in pitches, and pixels along a pitch."""
+
+LIKE_WIDTH, LIKE_PIXELS = 0.05, 2
+"""Differences from these within which the tables stand for a camera: at a width of 1, errors without diffraction are
+half as large, with pixels of a fifteenth up to half larger."""
+
+LIKE_WIDTH_WITH = 0.11
+"""The same for edges with diffraction, which change by a quarter at most, and hardly with smaller pixels."""
+
+MOST_PIXELS = 20
+"""Along a pitch; finer ones are put together."""
+
+ORDERS_A_PIXEL, LEAST_ORDERS = 20, 100
+"""Waves of the series for each pixel along a pitch, and the least: those beyond change errors by less than 10⁻⁴."""
 
 FRESNEL_NUMBERS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Square of half a lenslet's width, over wavelength and distance from the sensor."""
@@ -22,20 +44,6 @@ EDGE_WITHOUT = (0.5145, 0.2984, 0.1603, 0.0802, 0.0550, 0.0422)
 EDGE_WITH = (0.0815, 0.0573, 0.0384, 0.0236, 0.0139, 0.0082)
 """Of edges in focus, by the Fresnel number, with the sensor in the lenslets' focal plane."""
 
-SQUARES_WITHOUT = (
-    (0.2576, 0.1235, 0.0717, 0.0423, 0.0231, 0.0121),
-    (0.3715, 0.2077, 0.1010, 0.0499, 0.0245, 0.0118),
-    (0.4226, 0.2468, 0.1281, 0.0650, 0.0330, 0.0166),
-    (0.2966, 0.1291, 0.0513, 0.0252, 0.0129, 0.0068),
-    (0.1101, 0.0812, 0.0657, 0.0346, 0.0171, 0.0084),
-)
-SQUARES_WITH = (
-    (0.0147, 0.0304, 0.0406, 0.0287, 0.0166, 0.0091),
-    (0.0120, 0.0109, 0.0158, 0.0117, 0.0076, 0.0046),
-    (0.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.0000),
-    (0.0312, 0.0471, 0.0447, 0.0278, 0.0167, 0.0088),
-    (0.0759, 0.1072, 0.0778, 0.0419, 0.0211, 0.0104),
-)
 HEXAGONS_WITHOUT = (
     (0.2323, 0.1204, 0.0663, 0.0379, 0.0193, 0.0097),
     (0.3232, 0.1978, 0.0996, 0.0483, 0.0241, 0.0121),
@@ -50,8 +58,7 @@ HEXAGONS_WITH = (
     (0.0179, 0.0334, 0.0410, 0.0306, 0.0179, 0.0095),
     (0.0427, 0.0778, 0.0694, 0.0377, 0.0197, 0.0101),
 )
-WHITE = {"square": (SQUARES_WITHOUT, SQUARES_WITH), "hexagonal": (HEXAGONS_WITHOUT, HEXAGONS_WITH)}
-"""Of white pictures, by distance and Fresnel number, of each layout of lenslets."""
+"""Of white pictures behind hexagons, by distance and Fresnel number."""
 
 
 class KickError(NamedTuple):
@@ -61,7 +68,7 @@ class KickError(NamedTuple):
     ----------
     white_without, white_with : float
     edge_without, edge_with : float or None
-        None where edges in focus are not behind lenslets in focus, and of hexagons.
+        None where edges in focus are not behind lenslets in focus, of hexagons, and of cameras unlike the tables'.
     """
 
     white_without: float
@@ -71,31 +78,111 @@ class KickError(NamedTuple):
 
 
 def kick_error(
-    fresnel_number: float, distance: float = 1.0, *, layout: str = "square", in_focus: bool = True
-) -> KickError | None:
-    """Return the errors of a camera's pictures from the tables; None beyond them.
-
-    Errors fall on from the largest Fresnel number of the tables, whose entries then stand for the most.
+    fresnel_number: float, distance: float = 1.0, *, layout: str = "square", in_focus: bool = True,
+    width: float = WIDTH, pixels: int = PIXELS,
+) -> KickError | None:  # fmt: skip
+    """Return the errors of a camera's pictures; None of hexagons that are unlike those of the tables.
 
     Parameters
     ----------
     fresnel_number : float
+        Square of half a lenslet's width, over wavelength and distance from the sensor.
     distance : float
         Of the sensor behind the lenslets, over their focal length.
     layout : str
         Of the lenslets, "square" or "hexagonal".
     in_focus : bool
-        The lenslets image the pupil, sharp to a pixel: the errors of edges are known, of squares.
+        The lenslets image the pupil, sharp to a pixel: the errors of edges may be known.
+    width : float
+        Of micro-images, in pitches.
+    pixels : int
+        Along a pitch.
     """
-    if not fresnel_number >= FRESNEL_NUMBERS[0] or not DISTANCES[0] <= distance <= DISTANCES[-1]:
+    alike = abs(width - WIDTH) <= LIKE_WIDTH and abs(pixels - PIXELS) <= LIKE_PIXELS
+    known = alike and fresnel_number >= FRESNEL_NUMBERS[0]
+    if layout == "square":
+        white = white_errors(fresnel_number, distance, width, pixels)
+    elif known and DISTANCES[0] <= distance <= DISTANCES[-1]:
+        tables = HEXAGONS_WITHOUT, HEXAGONS_WITH
+        rows = [[_by_number(errors, fresnel_number) for errors in table] for table in tables]
+        white = float(np.interp(distance, DISTANCES, rows[0])), float(np.interp(distance, DISTANCES, rows[1]))
+    else:
         return None
+    edges = in_focus and layout == "square"
+    finer = abs(width - WIDTH) <= LIKE_WIDTH_WITH and pixels >= PIXELS - LIKE_PIXELS
+    return KickError(
+        *white,
+        _by_number(EDGE_WITHOUT, fresnel_number) if edges and known else None,
+        _by_number(EDGE_WITH, fresnel_number) if edges and finer and fresnel_number >= FRESNEL_NUMBERS[0] else None,
+    )
+
+
+def _by_number(errors: tuple[float, ...], fresnel_number: float) -> float:
+    """Return an error of a table; beyond its largest Fresnel number that entry stands for the most."""
     number = min(fresnel_number, FRESNEL_NUMBERS[-1])
+    # Errors fall about as the inverse of the number.
+    return float(np.interp(np.log(number), np.log(FRESNEL_NUMBERS), np.multiply(errors, FRESNEL_NUMBERS))) / number
 
-    def by_number(errors: tuple[float, ...]) -> float:
-        # Errors fall about as the inverse of the number.
-        return float(np.interp(np.log(number), np.log(FRESNEL_NUMBERS), np.multiply(errors, FRESNEL_NUMBERS))) / number
 
-    white = [float(np.interp(distance, DISTANCES, [by_number(each) for each in table])) for table in WHITE[layout]]
-    known = in_focus and layout == "square"
-    edge = [by_number(each) if known else None for each in (EDGE_WITHOUT, EDGE_WITH)]
-    return KickError(white[0], white[1], edge[0], edge[1])
+@lru_cache(maxsize=64)
+def white_errors(fresnel_number: float, distance: float, width: float, pixels: int) -> tuple[float, float]:
+    """Return the errors of white pictures behind square lenslets, without their diffraction and with it.
+
+    Parameters
+    ----------
+    fresnel_number, distance, width, pixels
+        As for `kick_error`.
+    """
+    pixels = min(pixels, MOST_PIXELS)
+    most = max(ORDERS_A_PIXEL * pixels, LEAST_ORDERS)
+    orders = np.arange(-most, most + 1)
+    half = np.array([passed(order, fresnel_number, distance) for order in range(most + 1)])
+    waves = np.concatenate([half[:0:-1].conj(), half])
+    rays = np.sinc(orders * (1.0 - distance))
+    turned = rays * np.clip(1.0 - np.abs(orders) / (4.0 * fresnel_number), 0.0, None)
+    truth, without, with_kick = (white_picture(each, width, pixels) for each in (waves, rays, turned))
+    light = truth.sum()
+    return float(np.abs(without - truth).sum() / light), float(np.abs(with_kick - truth).sum() / light)
+
+
+def passed(order: int, fresnel_number: float, distance: float) -> complex:
+    """Return a coefficient of the series of the light of a plane wave along the axis, behind lenslets T without end.
+
+    With δ = order / 4F, in pitches, it is exp(iπ order δ) ∫ T(x − δ) T*(x) exp(−2πi order x) dx over a pitch, by the
+    convolution of T with Fresnel's kernel. In each lenslet that x − δ is in, the integrand is a wave. A wave that comes
+    aslant has the same coefficients, of a picture that is shifted.
+
+    Parameters
+    ----------
+    order : int
+    fresnel_number, distance
+        As for `kick_error`.
+    """
+    total, shift = 0j, order / (4.0 * fresnel_number)
+    for lenslet in range(math.floor(-shift), math.floor(1.0 - shift) + 1):
+        low, high = max(-0.5, lenslet - 0.5 + shift), min(0.5, lenslet + 0.5 + shift)
+        if low < high:
+            off, part = shift + lenslet, high - low
+            cycles = 4.0 * fresnel_number * distance * off - order
+            phase = math.pi * (cycles * (low + high) - 4.0 * fresnel_number * distance * off * off + order * shift)
+            total += part * float(np.sinc(cycles * part)) * complex(math.cos(phase), math.sin(phase))
+    return total
+
+
+def white_picture(coefficients: NDArray[np.complex128] | Array, width: float, pixels: int) -> Array:
+    """Return the light on a lenslet's pixels, (n, n), by the coefficients in each axis of a picture of a point.
+
+    Parameters
+    ----------
+    coefficients : (2 m + 1,) complex128
+        Of the orders from −m to m.
+    width, pixels
+        As for `kick_error`.
+    """
+    most = len(coefficients) // 2
+    orders = np.arange(-most, most + 1)
+    x = np.pi * width * np.hypot(orders[most:, None], orders[most:])
+    disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)[np.ix_(abs(orders), abs(orders))]
+    at = (np.arange(pixels) + 0.5) / pixels - 0.5
+    waves = np.exp(2j * np.pi * np.outer(at, orders)) * np.sinc(orders / pixels) * coefficients
+    return np.asarray((waves @ disk @ waves.T).real)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.transport.world import World
-from lfmesh.waves.bundle import LensRays, nearest_to_all, pupil_grid
+from lfmesh.waves.bundle import PARALLEL, LensRays, nearest_to_all, pupil_grid
 from lfmesh.waves.refused import NoLightError
 from lfmesh.waves.wavefront import NM_PER_MM
 
@@ -42,9 +42,6 @@ LEAST_RAYS = 16
 
 FINE = 401
 """Directions on a side of the grid by which the power is summed."""
-
-NARROW = 1e-9
-"""Range of direction cosines behind the lens below which light is collimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +205,7 @@ def waves_of_field(
         raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
-    if np.ptp(direction[:, :2], axis=0).min() < NARROW:
+    if np.ptp(direction[:, :2], axis=0).min() < PARALLEL:
         raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
     focus = nearest_to_all(traced.position, direction) if about_mm is None else about_mm
     radius = (focus[2] - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())

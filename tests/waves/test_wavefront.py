@@ -193,6 +193,20 @@ def test_an_ideal_lens_is_perfect_at_its_image_and_defocused_beside_it() -> None
     assert found.pv_waves == pytest.approx(wanted, rel=1e-3)
 
 
+@pytest.mark.parametrize("height_mm", [0.0, 0.1, 5.0])
+def test_light_that_an_ideal_lens_collimates_is_out_of_focus_on_its_image_plane(height_mm: float) -> None:
+    """A plane wave differs from the sphere about the image by the sphere's sag; the wave of a point beside is alike."""
+    thin = camera([{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 1.5, "stop": True}], focus_mm=500.0)
+    found = lf.wavefront(thin, height_mm, object_mm=50.0)
+    beside = lf.wavefront(thin, height_mm, object_mm=50.001)
+    assert found.rms_waves == pytest.approx(beside.rms_waves, rel=1e-3)
+    if height_mm == 0.0:
+        image = 1.0 / (1.0 / 50.0 - 1.0 / 500.0)
+        rim2, centre2 = (1.5**2 * extreme((found.pupil**2).sum(axis=1)) for extreme in (np.max, np.min))
+        wanted = (math.sqrt(image**2 - centre2) - math.sqrt(image**2 - rim2)) * 1e6 / found.wavelength_nm
+        assert found.pv_waves == pytest.approx(wanted, rel=1e-3)
+
+
 def test_ideal_lenses_beside_real_ones_and_orders_that_there_are_not_are_refused() -> None:
     ideal = {"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True, "thickness_mm": 1.0}
     flat = {"radius_mm": math.inf, "semi_diameter_mm": 9.0}

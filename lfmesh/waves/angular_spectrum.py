@@ -7,7 +7,7 @@ before it, and sent on from there. Between planes through the relief, waves are 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,11 +16,16 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from lfmesh.kernels.decorators import kernel
+
 Array = NDArray[np.float64]
 Waves = NDArray[np.complex128]
 
 INTERPOLATED = 1e-5
 """Largest error of interpolation between planes through a relief."""
+
+AT_ONCE = 1024
+"""Places that are taken through all planes together: few enough for the fastest memory."""
 
 NEAR_PEAK = 33
 """Points on a side of the grid about the brightest place that the peak is looked for on."""
@@ -155,21 +160,26 @@ class Spectrum:
             spans.append(np.where(pz > 0.0, pz - middles[-1], 0.0))
         span = max(float(np.abs(each).max()) for each in spans)
         slices = _slices(float(height.min()), float(height.max()), k * span)
-        face = np.zeros_like(self.waves)
+        face, waves, part = np.zeros_like(self.waves), np.empty_like(self.waves), np.empty_like(height)
         off_x, off_y = (p - m for p, m in zip(grid.directions, grid.middle, strict=True))
         steps = 2 * len(slices)
-        for done, (z, part) in enumerate(zip(slices, _shares(slices, height), strict=True), start=1):
-            waves = self.waves * np.exp(1j * k * z * spans[0])
+        for number, z in enumerate(slices):
+            fill_share(slices, number, height.ravel(), part.ravel())
+            turn(self.waves.ravel(), spans[0].ravel(), k * z, waves.ravel())
             for passed, off in zip(amplitude, (1.0, off_x[None, :], off_y[:, None]), strict=True):
-                face += part * passed * scipy.fft.ifft2(waves * off, norm="ortho")
-            told(done / steps)
+                light = scipy.fft.ifft2(waves * off, norm="ortho", overwrite_x=True)
+                add_product(part.ravel(), passed.ravel(), light.ravel(), face.ravel())
+            told((number + 1) / steps)
         passing = float((clear * (face.real**2 + face.imag**2)).sum())
         face *= share * np.exp(1j * k * (middles[0] - middles[1]) * height)
-        waves = np.zeros_like(self.waves)
-        for done, (z, part) in enumerate(zip(slices, _shares(slices, height), strict=True), start=len(slices) + 1):
-            waves += np.exp(-1j * k * z * spans[1]) * scipy.fft.fft2(part * face, norm="ortho")
-            told(done / steps)
-        found = replace(self, waves=np.where(grid.along_z(index) > 0.0, waves, 0.0), index=index)
+        behind = np.zeros_like(self.waves)
+        for number, z in enumerate(slices):
+            fill_share(slices, number, height.ravel(), part.ravel())
+            light = scipy.fft.fft2(part * face, norm="ortho", overwrite_x=True)
+            turn(light.ravel(), spans[1].ravel(), -k * z, waves.ravel())
+            behind += waves
+            told(0.5 + (number + 1) / steps)
+        found = replace(self, waves=np.where(grid.along_z(index) > 0.0, behind, 0.0), index=index)
         return replace(found, beyond_w=self.beyond_w + passing - found.power_w)
 
 
@@ -183,13 +193,54 @@ def _slices(low: float, high: float, per_mm: float) -> Array:
     return np.asarray(0.5 * (low + high) + half * np.cos(np.pi * (np.arange(count) + 0.5) / count))
 
 
-def _shares(planes: Array, height: Array) -> Iterator[Array]:
-    """Yield Lagrange's polynomials of some planes at heights, one array each."""
-    for z in planes:
-        share = np.ones_like(height)
-        for other in planes[planes != z]:
-            share *= (height - other) / (z - other)
-        yield share
+@kernel
+def fill_share(planes: Array, number: int, height: Array, share: Array) -> None:
+    """Fill in Lagrange's polynomial of one of some planes at heights.
+
+    Parameters
+    ----------
+    planes : (m,) float64, mm
+    number : int
+        Of the plane.
+    height, share : (n,) float64
+    """
+    share[:] = 1.0
+    for first in range(0, len(height), AT_ONCE):
+        end = min(first + AT_ONCE, len(height))
+        for other in range(len(planes)):
+            if other == number:
+                continue
+            plane, scale = planes[other], 1.0 / (planes[number] - planes[other])
+            for i in range(first, end):
+                share[i] *= (height[i] - plane) * scale
+
+
+@kernel
+def turn(waves: Waves, phase: Array, times: float, turned: Waves) -> None:
+    """Fill in waves whose phases are moved on by so many times given ones.
+
+    Parameters
+    ----------
+    waves, turned : (n,) complex128
+    phase : (n,) float64
+    times : float
+    """
+    for i in range(len(waves)):
+        angle = times * phase[i]
+        turned[i] = waves[i] * complex(math.cos(angle), math.sin(angle))
+
+
+@kernel
+def add_product(share: Array, passed: Array, light: Waves, face: Waves) -> None:
+    """Add to the light on a face what it passes of light, by a share.
+
+    Parameters
+    ----------
+    share, passed : (n,) float64
+    light, face : (n,) complex128
+    """
+    for i in range(len(face)):
+        face[i] += share[i] * passed[i] * light[i]
 
 
 class Sampling(NamedTuple):

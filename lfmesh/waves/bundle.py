@@ -34,7 +34,7 @@ DIFFERENCE = 1e-5
 """Of two trials whose difference is the derivative, over the stop's radius."""
 
 PARALLEL = 1e-9
-"""Range of slopes or direction cosines behind the lens below which rays are parallel, their image infinitely far."""
+"""Range of slopes behind the lens below which rays are parallel, their image infinitely far."""
 
 INSIDE = 1.0 - 1e-9
 """The rim of the stop is aimed at times this, so that the rays pass it."""
@@ -339,7 +339,7 @@ def further_than(position: Array, point: Array) -> Array:
 
 
 def nearest_to_all(position: Array, direction: Array) -> Array:
-    """Return where rays come closest together, on the middle one's line, (3,) mm; of parallel ones a place among them."""
+    """Return where rays come closest together, on the middle one's line, (3,) mm; of parallel ones their middle."""
     steep = direction[:, :2] / direction[:, 2:]
     place = position[:, :2] - position[:, 2:] * steep
     off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)

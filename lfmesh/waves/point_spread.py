@@ -361,7 +361,8 @@ class _Monochrome:
         if share < tolerance:
             raise no_light(self.point)
         # Rounded up, so that it is reached.
-        reached = math.ceil(1e4 * change) / 1e4
+        digits = 1 - math.floor(math.log10(change))
+        reached = math.ceil(change * 10.0**digits) / 10.0**digits
         more = f"give a tolerance of {reached:g} or more" if reached < 1.0 else "give a wider window"
         raise LfmeshError(
             f"tolerance = {tolerance:g}: the picture of {self.words} has changed by {change:.2g} of its light on the "

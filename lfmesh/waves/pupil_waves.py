@@ -205,7 +205,7 @@ def waves_of_field(
         raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
-    if np.ptp(direction[:, :2], axis=0).min() < PARALLEL:
+    if np.ptp(direction[:, :2] / direction[:, 2:], axis=0).min() < PARALLEL:
         raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
     focus = nearest_to_all(traced.position, direction) if about_mm is None else about_mm
     radius = (focus[2] - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())

@@ -103,21 +103,23 @@ def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[fl
         raise LfmeshError("wavelengths_nm is empty: give one wavelength or more")
     if len(given) != len(wavelengths_nm):
         raise LfmeshError(f"weights = {given}: give one weight for each of wavelengths_nm = {list(wavelengths_nm)}")
-    if not all(weight >= 0.0 for weight in given) or not 0.0 < sum(given) < math.inf:
+    if not all(0.0 <= weight < math.inf for weight in given) or not max(given) > 0.0:
         raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
-    return tuple(weight / sum(given) for weight in given)
+    # Of the largest, so that the sum of large ones is finite.
+    shares = [weight / max(given) for weight in given]
+    return tuple(share / sum(shares) for share in shares)
 
 
 def numbers_of(name: str, given: object) -> Array:
     """Return numbers as an array, (n,)."""
     try:
-        # NumPy takes None for NaN.
-        numbers = np.atleast_1d(np.asarray(given, dtype=np.float64)) if given is not None else np.empty((0, 0))
-    except (TypeError, ValueError, OverflowError):
+        numbers = np.atleast_1d(np.asarray(given))
+    except ValueError:
         numbers = np.empty((0, 0))
-    if numbers.ndim != 1:
+    # NumPy would take text, truth values and None for numbers, too; an empty list is one of numbers.
+    if numbers.dtype.kind not in "iuf" or numbers.ndim != 1:
         raise LfmeshError(f"{name} = {shown(given)}: must be a number, or a list of numbers")
-    return numbers
+    return numbers.astype(np.float64)
 
 
 def refuse_scene(scene: Scene) -> None:

@@ -245,9 +245,10 @@ def path_differences(
     radius = _sphere_radius_mm(rays, traced, centre)
     _, paths = traced.onto_sphere(centre, radius)
     if not np.isfinite(paths).all():
+        pupil_mm = solved_camera(rays.world.scene).report.exit_pupil_z_mm
         raise LfmeshError(
-            f"image_z_mm = {centre[2]:g}: rays miss the reference sphere, whose radius is {abs(radius):.4g} mm; give a "
-            f"plane farther from the exit pupil at {solved_camera(rays.world.scene).report.exit_pupil_z_mm:.6g} mm"
+            f"image_z_mm = {centre[2]:g}, object_mm = {rays.object_mm:g}: rays miss the reference sphere, whose radius "
+            f"is {abs(radius):.4g} mm; give a plane farther from the exit pupil at {pupil_mm:.6g} mm"
         )
     return np.asarray((paths[0] - paths) * NM_PER_MM / wavelength_nm), abs(radius)
 

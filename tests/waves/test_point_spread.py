@@ -102,7 +102,7 @@ def test_the_peak_of_a_library_lens_is_that_of_its_wavefront(f_number: float) ->
 def test_white_light_is_the_sum_of_its_wavelengths() -> None:
     camera = conventional(1.25, 50.0, 0.005, 15)
     point = (0.0, 0.0, -FAR)
-    both = lf.point_spread(camera, point, (500.0, 600.0), weights=(1.0, 3.0))
+    both = lf.point_spread(camera, point, (500.0, 600.0), weights=(5e307, 1.5e308))
     blue, red = (lf.point_spread(camera, point, nm) for nm in (500.0, 600.0))
     assert both.weights == (0.25, 0.75)
     np.testing.assert_allclose(both.mean, 0.25 * blue.mean + 0.75 * red.mean, rtol=1e-12)
@@ -119,7 +119,12 @@ def test_white_light_is_the_sum_of_its_wavelengths() -> None:
         ({"wavelengths_nm": "red"}, 'wavelengths_nm = "red": must be a number: the scene has no bands'),
         ({"wavelengths_nm": [[550.0]]}, "wavelengths_nm = "),
         ({"wavelengths_nm": 0.001}, "wavelengths_nm = 0.001: must be from 100 to 20000"),
-        ({"wavelengths_nm": [500.0, 600.0], "weights": [1e308, 1e308]}, "weights = "),
+        ({"wavelengths_nm": [500.0, 600.0], "weights": [math.inf, 1.0]}, "weights = "),
+        ({"wavelengths_nm": [500.0, 600.0], "weights": [0.0, 0.0]}, "weights = "),
+        ({"wavelengths_nm": ["550"]}, r'wavelengths_nm = \["550"\]: must be a number, or a list of numbers'),
+        ({"point_mm": ("0", "0", "-500")}, "must be a number, or a list of numbers"),
+        ({"point_mm": (True, False, True)}, "must be a number, or a list of numbers"),
+        ({"point_mm": (1e9, 0.0, -500.0)}, "no light falls on the sensor's pixels"),
         ({"weights": "ab"}, 'weights = "ab"'),
         ({"window": 2.5}, "window = 2.5: must be a whole number"),
         ({"oversample": "a"}, 'oversample = "a": must be a whole number'),

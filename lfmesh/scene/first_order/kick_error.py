@@ -98,8 +98,8 @@ def kick_error(
     pixels : int
         Along a pitch.
     """
-    alike = abs(width - WIDTH) <= LIKE_WIDTH and abs(pixels - PIXELS) <= LIKE_PIXELS
-    known = alike and fresnel_number >= FRESNEL_NUMBERS[0]
+    within = FRESNEL_NUMBERS[0] <= fresnel_number <= FRESNEL_NUMBERS[-1]
+    known = within and abs(width - WIDTH) <= LIKE_WIDTH and abs(pixels - PIXELS) <= LIKE_PIXELS
     if layout == "square":
         white = white_errors(fresnel_number, distance, width, pixels)
     elif known and DISTANCES[0] <= distance <= DISTANCES[-1]:
@@ -109,17 +109,16 @@ def kick_error(
     else:
         return None
     edges = in_focus and layout == "square"
-    finer = abs(width - WIDTH) <= LIKE_WIDTH_WITH and pixels >= PIXELS - LIKE_PIXELS
+    finer = within and abs(width - WIDTH) <= LIKE_WIDTH_WITH and pixels >= PIXELS - LIKE_PIXELS
     return KickError(
         *white,
         _by_number(EDGE_WITHOUT, fresnel_number) if edges and known else None,
-        _by_number(EDGE_WITH, fresnel_number) if edges and finer and fresnel_number >= FRESNEL_NUMBERS[0] else None,
+        _by_number(EDGE_WITH, fresnel_number) if edges and finer else None,
     )
 
 
-def _by_number(errors: tuple[float, ...], fresnel_number: float) -> float:
-    """Return an error of a table; beyond its largest Fresnel number that entry stands for the most."""
-    number = min(fresnel_number, FRESNEL_NUMBERS[-1])
+def _by_number(errors: tuple[float, ...], number: float) -> float:
+    """Return an error of a table at a Fresnel number."""
     # Errors fall about as the inverse of the number.
     return float(np.interp(np.log(number), np.log(FRESNEL_NUMBERS), np.multiply(errors, FRESNEL_NUMBERS))) / number
 

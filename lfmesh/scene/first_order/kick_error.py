@@ -1,11 +1,13 @@
 """Error of pictures of extended light, with and without the diffraction of lenslets.
 
 Errors are sums of absolute differences from scalar waves over the light, on pixels, of a lens with a round pupil at
-infinity. White pictures are those of a wide array. Of square lenslets they are computed: the waves of each point of the
-pupil behind lenslets without end are a Fourier series over the pitch, in closed form. White pictures behind hexagons,
-and edges in focus behind the three nearest square lenslets, as the mean of an edge through a lenslet's middle and one
-between two lenslets, have tables, for pixels of about a tenth of the pitch and micro-images about 0.9 pitches wide. The
-tests of this module compute the tables by Fresnel integrals. Edges behind hexagons are not known.
+infinity. White pictures are those of a wide array, and computed: the waves of each point of the pupil behind lenslets
+without end are a Fourier series over the lattice, in closed form of squares, and of hexagons in whose focal plane the
+sensor stands. There waves of neighbours leave no trace, and the series is the lenslet's own transfer function. White
+pictures behind other hexagons, and edges in focus behind the three nearest square lenslets, as the mean of an edge
+through a lenslet's middle and one between two lenslets, have tables, for pixels of about a tenth of the pitch and
+micro-images about 0.9 pitches wide. The tests of this module compute the tables by Fresnel integrals. Edges behind
+hexagons are not known.
 """
 
 import math
@@ -27,6 +29,12 @@ half as large, with pixels of a fifteenth up to half larger."""
 
 LIKE_WIDTH_WITH = 0.11
 """The same for edges with diffraction, which change by a quarter at most, and hardly with smaller pixels."""
+
+FOCAL_PLANE = 0.02
+"""Distance of the sensor from the focal plane, over the focal length, within which it stands there."""
+
+ACROSS_A_PIXEL, HEXAGON_ORDERS = 5, 2.4
+"""Of hexagons: places compared, and longest wave of the series, for each pixel along a pitch."""
 
 MOST_PIXELS = 20
 """Along a pitch; finer ones are put together."""
@@ -102,6 +110,8 @@ def kick_error(
     known = within and abs(width - WIDTH) <= LIKE_WIDTH and abs(pixels - PIXELS) <= LIKE_PIXELS
     if layout == "square":
         white = white_errors(fresnel_number, distance, width, pixels)
+    elif abs(distance - 1.0) <= FOCAL_PLANE:
+        white = hexagon_error(fresnel_number, width, pixels), 0.0
     elif known and DISTANCES[0] <= distance <= DISTANCES[-1]:
         tables = HEXAGONS_WITHOUT, HEXAGONS_WITH
         rows = [[_by_number(errors, fresnel_number) for errors in table] for table in tables]
@@ -185,3 +195,50 @@ def white_picture(coefficients: NDArray[np.complex128] | Array, width: float, pi
     at = (np.arange(pixels) + 0.5) / pixels - 0.5
     waves = np.exp(2j * np.pi * np.outer(at, orders)) * np.sinc(orders / pixels) * coefficients
     return np.asarray((waves @ disk @ waves.T).real)
+
+
+@lru_cache(maxsize=64)
+def hexagon_error(fresnel_number: float, width: float, pixels: int) -> float:
+    """Return the error of white pictures without diffraction, behind hexagons in whose focal plane the sensor stands.
+
+    Parameters
+    ----------
+    fresnel_number, width, pixels
+        As for `kick_error`.
+    """
+    pixels = min(pixels, MOST_PIXELS)
+    longest, across = HEXAGON_ORDERS * pixels, ACROSS_A_PIXEL * pixels
+    reach = math.ceil(longest)
+    numbers = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2)
+    # Frequencies of a lattice of pitch 1, whose second row is half a pitch aside.
+    orders = np.stack([numbers[:, 0], (2.0 * numbers[:, 1] - numbers[:, 0]) / math.sqrt(3.0)], axis=1)
+    inside = np.hypot(*orders.T) <= longest
+    numbers, orders = numbers[inside], orders[inside]
+    x = np.pi * width * np.hypot(*orders.T)
+    disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)
+    rays = disk * np.sinc(orders / pixels).prod(axis=1)
+
+    def picture(coefficients: Array) -> Array:
+        series = np.zeros((across, across))
+        np.add.at(series, tuple(numbers.T % across), coefficients)
+        return np.asarray(np.fft.fft2(series).real)
+
+    truth = picture(rays * hexagons_in_common(orders / (4.0 * fresnel_number)))
+    return float(np.abs(picture(rays) - truth).sum() / truth.sum())
+
+
+def hexagons_in_common(shift: Array) -> Array:
+    """Return the share of a hexagon's area that it has in common with itself, shifted.
+
+    What they have in common is a hexagon of the same angles: a rhomboid of its two narrower widths, less two corners.
+
+    Parameters
+    ----------
+    shift : (n, 2) float64
+        Over the distance of opposite sides, one pair of which is square to x.
+    """
+    angles = np.arange(3) * np.pi / 3.0
+    along = shift @ np.stack([np.cos(angles), np.sin(angles)])
+    low, middle, high = np.sort(np.maximum(1.0 - np.abs(along), 0.0), axis=1).T
+    corner = np.maximum(0.5 * (low + middle - high), 0.0)
+    return np.asarray((low * middle - corner**2) / 0.75)

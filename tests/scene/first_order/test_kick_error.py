@@ -167,13 +167,14 @@ def test_errors_between_and_beyond_the_tables() -> None:
     assert low.white_without > between.white_without > high.white_without
     assert between.white_without == kick_error.white_errors(2.5, 1.0, FILL, PIXELS)[0]
     assert (kick_error.kick_error(100.0) or low)[2:] == (None, None)
-    assert kick_error.kick_error(100.0, layout="hexagonal") is None
+    assert kick_error.kick_error(100.0, 1.2, layout="hexagonal") is None
+    assert kick_error.kick_error(100.0, layout="hexagonal").white_without < 0.01
     assert (kick_error.kick_error(0.3) or low)[2:] == (None, None)
     assert (kick_error.kick_error(2.0, width=0.7) or low)[2:] == (None, None)
     finer = kick_error.kick_error(2.0, pixels=20) or pytest.fail("of squares")
     assert (finer.edge_without, finer.edge_with) == (None, low.edge_with)
     assert kick_error.kick_error(2.0, 0.5, layout="hexagonal") is None
-    assert kick_error.kick_error(2.0, width=0.7, layout="hexagonal") is None
+    assert kick_error.kick_error(2.0, 1.2, width=0.7, layout="hexagonal") is None
     assert (kick_error.kick_error(2.0, 1.1, in_focus=False) or low).edge_with is None
 
 
@@ -193,12 +194,10 @@ def test_a_camera_has_the_errors_of_its_distance_or_none() -> None:
     moved = lf.first_order(scene.changed({"camera.sensor.distance_mm": near + 0.15 * 0.056}))
     assert moved.kind == sharp.kind
     assert moved.kick_error[:2] == pytest.approx(wanted(moved, 1.15), abs=1e-9)
-    assert lf.first_order(scene.changed({"camera.mla.layout": "hexagonal"})).kick_error is None
-    tenths = {"camera.sensor.pixel_mm": 0.0014, "camera.lens.stop_semi_diameter_mm": 4.3}
-    hexagons = lf.first_order(scene.changed({"camera.mla.layout": "hexagonal"} | tenths))
-    table = kick_error.kick_error(hexagons.microlens_fresnel_number or 0.0, layout="hexagonal")
-    assert hexagons.kick_error == pytest.approx(table)
-    assert hexagons.kick_error[2:] == (None, None)
+    hexagons = lf.first_order(scene.changed({"camera.mla.layout": "hexagonal"}))
+    width = hexagons.micro_image_diameter_px / hexagons.micro_image_pitch_px
+    error = kick_error.hexagon_error(hexagons.microlens_fresnel_number, width, 5)
+    assert hexagons.kick_error == pytest.approx((error, 0.0, None, None))
     for unlike_both in ({"clear_diameter_mm": 0.012}, {"cylinder_axis": "x"}):
         facts = lf.first_order(scene.changed({f"camera.mla.{key}": value for key, value in unlike_both.items()}))
         assert facts.kick_error is None

@@ -91,13 +91,13 @@ def orders() -> tuple[NDArray[np.int64], Array, NDArray[np.int64], Array]:
     return numbers, numbers @ WAVES, group.ravel(), numbers[first] @ WAVES
 
 
-def picture(coefficients: Array) -> Array:
+def picture(coefficients: Array, width: float = FILL, pixels: int = PIXELS) -> Array:
     """Return the light on pixels all over a cell by those coefficients of a picture of a point that differ."""
     numbers, frequencies, group, _ = orders()
-    x = np.pi * FILL * np.hypot(*frequencies.T)
+    x = np.pi * width * np.hypot(*frequencies.T)
     disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)
     series = np.zeros((ACROSS, ACROSS), np.complex128)
-    waves = coefficients[group] * disk * np.sinc(frequencies / PIXELS).prod(axis=1)
+    waves = coefficients[group] * disk * np.sinc(frequencies / pixels).prod(axis=1)
     np.add.at(series, tuple(numbers.T % ACROSS), waves * np.exp(1j * np.pi * numbers.sum(axis=1) / ACROSS))
     return np.asarray(np.fft.fft2(series).real)
 
@@ -112,6 +112,22 @@ def white(fresnel: float, distance: float) -> tuple[float, float]:
     kick = np.array([integral(each, np.zeros(2)).real / AREA if len(each) > 2 else 0.0 for each in both])
     without, turned = (float(np.abs(picture(each) - truth).sum() / truth.sum()) for each in (rays, rays * kick))
     return without, turned
+
+
+@pytest.mark.parametrize(("width", "pixels"), [(0.9, 10), (0.5, 8), (1.1, 7)])
+def test_errors_in_the_focal_plane_are_those_of_waves_of_all_lenslets(width: float, pixels: int) -> None:
+    _, _, _, some = orders()
+    truth = picture(np.array([passed(order, 2.0, 1.0) for order in some]), width, pixels)
+    without = float(np.abs(picture(np.ones(len(some)), width, pixels) - truth).sum() / truth.sum())
+    assert kick_error.hexagon_error(2.0, width, pixels) == pytest.approx(without, rel=0.01)
+
+
+def test_what_hexagons_have_in_common_is_that_of_their_polygons() -> None:
+    shifts = np.random.default_rng(1).uniform(-0.8, 0.8, (50, 2))
+    corners = [common(shift) for shift in shifts]
+    wanted = [integral(each, np.zeros(2)).real / AREA if len(each) > 2 else 0.0 for each in corners]
+    assert sum(share > 0.0 for share in wanted) > 20
+    assert kick_error.hexagons_in_common(shifts) == pytest.approx(np.array(wanted), abs=1e-12)
 
 
 NUMBERS = range(len(kick_error.FRESNEL_NUMBERS))

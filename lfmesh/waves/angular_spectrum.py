@@ -160,7 +160,13 @@ class Spectrum:
             spans.append(np.where(pz > 0.0, pz - middles[-1], 0.0))
         span = max(float(np.abs(each).max()) for each in spans)
         slices = _slices(float(height.min()), float(height.max()), k * span)
-        face, waves, part = np.zeros_like(self.waves), np.empty_like(self.waves), np.empty_like(height)
+        shape = self.waves.shape
+        face, behind, waves = (
+            np.zeros(shape, np.complex128),
+            np.zeros(shape, np.complex128),
+            np.empty(shape, np.complex128),
+        )
+        part = np.empty(shape)
         off_x, off_y = (p - m for p, m in zip(grid.directions, grid.middle, strict=True))
         steps = 2 * len(slices)
         for number, z in enumerate(slices):
@@ -172,7 +178,6 @@ class Spectrum:
             told((number + 1) / steps)
         passing = float((clear * (face.real**2 + face.imag**2)).sum())
         face *= share * np.exp(1j * k * (middles[0] - middles[1]) * height)
-        behind = np.zeros_like(self.waves)
         for number, z in enumerate(slices):
             fill_share(slices, number, height.ravel(), part.ravel())
             light = scipy.fft.fft2(part * face, norm="ortho", overwrite_x=True)

@@ -273,7 +273,7 @@ def budget_in_words(table: Table, budget: Budget) -> str:
     small = len(resolved) - len(large)
     shares = [f"{names[e.axis]} {percent(*budget.share(e))} %" for e in large]
     words = f"The mean square {_what(column)} is used up by {', '.join(shares)}" if shares else (
-        f"No parameter has a resolved effect on {column.noun}"
+        f"No parameter's own effect on {column.noun} is told from chance, and from what parameters do together"
     )  # fmt: skip
     if small and shares:
         words += f", {small} other{'s' if small > 1 else ''} less"

@@ -229,11 +229,17 @@ class Study:
         Raises
         ------
         LfmeshError
-            A folder holds another study.
+            A folder holds another study or none; then nothing is written.
         """
+        parts = [Path(folder) for folder in folders]
+        for part in parts:
+            known = read_facts(part)
+            if known is None:
+                raise LfmeshError(f"{part} holds no study")
+            refuse_other(known, self.plan.digest, part)
         run = Run(self.plan, Path(into))
-        for folder in map(Path, folders):
-            run.take(folder)
+        for part in parts:
+            run.take(part)
         return _warned(run.written())
 
 
@@ -439,17 +445,7 @@ class Run:
         return table
 
     def take(self, other: Path) -> None:
-        """Copy the units of another folder of the same study.
-
-        Raises
-        ------
-        LfmeshError
-            It holds another study or none.
-        """
-        known = read_facts(other)
-        if known is None:
-            raise LfmeshError(f"{other} holds no study")
-        refuse_other(known, self.plan.digest, other)
+        """Copy the units of another folder of the same study."""
         if other.resolve() == self.folder.path.resolve():
             return
         source = StudyFolder(other, self.plan)

@@ -202,6 +202,15 @@ def test_warnings_of_a_studys_reference_are_those_of_its_first_point(tmp_path: P
         study.merge([tmp_path / "a"], tmp_path / "b")
 
 
+def test_a_refused_merge_writes_nothing(tmp_path: Path) -> None:
+    shifted(2, ("chief_rays",)).run(tmp_path / "one", workers=0)
+    shifted(3, ("chief_rays",)).run(tmp_path / "other", workers=0)
+    for second, words in (("other", "holds another study"), ("none", "holds no study")):
+        with pytest.raises(lf.LfmeshError, match=words):
+            shifted(2, ("chief_rays",)).merge([tmp_path / "one", tmp_path / second], tmp_path / "all")
+        assert not (tmp_path / "all").exists()
+
+
 TEXTURED = PLANE | {"material": {"reflectance": 0.8, "radiance_w_m2_sr": 1.0, "texture": "chart.png"}}
 
 

@@ -103,6 +103,17 @@ def test_a_shift_by_half_a_pixel_does_not_refocus(tmp_path: Path) -> None:
     assert abs(shift) < 4.0 * error + 1.0
 
 
+def test_light_of_neighbouring_lenslets_does_not_refocus_an_edge(tmp_path: Path) -> None:
+    """0.1 mm nearer to the lens micro-images overlap, and five sixths of the image's 8.7 mm are seen, by Newton's law.
+
+    What is left of the pupil is a narrower zone, with a focus of its own.
+    """
+    _, other = moved(camera(16), "camera.mla.pose.shift_mm[2]", -0.1, "refocus", tmp_path)
+    shift, error = other.estimates["refocus_shift_mm"]
+    assert abs(shift + 8.7 * 5.0 / 6.0) < 4.0 * error + 3.0
+    assert error < 3.0
+
+
 def test_the_shift_of_an_edge_between_views_is_found_whatever_the_slant() -> None:
     """Views of ideal edges at x = x₀ − a u + b y: to a thousandth of a sample."""
     scene = camera(24)
@@ -136,17 +147,18 @@ def ideal_edges(field: lf.LightField, place: NDArray[np.float64], bright: NDArra
 
 
 def test_views_that_the_pupil_cuts_and_places_within_a_sample_do_not_move_the_edge() -> None:
-    """A view of 93 % of the light shows it half a sample off; a third of one is added by where lenslets are crossed."""
+    """Nor those that neighbours shine into. A third of a sample is added by where lenslets are crossed."""
     scene = camera(16)
     field = lf.decode(lf.white_image(scene.changed({"transport.samples": 4})), scene)
     v, u, t, _, _ = field.data.shape
     shift, rows = 0.15, np.arange(t) - 0.5 * (t - 1)
     across = np.arange(u) - 0.5 * (u - 1)
     place = 0.3 - shift * across[None, :, None] + math.tan(math.radians(5.0)) * rows + np.zeros((v, 1, 1))
-    cut = np.ones((v, u))
-    cut[:, : u // 2 - 2] = 0.93
+    cut, mixed = np.ones((2, v, u))
+    cut[:, : u // 2 - 2], mixed[:, u // 2 + 2 :] = 0.93, 1.3
     for places, bright in (
         (place + np.where(cut < 1.0, 0.5, 0.0)[..., None], cut),
+        (place + 0.3 * across[None, :, None] * (mixed > 1.0)[..., None], mixed),
         (place + 0.3 * np.sin(2.0 * np.pi * place), np.ones((v, u))),
     ):
         found = edge_shift_mm(*ideal_edges(field, places, bright)) / field.spacing_mm[1]

@@ -21,8 +21,9 @@ LEAST_CONTRAST = 0.2
 DARK = 0.1
 """A view is unknown where a column of its white image has less than this share of the light of its brightest one."""
 
-LEAST_LIGHT = 0.96
-"""A view with less of the light of the brightest one is cut off by the pupil: it is not seen from its middle."""
+UNLIKE = 0.04
+"""A view whose light differs by more from that of the middle one of all, over that, is not seen from its middle alone:
+with less light it is cut off by the pupil, with more it holds light of neighbouring lenslets."""
 
 LEAST_VIEWS = 3
 """Different u, of which a slope has an error."""
@@ -59,7 +60,8 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     known &= bright.min(axis=2) > DARK * bright.max(axis=2)
     # The pupil may lie elsewhere than in the camera to plan, as where the array has moved along the axis.
     light = bright.mean(axis=2)
-    known &= light > LEAST_LIGHT * light[known].max(initial=0.0)
+    usual = float(np.median(light[known])) if known.any() else 0.0
+    known &= np.abs(light - usual) <= UNLIKE * usual
     v, u = np.nonzero(known)
     if len(np.unique(u)) < LEAST_VIEWS:
         return float("nan")

@@ -22,8 +22,8 @@ DARK = 0.1
 """A view is unknown where a column of its white image has less than this share of the light of its brightest one."""
 
 UNLIKE = 0.04
-"""A view whose light differs by more from that of the middle one of all, over that, is not seen from its middle alone:
-with less light it is cut off by the pupil, with more it holds light of neighbouring lenslets."""
+"""A view whose light differs by more from that of the brightest one in the middle of the pupil, over that, is not seen
+from its middle alone: with less light it is cut off, with more it holds light of neighbouring lenslets."""
 
 LEAST_VIEWS = 3
 """Different u, of which a slope has an error."""
@@ -60,7 +60,8 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     known &= bright.min(axis=2) > DARK * bright.max(axis=2)
     # The pupil may lie elsewhere than in the camera to plan, as where the array has moved along the axis.
     light = bright.mean(axis=2)
-    usual = float(np.median(light[known])) if known.any() else 0.0
+    middle = known & (np.hypot(edge.v_rad[:, None], edge.u_rad[None, :]) <= 0.25 / edge.model.f_number)
+    usual = light[middle].max(initial=0.0)
     known &= np.abs(light - usual) <= UNLIKE * usual
     v, u = np.nonzero(known)
     if len(np.unique(u)) < LEAST_VIEWS:

@@ -18,7 +18,6 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
 from lfmesh.scene.literals import literal
 from lfmesh.scene.scene import steps_of
-from lfmesh.scene.toml import table
 from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
@@ -487,18 +486,3 @@ def pinned_with(base: Scene, choices: Iterable[tuple[str, Iterable[Any]]]) -> Sc
                 with suppress(LfmeshError, KeyError, IndexError, TypeError, ValueError):
                     base = base.with_digests(base.changed({path: value}).pinned().digests)
     return base
-
-
-def summary_of(plan: Plan) -> dict[str, Any]:
-    """Return a plan as plain values, as the study folder keeps it."""
-    return {
-        "name": plan.study.name,
-        "digest": plan.digest,
-        "points": len(plan.points),
-        "batches": plan.study.batches,
-        "metrics": list(plan.metrics),
-        "design": plan.study.design if not plan.scenes else "scenes",
-        "paired": plan.study.paired,
-        "paths": [axis.path for axis in plan.axes],
-        "study": table(plan.study),
-    }

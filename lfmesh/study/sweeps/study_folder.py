@@ -20,7 +20,8 @@ from lfmesh.files.json_values import plain_json
 from lfmesh.files.sealed import refuse_maker
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_bytes, read_text
-from lfmesh.study.sweeps.plan import Plan, summary_of
+from lfmesh.scene.toml import table
+from lfmesh.study.sweeps.plan import Plan
 from lfmesh.study.sweeps.unit import Outcome, is_reference, unpacked
 
 FACTS, UNITS, REFERENCE, LOG = "study.json", "units", "reference", "log.jsonl"
@@ -61,7 +62,7 @@ class StudyFolder:
             refuse_other(known, plan.digest, path)
 
     def _facts(self) -> str:
-        facts = {"format": FORMAT, "program": program(), **summary_of(self.plan)}
+        facts = {"format": FORMAT, "program": program(), **_summary_of(self.plan)}
         return json.dumps(plain_json(facts), indent=1, ensure_ascii=False) + "\n"
 
     def reference_path(self, batch: int) -> Path:
@@ -129,6 +130,21 @@ class StudyFolder:
     def _write(folder: Path, name: str, content: bytes) -> None:
         with staged_file(folder, name) as file:
             file.write(content)
+
+
+def _summary_of(plan: Plan) -> dict[str, Any]:
+    """Return a plan as plain values."""
+    return {
+        "name": plan.study.name,
+        "digest": plan.digest,
+        "points": len(plan.points),
+        "batches": plan.study.batches,
+        "metrics": list(plan.metrics),
+        "design": plan.study.design if not plan.scenes else "scenes",
+        "paired": plan.study.paired,
+        "paths": [axis.path for axis in plan.axes],
+        "study": table(plan.study),
+    }
 
 
 def append_event(folder: Path, event: str, **values: Any) -> None:

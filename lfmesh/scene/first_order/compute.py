@@ -162,10 +162,10 @@ def _kick_error(
     if camera.mla is None or camera.mla.clear_diameter_mm is not None:
         return None
     _, pitch, diameter = micro
-    pixels = max(1, round(camera.mla.pitch_mm / camera.sensor.pixel_mm))
-    return kick_error(
-        fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus, width=diameter / pitch, pixels=pixels
-    )
+    pixels, width = max(1, round(camera.mla.pitch_mm / camera.sensor.pixel_mm)), abs(quotient(diameter, pitch))
+    if not 0.0 < width < math.inf:
+        return None
+    return kick_error(fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus, width=width, pixels=pixels)
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

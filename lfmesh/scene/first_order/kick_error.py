@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j1
 
 Array = NDArray[np.float64]
 
@@ -190,11 +189,19 @@ def white_picture(coefficients: NDArray[np.complex128] | Array, width: float, pi
     """
     most = len(coefficients) // 2
     orders = np.arange(-most, most + 1)
-    x = np.pi * width * np.hypot(orders[most:, None], orders[most:])
-    disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)[np.ix_(abs(orders), abs(orders))]
+    disk = _of_disk(width, np.hypot(orders[most:, None], orders[most:]))[np.ix_(abs(orders), abs(orders))]
     at = (np.arange(pixels) + 0.5) / pixels - 0.5
     waves = np.exp(2j * np.pi * np.outer(at, orders)) * np.sinc(orders / pixels) * coefficients
     return np.asarray((waves @ disk @ waves.T).real)
+
+
+def _of_disk(width: float, frequency: Array) -> Array:
+    """Return Fourier coefficients of an evenly lit disk, over its light."""
+    # A scene is read without scipy.
+    from scipy.special import j1
+
+    x = np.pi * width * frequency
+    return np.asarray(np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0))
 
 
 @lru_cache(maxsize=64)
@@ -214,9 +221,7 @@ def hexagon_error(fresnel_number: float, width: float, pixels: int) -> float:
     orders = np.stack([numbers[:, 0], (2.0 * numbers[:, 1] - numbers[:, 0]) / math.sqrt(3.0)], axis=1)
     inside = np.hypot(*orders.T) <= longest
     numbers, orders = numbers[inside], orders[inside]
-    x = np.pi * width * np.hypot(*orders.T)
-    disk = np.divide(2.0 * j1(x), x, out=np.ones_like(x), where=x > 0.0)
-    rays = disk * np.sinc(orders / pixels).prod(axis=1)
+    rays = _of_disk(width, np.hypot(*orders.T)) * np.sinc(orders / pixels).prod(axis=1)
 
     def picture(coefficients: Array) -> Array:
         series = np.zeros((across, across))

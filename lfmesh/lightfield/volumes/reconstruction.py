@@ -63,10 +63,10 @@ class Reconstruction:
     total_error : float
         Norm of the difference from the truth that is to be expected, all voxels together, in the unit of `volume`:
         noise, and what is not resolved. No image tells the latter. It is that of a truth which is, in voxels, as deep
-        along the worst-resolved axis as it is wide along another, the narrower of the two; of lone bright voxels it may
-        be a third of what is off. Where the volume is larger
-        than what such a truth and its noise lead to, the error grows as it does. NaN of a matrix without a grid, for
-        which only `error` is known, and where it cannot be told: an UnknownErrorWarning says why.
+        along the worst-resolved axis as it is wide along another, the narrower of the two. Where the volume is larger
+        than what such a truth and its noise lead to, the error grows as it does. Single bright voxels are no such
+        truth: there it may be a third of the true error. NaN of a matrix without a grid, for which only `error` is
+        known, and where it cannot be told: an UnknownErrorWarning says why.
     """
 
     volume: Array

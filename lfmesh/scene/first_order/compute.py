@@ -51,11 +51,12 @@ def first_order(scene: Scene) -> FirstOrder:
 def report_of_solved(scene: Scene) -> FirstOrder:
     """Return the first-order report of a scene that is solved already; see `first_order`."""
     facts = facts_of_solved(scene)
+    facts = replace(facts, kick_error=_kick_error(scene.camera, facts))
     return replace(facts, warnings=warnings(scene, facts))
 
 
 def facts_of_solved(scene: Scene) -> FirstOrder:
-    """Return the report of a scene that is solved already without its warnings, some of which trace rays."""
+    """Return the report of a scene that is solved already without what takes long: warnings, and errors of pictures."""
     camera, wavelength = scene.camera, scene.primary_nm
     lens = Paraxial.of(camera.lens, wavelength)
     stop_radius = camera.lens.surfaces[lens.stop].semi_diameter_mm or math.nan
@@ -102,7 +103,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
-    fresnel, beyond = clear / (4e-6 * longest * own) if own else None, sensor_over_focal_length(camera, wavelength)
+    fresnel = clear / (4e-6 * longest * own) if own else None
     facts = FirstOrder(
         wavelength_nm=wavelength,
         efl_mm=lens.efl_mm,
@@ -130,9 +131,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         airy_disk_samples=airy / sample,
         microlens_airy_disk_px=airy_disk_mm(longest, own) / camera.sensor.pixel_mm if own else None,
         microlens_fresnel_number=fresnel,
-        kick_error=_kick_error(camera, fresnel, beyond, micro, in_focus=not focused)
-        if fresnel and beyond and micro
-        else None,
+        kick_error=None,
         near_mm=near,
         far_mm=far,
         view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
@@ -155,17 +154,17 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     return facts
 
 
-def _kick_error(
-    camera: Camera, fresnel: float, beyond: float, micro: tuple[float, float, float], *, in_focus: bool
-) -> KickError | None:
+def _kick_error(camera: Camera, facts: FirstOrder) -> KickError | None:
     """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables."""
-    if camera.mla is None or camera.mla.clear_diameter_mm is not None:
+    mla, fresnel = camera.mla, facts.microlens_fresnel_number
+    pitch, diameter = facts.micro_image_pitch_px, facts.micro_image_diameter_px
+    if mla is None or mla.clear_diameter_mm is not None or not fresnel or pitch is None or diameter is None:
         return None
-    _, pitch, diameter = micro
-    pixels, width = max(1, round(camera.mla.pitch_mm / camera.sensor.pixel_mm)), abs(quotient(diameter, pitch))
-    if not 0.0 < width < math.inf:
+    beyond, width = sensor_over_focal_length(camera, facts.wavelength_nm), abs(quotient(diameter, pitch))
+    if not beyond or not 0.0 < width < math.inf:
         return None
-    return kick_error(fresnel, beyond, layout=camera.mla.layout, in_focus=in_focus, width=width, pixels=pixels)
+    pixels = max(1, round(mla.pitch_mm / camera.sensor.pixel_mm))
+    return kick_error(fresnel, beyond, layout=mla.layout, in_focus=not facts.focused, width=width, pixels=pixels)
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

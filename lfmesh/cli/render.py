@@ -71,7 +71,8 @@ def check(scene: SceneFile, /) -> int:
     if world.particles and loaded.transport.diffraction != "none":
         from lfmesh.waves.particles import refuse_particles
 
-        refuse_particles(world)
+        with progress() as report:
+            refuse_particles(world, report)
     known = "\n".join(lines)
     warn_caller(each for each in foreseen(world) if str(each) not in known)
     lines += lamp_lines(loaded, world.targets)

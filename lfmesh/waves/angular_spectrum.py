@@ -321,6 +321,48 @@ class Irradiance:
         waves[1][:, 1:] *= 2.0
         return np.asarray(((waves[0] @ self.series) @ waves[1].T).real)
 
+    def add_to(self, film: Array, pixels: Sampling, sensor_mm: Array, times: float = 1.0) -> None:
+        """Add the power on each pixel to a picture; beside the period nothing is added.
+
+        Parameters
+        ----------
+        film : (rows, columns) float64, W
+        pixels : Sampling
+            Their middles, sensor frame.
+        sensor_mm : (3,) float64
+            Middle of the sensor, camera frame.
+        times : float
+            Factor.
+        """
+        low = self.at_mm - sensor_mm[:2] - 0.5 * self.period_mm
+        first = np.ceil((low - pixels.first_mm) / pixels.step_mm).astype(int).clip(0, pixels.size)
+        last = np.floor((low + self.period_mm - pixels.first_mm) / pixels.step_mm).astype(int) + 1
+        count = last.clip(0, pixels.size) - first
+        if (count > 0).all():
+            at = sensor_mm[:2] + pixels.first_mm + first * pixels.step_mm
+            lit = self.sampled(Sampling(at, pixels.step_mm, (int(count[0]), int(count[1]))), pixels.step_mm)
+            seen = film[first[1] : first[1] + count[1], first[0] : first[0] + count[0]]
+            # Rounding leaves some of the darkest below 0.
+            seen += np.maximum(times * pixels.step_mm**2 * lit, 0.0)
+
+    def about(self, place_mm: Array, terms: int) -> "Irradiance":
+        """Return the irradiance with places counted from another one, and the lowest terms of its series alone.
+
+        Parameters
+        ----------
+        place_mm : (2,) float64
+            Camera frame.
+        terms : int
+            Of each sign along y, and of x.
+        """
+        m = len(self.series)
+        kept = self.series[np.r_[: terms + 1, m - terms - 1 : m], : terms + 2]
+        waves = [np.exp(2j * np.pi / self.period_mm * off * number) for off, number in zip(
+            place_mm - self.at_mm, (np.arange(terms + 2), np.fft.fftfreq(2 * terms + 2, 1.0 / (2 * terms + 2))),
+            strict=True,
+        )]  # fmt: skip
+        return replace(self, series=kept * waves[1][:, None] * waves[0], at_mm=place_mm)
+
     def peak(self) -> float:
         """Return the largest irradiance, W/mm²."""
         step = self.period_mm / len(self.series)

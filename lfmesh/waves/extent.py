@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.waves.angular_spectrum import Grid
 from lfmesh.waves.camera_faces import GRAZING, WaveFace, outside
-from lfmesh.waves.pupil_waves import PupilWaves
+from lfmesh.waves.pupil_waves import PupilRays
+from lfmesh.waves.wave_camera import WaveCamera
 
 Array = NDArray[np.float64]
 
 FIRST_BAND, FIRST_RINGS = 1.5, 30.0
 """Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+
+FINER = 1.25
+"""Each grid is finer and wider by this than the one before."""
 
 LEAST, MOST = 128, 3072
 """Places on a side of a grid."""
@@ -35,7 +39,7 @@ class Extent:
 
     Attributes
     ----------
-    pupil : PupilWaves
+    pupil : PupilRays
     faces : list of WaveFace
         From the lens to the sensor.
     sensor_mm : (3,) float64
@@ -44,10 +48,24 @@ class Extent:
         Width and height of all pixels.
     """
 
-    pupil: PupilWaves
+    pupil: PupilRays
     faces: list[WaveFace]
     sensor_mm: Array
     pixels_mm: Array
+
+    @classmethod
+    def of(cls, camera: WaveCamera, wavelength_nm: float, pupil: PupilRays) -> "Extent":
+        """Return that of the light behind a camera's lens.
+
+        Parameters
+        ----------
+        camera : WaveCamera
+        wavelength_nm : float
+        pupil : PupilRays
+        """
+        sensor = camera.scene.camera.sensor
+        pixels_mm = np.asarray(sensor.pixels) * sensor.pixel_mm
+        return cls(pupil, camera.faces(wavelength_nm), camera.sensor_mm, pixels_mm)
 
     @property
     def relief(self) -> list[WaveFace]:
@@ -113,6 +131,16 @@ class Extent:
                 f"{cause} {2e3 * max(wide):.4g} µm wide; {advice}"
             )
         return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, self.pupil.wavelength_mm, self.pupil.middle)
+
+    def refuse_wide(self, words: str) -> None:
+        """Refuse light for which the second grid, which each spread needs, has too many places.
+
+        Parameters
+        ----------
+        words : str
+            Of the point, for messages.
+        """
+        self.grid(FINER, words)
 
     def fits(self, fineness: float) -> bool:
         """Return True of a grid, see `grid`, that has no more than `MOST` places on a side.

@@ -16,6 +16,7 @@ from lfmesh.scene import Scene, first_order
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.pose import Pose
 from lfmesh.waves.point_spread import TOLERANCE, followed
+from lfmesh.waves.wave_camera import WaveCamera
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -86,21 +87,21 @@ def pictures_of_points(
     """
     columns, rows = scene.camera.sensor.pixels
     mean, worst, beyond, computed = np.zeros((len(points_mm), rows, columns)), 0.0, 0.0, 0
-    repeats = repeats_of(scene)
+    repeats, camera = repeats_of(scene), WaveCamera.of(scene)
 
-    def spread(of: Scene, point: Array) -> Array:
+    def spread(of: WaveCamera, point: Array) -> Array:
         nonlocal worst, beyond, computed
         found = followed(of, point, wavelength_nm, tolerance=tolerance)
         worst, beyond, computed = max(worst, found.change), max(beyond, found.beyond), computed + 1
         return found.mean
 
     for plane in _planes(points_mm):
-        shared = repeats and _repeated(scene, points_mm[plane], repeats, spread)
+        shared = repeats and _repeated(camera, points_mm[plane], repeats, spread)
         if shared and shared.off <= tolerance:
             mean[plane], worst = shared.mean, max(worst, shared.off)
         else:
             for number in plane:
-                mean[number] = spread(scene, points_mm[number])
+                mean[number] = spread(camera, points_mm[number])
     return Pictures(mean, worst, beyond, computed)
 
 
@@ -138,12 +139,14 @@ class _Shared(NamedTuple):
     off: float
 
 
-def _repeated(scene: Scene, points: Array, repeats: Repeats, spread: Callable[[Scene, Array], Array]) -> _Shared | None:
+def _repeated(
+    camera: WaveCamera, points: Array, repeats: Repeats, spread: Callable[[WaveCamera, Array], Array]
+) -> _Shared | None:
     """Return the pictures of points of a plane by shifting those of points about the axis; None of too few points.
 
     Parameters
     ----------
-    scene : Scene
+    camera : WaveCamera
     points : (n, 3) float64, mm
         At one distance.
     repeats : Repeats
@@ -163,8 +166,8 @@ def _repeated(scene: Scene, points: Array, repeats: Repeats, spread: Callable[[S
         return None
     # Wide enough that every picture lies within that of the point about the axis.
     margin = int(np.abs(steps).max()) * abs(repeats.pixels)
-    columns, rows = scene.camera.sensor.pixels
-    wide = scene.changed({"camera.sensor.pixels": (columns + 2 * margin, rows + 2 * margin)})
+    columns, rows = camera.scene.camera.sensor.pixels
+    wide = WaveCamera.of(camera.scene.changed({"camera.sensor.pixels": (columns + 2 * margin, rows + 2 * margin)}))
     mean = np.zeros((len(points), rows, columns))
     for number, member in enumerate(first):
         whole = spread(wide, np.array([*near[member], points[member, 2]]))
@@ -175,7 +178,7 @@ def _repeated(scene: Scene, points: Array, repeats: Repeats, spread: Callable[[S
             mean[point] = seen[along, across][low : low + rows, left : left + columns]
     # The array's rim, and what else does not repeat, is felt most where the shift is largest.
     farthest = int((3 * np.abs(steps).max(axis=1) + mirrored.sum(axis=1) + turned).argmax())
-    own = spread(scene, points[farthest])
+    own = spread(camera, points[farthest])
     return _Shared(mean, float(np.abs(mean[farthest] - own).sum() / own.sum()))
 
 

@@ -10,40 +10,27 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import DiffractionWarning, LfmeshError, PictureWarning, warn_caller
-from lfmesh.geometry.lens.solved_camera import SolvedCamera, solved_camera
 from lfmesh.notebook import Pictured, watched
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME
 from lfmesh.transport.render.progress import Progress
-from lfmesh.transport.trace import at_wavelength
-from lfmesh.transport.world import World, build
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
-from lfmesh.waves.camera_faces import WaveFace, faces_before_sensor
-from lfmesh.waves.extent import Extent
-from lfmesh.waves.pupil_waves import PupilWaves, pupil_waves
-from lfmesh.waves.refused import (
-    lines_of_band,
-    no_light,
-    numbers_of,
-    refuse_hidden,
-    refuse_scene,
-    refuse_values,
-    shares_of,
-)
+from lfmesh.waves.camera_faces import WaveFace
+from lfmesh.waves.extent import FINER, Extent
+from lfmesh.waves.pupil_waves import PupilRays, PupilWaves, pupil_waves
+from lfmesh.waves.refused import lines_of_band, no_light, numbers_of, refuse_values, shares_of
+from lfmesh.waves.wave_camera import WaveCamera
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 3e-3
 """Change of the picture, over its power, at which grids are fine enough, if not said."""
-
-FINER = 1.25
-"""Each grid is finer and wider by this than the one before."""
 
 BEYOND = 0.005
 """Share of the light beyond the directions of a grid above which there is a warning."""
@@ -203,7 +190,8 @@ def point_spread(
         value out of range.
     """
     with watched(progress) as report:
-        found = followed(scene, point_mm, wavelengths_nm, weights, (window, oversample), tolerance, report)
+        asked = window, oversample
+        found = followed(WaveCamera.of(scene), point_mm, wavelengths_nm, weights, asked, tolerance, report)
     warn_caller(warnings_of(found.beyond))
     return found
 
@@ -227,27 +215,31 @@ def warnings_of(beyond: float) -> list[PictureWarning]:
 
 
 def followed(
-    scene: Scene, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None,
+    camera: WaveCamera, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None,
     weights: Sequence[float] | None = None, asked: tuple[int | None, int] = (None, 1), tolerance: float = TOLERANCE,
-    report: Callable[[Progress], None] | None = None,
+    report: Callable[[Progress], None] | None = None, *, of_all: bool = False,
 ) -> PointSpread:  # fmt: skip
     """Return what `point_spread` does, without its warnings.
 
     Parameters
     ----------
-    scene, point_mm, wavelengths_nm, weights, tolerance
+    camera : WaveCamera
+        Of the scene.
+    point_mm, wavelengths_nm, weights, tolerance
         As there.
     asked : (int or None, int)
         Window and parts of a pixel.
     report : callable, optional
         Told the progress.
+    of_all : bool
+        Changes count over all light on the sensor's plane, of which the pixels may catch a small part.
 
     Raises
     ------
     LfmeshError
         As there.
     """
-    point = numbers_of("point_mm", point_mm)
+    scene, point = camera.scene, numbers_of("point_mm", point_mm)
     if isinstance(wavelengths_nm, str):
         if weights is not None:
             raise LfmeshError(f'wavelengths_nm = "{wavelengths_nm}": a band has weights of its own; leave weights out')
@@ -255,7 +247,7 @@ def followed(
     nm = tuple(numbers_of("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = shares_of(nm, numbers_of("weights", [1.0] * len(nm) if weights is None else weights).tolist())
     refuse_values(scene, point, *asked, tolerance)
-    each = [one.converged(tolerance, report) for one in _monochromes(scene, point, nm, asked)]
+    each = [one.converged(tolerance, report, of_all=of_all) for one in _monochromes(camera, point, nm, asked)]
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise no_light(point)
@@ -273,40 +265,17 @@ def followed(
     )
 
 
-def refuse_point(scene: Scene, point: Array, wavelengths_nm: tuple[float, ...]) -> None:
-    """Refuse a point of which `point_spread` is known to be refused before its waves are followed.
-
-    Parameters
-    ----------
-    scene : Scene
-    point : (3,) float64, mm
-        Camera frame.
-    wavelengths_nm : tuple of float
-
-    Raises
-    ------
-    LfmeshError
-        As from `point_spread`; a grid that it needs beyond the second one is not foreseen.
-    """
-    refuse_values(scene, point, None, 1, TOLERANCE)
-    for one in _monochromes(scene, point, wavelengths_nm, (None, 1)):
-        one.refuse_wide()
-
-
 def _monochromes(
-    scene: Scene, point: Array, wavelengths_nm: tuple[float, ...], asked: tuple[int | None, int]
-) -> "list[_Monochrome]":
+    camera: WaveCamera, point: Array, wavelengths_nm: tuple[float, ...], asked: tuple[int | None, int]
+) -> "list[Monochrome]":
     """Return the point spreads of some wavelengths that are to be computed, of a window and parts of pixels."""
-    refuse_scene(scene)
-    camera = solved_camera(scene)
-    world = build(camera.scene.camera_alone())
     middle = len(wavelengths_nm) // 2
-    if scene.targets:
-        refuse_hidden(camera, world, point, wavelengths_nm[middle])
-    pupils = [pupil_waves(world, camera, point, wavelength) for wavelength in wavelengths_nm]
-    pixels = _pixels(camera, world, pupils[middle], asked)
+    if camera.scene.targets:
+        camera.refuse_hidden(point, camera.looked_at(point, wavelengths_nm[middle]), wavelengths_nm[middle])
+    pupils = [pupil_waves(camera.world, camera.camera, point, wavelength) for wavelength in wavelengths_nm]
+    pixels = pixels_of(camera, pupils[middle], asked)
     found = [
-        _Monochrome(camera, world, point, wavelength, pupil, pixels)
+        Monochrome(camera, point, wavelength, pupil, pixels)
         for wavelength, pupil in zip(wavelengths_nm, pupils, strict=True)
     ]
     if all(one.extent.misses for one in found):
@@ -314,24 +283,34 @@ def _monochromes(
     return found
 
 
-class _Monochrome:
+class Arrived(NamedTuple):
+    """Light of a point on its way to the sensor.
+
+    Attributes
+    ----------
+    pupil : Spectrum
+        Plane waves behind the lens, about the focus.
+    behind_lens_w : float
+        Their power where the focus sees the pupil at its distance.
+    light : Spectrum
+        Across the plane of the sensor.
+    """
+
+    pupil: Spectrum
+    behind_lens_w: float
+    light: Spectrum
+
+
+class Monochrome:
     """The point spread at one wavelength, on grids of any fineness."""
 
     def __init__(
-        self,
-        camera: SolvedCamera,
-        world: World,
-        point: Array,
-        wavelength_nm: float,
-        pupil: PupilWaves,
-        pixels: Sampling,
+        self, camera: WaveCamera, point: Array, wavelength_nm: float, pupil: PupilWaves, pixels: Sampling
     ) -> None:
         self.camera, self.point, self.wavelength_nm = camera, point, wavelength_nm
         self.pupil, self.pixels = pupil, pixels
-        tables, sensor = at_wavelength(world, wavelength_nm), camera.scene.camera.sensor
-        self.sensor = tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
-        self.faces = faces_before_sensor(camera.scene, tables, wavelength_nm)
-        self.extent = Extent(pupil, self.faces, self.sensor, np.asarray(sensor.pixels) * sensor.pixel_mm)
+        self.faces, self.sensor = camera.faces(wavelength_nm), camera.sensor_mm
+        self.extent = Extent.of(camera, wavelength_nm, pupil)
         self.words = f"point_mm = {point.tolist()}"
 
     @property
@@ -342,16 +321,32 @@ class _Monochrome:
         way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
         return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
-    def converged(self, tolerance: float, report: Callable[[Progress], None] | None) -> PointSpread:
-        """Return the point spread on the first grid by which it changes less than the tolerance."""
-        self.refuse_wide()
+    def converged(
+        self, tolerance: float, report: Callable[[Progress], None] | None, *, of_all: bool = False
+    ) -> PointSpread:
+        """Return the point spread on the first grid by which it changes less than the tolerance.
+
+        Parameters
+        ----------
+        tolerance : float
+        report : callable, optional
+        of_all : bool
+            As for `followed`.
+
+        Raises
+        ------
+        LfmeshError
+            No grid is fine enough.
+        """
+        self.extent.refuse_wide(self.words)
         first, change, fineness = self._on_grid(self.extent.grid(1.0, self.words), report), math.inf, 1.0
         while change > tolerance:
             fineness *= FINER
             if not self.extent.fits(fineness):
                 self._refuse_unsettled(first, change, tolerance)
             finer = self._on_grid(self.extent.grid(fineness, self.words), report)
-            change = float(np.abs(finer.mean - first.mean).sum()) / max(float(finer.mean.sum()), 1e-300)
+            light = finer.power_w if of_all else float(finer.mean.sum())
+            change = float(np.abs(finer.mean - first.mean).sum()) / max(light, 1e-300)
             first = finer
         return replace(first, change=change)
 
@@ -369,12 +364,15 @@ class _Monochrome:
             f"finest grid that is possible; {more}"
         )
 
-    def refuse_wide(self) -> None:
-        """Refuse light for which the second grid, which each spread needs, has too many places."""
-        self.extent.grid(FINER, self.words)
+    def at_sensor(self, grid: Grid, report: Callable[[Progress], None] | None = None) -> Arrived:
+        """Return the light by one grid behind the lens and on the plane of the sensor.
 
-    def _on_grid(self, grid: Grid, report: Callable[[Progress], None] | None) -> PointSpread:
-        """Return the point spread by one grid; its change is not known."""
+        Parameters
+        ----------
+        grid : Grid
+        report : callable, optional
+            Told the progress.
+        """
         began, stage = time.perf_counter(), f"waves of {self.wavelength_nm:g} nm on {grid.n} × {grid.n} places"
 
         def told(relief: int, share: float) -> None:
@@ -384,14 +382,19 @@ class _Monochrome:
 
         told(0, 0.0)
         pupil = _in_pupil(self.pupil, grid)
-        light = _seen_from_focus(self.pupil, pupil)
-        behind_lens, reliefs = light.power_w, 0
+        behind = light = _seen_from_focus(self.pupil, pupil)
+        reliefs = 0
         for before, face in zip([None, *self.faces], self.faces, strict=False):
             light = _travelled(light, face.z_mm, before)
             light = face.passed(light, self.camera.scene, partial(told, reliefs))
             reliefs += face.lenslets is not None
         light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
         light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
+        return Arrived(pupil, behind.power_w, light)
+
+    def _on_grid(self, grid: Grid, report: Callable[[Progress], None] | None) -> PointSpread:
+        """Return the point spread by one grid; its change is not known."""
+        pupil, behind_lens, light = self.at_sensor(grid, report)
         irradiance = Irradiance.of(light)
         # Of the pupil's amplitudes in phase, less what is lost behind the lens, spread as far as the sensor is away.
         in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
@@ -400,29 +403,17 @@ class _Monochrome:
         pixels, point = self.pixels, self.point
         x, y = (pixels.first_mm[axis] + pixels.step_mm * np.arange(pixels.size[axis]) for axis in (0, 1))
         parts = round(self.camera.scene.camera.sensor.pixel_mm / pixels.step_mm)
+        mean = np.zeros(pixels.size[::-1])
+        irradiance.add_to(mean, pixels, self.sensor)
         return PointSpread(
-            self._on_pixels(irradiance), x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])),
+            mean, x, y, pixels.step_mm, (float(point[0]), float(point[1]), float(point[2])),
             (self.wavelength_nm,), (1.0,), parts, self.pupil.power_w, light.power_w, peak,
             None if self.extent.relief else peak / in_phase, self._airy_radius(), self._lenslets(), math.inf,
             max(0.0, light.beyond_w) / light.power_w if light.power_w else 0.0, self.pupil.misfit_waves,
         )  # fmt: skip
 
-    def _on_pixels(self, irradiance: Irradiance) -> Array:
-        """Return the power on each pixel; 0 beside the period of the irradiance."""
-        pixels, mean = self.pixels, np.zeros(self.pixels.size[::-1])
-        low = irradiance.at_mm - self.sensor[:2] - 0.5 * irradiance.period_mm
-        first = np.ceil((low - pixels.first_mm) / pixels.step_mm).astype(int).clip(0, pixels.size)
-        last = np.floor((low + irradiance.period_mm - pixels.first_mm) / pixels.step_mm).astype(int) + 1
-        count = last.clip(0, pixels.size) - first
-        if (count > 0).all():
-            at = self.sensor[:2] + pixels.first_mm + first * pixels.step_mm
-            lit = irradiance.sampled(Sampling(at, pixels.step_mm, (int(count[0]), int(count[1]))), pixels.step_mm)
-            mean[first[1] : first[1] + count[1], first[0] : first[0] + count[0]] = lit * pixels.step_mm**2
-        # Rounding leaves some of the darkest below 0.
-        return np.maximum(mean, 0.0)
-
     def _airy_radius(self) -> float:
-        report, wavelength_nm = self.camera.report, 1e6 * self.pupil.wavelength_mm
+        report, wavelength_nm = self.camera.camera.report, 1e6 * self.pupil.wavelength_mm
         if report.microlens_airy_disk_px is None:
             return 0.61 * self.pupil.wavelength_mm / float(self.pupil.half.min())
         disk_mm = report.microlens_airy_disk_px * self.camera.scene.camera.sensor.pixel_mm
@@ -456,13 +447,24 @@ def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectru
     return replace(light, waves=light.waves * math.exp(-0.5 * behind.absorption_per_mm * way))
 
 
-def _pixels(camera: SolvedCamera, world: World, pupil: PupilWaves, asked: tuple[int | None, int]) -> Sampling:
-    """Return the pixels, or parts of pixels, of the sensor's frame: all, or of a window about the light."""
+def pixels_of(
+    camera: WaveCamera, pupil: PupilRays | None = None, asked: tuple[int | None, int] = (None, 1)
+) -> Sampling:
+    """Return the pixels, or parts of pixels, in the sensor's frame: all, or those of a window about the light.
+
+    Parameters
+    ----------
+    camera : WaveCamera
+    pupil : PupilRays, optional
+        The light, if a window is asked.
+    asked : (int or None, int)
+        Window and parts of a pixel.
+    """
     sensor = camera.scene.camera.sensor
     window, oversample = asked
     count, first = list(sensor.pixels), [0, 0]
-    if window is not None:
-        place = world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3]
+    if window is not None and pupil is not None:
+        place = camera.sensor_mm
         light = pupil.places_at(float(place[2])).mean(axis=0) - place[:2]
         for axis in (0, 1):
             size = min(window, count[axis])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.transport.world import World
-from lfmesh.waves.bundle import PARALLEL, LensRays, nearest_to_all, pupil_grid
+from lfmesh.waves.bundle import PARALLEL, Bundle, LensRays, nearest_to_all, pupil_grid
 from lfmesh.waves.refused import NoLightError
 from lfmesh.waves.wavefront import NM_PER_MM
 
@@ -45,8 +45,8 @@ FINE = 401
 
 
 @dataclass(frozen=True, eq=False)
-class PupilWaves:
-    """Plane waves behind the lens, from one point of 1 W/sr at one wavelength.
+class PupilRays:
+    """Rays of one point behind the lens, at one wavelength.
 
     Attributes
     ----------
@@ -58,13 +58,7 @@ class PupilWaves:
     radius_mm : float
         From the exit pupil to the focus along the middle direction; inf, or below 0 where the pupil lies behind it.
     rays : (n, 3) float64, (n, 3) float64
-        Places on the last face, mm, and directions of the rays traced.
-    coefficients : (degree + 1, degree + 1, columns) float64
-        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, two coordinates whose areas
-        are the power that enters, the place in the stop and the squared height at the faces that clip, both over the
-        rim's.
-    misfit_waves : float
-        Largest difference of the phase of a ray from its polynomial.
+        Places in the air behind the lens, mm, and directions.
     """
 
     wavelength_mm: float
@@ -73,6 +67,27 @@ class PupilWaves:
     focus_mm: Array
     radius_mm: float
     rays: tuple[Array, Array]
+
+    def places_at(self, z_mm: float) -> Array:
+        """Return where the rays cross a plane in the air behind the lens, (n, 2) mm."""
+        position, direction = self.rays
+        return position[:, :2] + ((z_mm - position[:, 2]) / direction[:, 2])[:, None] * direction[:, :2]
+
+
+@dataclass(frozen=True, eq=False)
+class PupilWaves(PupilRays):
+    """Plane waves behind the lens, from one point of 1 W/sr at one wavelength.
+
+    Attributes
+    ----------
+    coefficients : (degree + 1, degree + 1, columns) float64
+        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, two coordinates whose areas
+        are the power that enters, the place in the stop and the squared height at the faces that clip, both over the
+        rim's.
+    misfit_waves : float
+        Largest difference of the phase of a ray from its polynomial.
+    """
+
     coefficients: Array
     misfit_waves: float
 
@@ -122,11 +137,6 @@ class PupilWaves:
         along_u = chebyshev.chebvander(u, coefficients.shape[0] - 1)
         along_v = chebyshev.chebvander(v, coefficients.shape[1] - 1)
         return np.asarray(np.einsum("vj,ijc,ui->cvu", along_v, coefficients, along_u, optimize=True))
-
-    def places_at(self, z_mm: float) -> Array:
-        """Return where the rays cross a plane in the air behind the lens, (n, 2) mm."""
-        position, direction = self.rays
-        return position[:, :2] + ((z_mm - position[:, 2]) / direction[:, 2])[:, None] * direction[:, :2]
 
     def rim_phase(self, x: Array, y: Array) -> Array:
         """Return the phase (rows, columns) in waves by which the plane of the focus sees the pupil at its distance.
@@ -205,10 +215,9 @@ def waves_of_field(
         raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
-    if np.ptp(direction[:, :2] / direction[:, 2:], axis=0).min() < PARALLEL:
-        raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
-    focus = nearest_to_all(traced.position, direction) if about_mm is None else about_mm
-    radius = (focus[2] - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())
+    found = _focus(traced.position, direction)
+    focus = found if about_mm is None else about_mm
+    radius = _radius(camera, focus, direction)
     seen, path = traced.onto_sphere(focus, radius)
     if not np.isfinite(path).all():
         raise LfmeshError(f"rays miss the sphere of the exit pupil, whose radius is {abs(radius):.4g} mm")
@@ -232,6 +241,45 @@ def waves_of_field(
             f"{misfit:.2g} waves of it, {REFUSED:g} are allowed; give a smaller stop"
         )
     return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
+
+
+def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, wavelength_nm: float) -> PupilRays:
+    """Return what rays alone say of a point's waves: their range of directions, and their focus.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Some rays pass.
+    camera : SolvedCamera
+    image_z_mm : float
+        Of the bundle's image plane.
+    wavelength_nm : float
+
+    Raises
+    ------
+    LfmeshError
+        Light that is collimated behind the lens.
+    """
+    place, direction = bundle.place[bundle.passes], bundle.direction[bundle.passes]
+    position = np.column_stack([place, np.full(len(place), image_z_mm)])
+    focus = _focus(position, direction)
+    low, high = direction[:, :2].min(axis=0), direction[:, :2].max(axis=0)
+    radius = _radius(camera, focus, direction)
+    return PupilRays(
+        wavelength_nm / NM_PER_MM, 0.5 * (low + high), 0.5 * (high - low), focus, radius, (position, direction)
+    )
+
+
+def _focus(position: Array, direction: Array) -> Array:
+    """Return where rays behind the lens come closest together, (3,) mm; refuse those that are parallel."""
+    if np.ptp(direction[:, :2] / direction[:, 2:], axis=0).min() < PARALLEL:
+        raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
+    return nearest_to_all(position, direction)
+
+
+def _radius(camera: SolvedCamera, focus: Array, direction: Array) -> float:
+    """Return the way from the exit pupil to the focus along the middle direction, mm."""
+    return (float(focus[2]) - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())
 
 
 def _equal_areas(direction: Array) -> Array:

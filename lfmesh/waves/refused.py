@@ -1,4 +1,4 @@
-"""Refusals of a point spread before its waves are followed: values out of range, scenes, and points that are hidden."""
+"""Refusals of a point spread before its waves are followed: values out of range, and scenes."""
 
 import math
 
@@ -6,25 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry import frame as frames
-from lfmesh.geometry.lens.solved_camera import SolvedCamera
 from lfmesh.optics.curve import LONGEST_NM, SHORTEST_NM
 from lfmesh.scene import Scene
 from lfmesh.scene.quantities import LARGEST
-from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.interfaces import refused_in_order
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.trace import at_wavelength, check_numbers, check_whole, shown, trace
-from lfmesh.transport.world import World, build
-from lfmesh.waves.bundle import LensRays, pupil_grid
+from lfmesh.transport.trace import check_numbers, check_whole, shown
 
 Array = NDArray[np.float64]
-
-TRIALS = 16
-"""Rays on a diameter of the stop that look for targets before the point."""
-
-OFF_POINT = 1e-6
-"""Of the way to the lens: these rays start this far before the point, so that it may lie on a target."""
 
 MOST_PARTS = 50_000_000
 """Parts of pixels in a picture."""
@@ -139,39 +128,3 @@ def refuse_scene(scene: Scene) -> None:
     rough = refused_in_order(scene)
     if rough is not None:
         raise LfmeshError(f"{rough}: coherent waves pass smooth faces only; make it polished")
-
-
-def refuse_hidden(camera: SolvedCamera, world: World, point: Array, wavelength_nm: float) -> None:
-    """Refuse a point of whose light a part, or all, meets a target on its way to the lens.
-
-    Parameters
-    ----------
-    camera : SolvedCamera
-    world : World
-        Of the camera alone.
-    point : (3,) float64, mm, camera frame
-    wavelength_nm : float
-
-    Raises
-    ------
-    NoLightError
-        A target hides it whole.
-    LfmeshError
-        A target hides it in part.
-    """
-    rays = LensRays(world, -float(point[2]), 0.0)
-    bundle = rays.bundle(point[:2] / rays.object_mm, pupil_grid(TRIALS), wavelength_nm)
-    entry = np.column_stack([bundle.entry[bundle.passes], np.zeros(bundle.passes.sum())])
-    whole = build(camera.scene, aimed=False)
-    out = at_wavelength(whole, wavelength_nm).frames[CAMERA_FRAME, WORLD_FRAME]
-    ahead = frames.directions(out, entry - point)
-    found = trace(whole, frames.points(out, point[None, :]) + OFF_POINT * ahead, ahead, wavelength_nm, "transmit")
-    names = [target.name or f"targets[{i}]" for i, target in enumerate(camera.scene.targets)]
-    hiding = [body for body in found.body if body in names]
-    if len(hiding) == len(entry) > 0:
-        raise NoLightError(f"point_mm = {point.tolist()}: {hiding[0]} hides it; move the point or leave the target out")
-    if hiding:
-        raise LfmeshError(
-            f"point_mm = {point.tolist()}: {hiding[0]} hides it from {len(hiding)} of {len(entry)} places of the "
-            "pupil; move the point or leave the target out"
-        )

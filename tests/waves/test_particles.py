@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import lfmesh as lf
 from lfmesh.cli import main
@@ -13,7 +14,9 @@ from lfmesh.scene.literals import percent
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.render import render as trace_alone
-from lfmesh.waves.particles import STAGE
+from lfmesh.waves.between import BETWEEN
+from lfmesh.waves.particles import LOOKING, STAGE
+from lfmesh.waves.pupil_waves import pupil_waves
 
 WAVE_NM, FAR = 550.0, 2000.0
 
@@ -133,7 +136,7 @@ def test_a_particle_too_wide_for_waves_is_named_before_the_first_spread(
     def never(*_: object, **__: object) -> None:
         pytest.fail("the waves were followed")
 
-    monkeypatch.setattr("lfmesh.waves.particles.followed", never)
+    monkeypatch.setattr("lfmesh.waves.lit_particle.followed", never)
     far, words = two_at(-FAR, -200.0), r"particles\[1\], number 0 at \(.*, -200\) mm: .* places on a side"
     with pytest.raises(lf.LfmeshError, match=words) as error:
         lf.render(far)
@@ -154,6 +157,7 @@ def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None
     image = lf.render(given, told.append)
     spreads = [each for each in told if each.stage == STAGE]
     assert [(each.done, each.total) for each in spreads] == [(done, 4) for done in (1, 2, 3, 4)]
+    assert [(each.done, each.total) for each in told if each.stage == LOOKING] == [(1, 2), (2, 2)]
     traced = lf.render(given.changed({"particles": []}))
     assert traced.ledger.untraced == 0.0
     assert image.ledger.untraced == pytest.approx(image.mean.sum() - traced.mean.sum(), rel=1e-9)
@@ -170,10 +174,90 @@ def test_check_says_beforehand_how_many_particles_are_pictured_by_spreads() -> N
     assert not any("point spreads" in line for line in plain)
 
 
+ARRAY = {
+    "layout": "square", "count": (4, 4), "pitch_mm": 0.1, "focal_length_mm": 2.5, "index": 1.5, "thickness_mm": 0.1,
+    "curved_side": "lens", "distance_mm": 50.0,
+}  # fmt: skip
+
+
+def own_pictures(given: lf.Scene) -> NDArray[np.float64]:
+    """Return the sum of the particles' own point spreads."""
+    points = lf.build(given).particles[0].points
+    return np.asarray(sum(POINT["intensity_w_sr"] * lf.point_spread(given, point).mean for point in points))
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Count the spreads that are computed, own and at corners of cells."""
+    found: list[int] = []
+
+    def counting(function: Any) -> Any:
+        return lambda *given, **named: (found.append(1), function(*given, **named))[1]
+
+    monkeypatch.setattr("lfmesh.waves.between.pupil_waves", counting(pupil_waves))
+    monkeypatch.setattr("lfmesh.waves.point_spread.pupil_waves", counting(pupil_waves))
+    return found
+
+
+def test_many_particles_without_an_array_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between few spreads, within a hundredth of the light of their own; half of a cell's error would be enough."""
+    grains = POINT | {"count": 80, "bounds": {"kind": "box", "size_mm": (14.0, 14.0, 160.0)}}
+    given = scene(particles=[grains])
+    own = own_pictures(given)
+    spreads = counted(monkeypatch)
+    image = lf.render(given)
+    assert len(spreads) < 40
+    assert np.abs(image.mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
+
+
+def test_cells_are_cut_until_spreads_between_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where depth blurs, a single cell would be wrong by a tenth of the light and more."""
+    grains = POINT | {"count": 60, "bounds": {"kind": "box", "size_mm": (10.0, 10.0, 1200.0)}}
+    given = scene(particles=[grains], **{"camera.lens.surfaces[0].semi_diameter_mm": 2.0})
+    own = own_pictures(given)
+    image = lf.render(given)
+    assert np.abs(image.mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
+    monkeypatch.setattr("lfmesh.waves.between.BETWEEN", 10.0)
+    assert np.abs(lf.render(given).mean[:, :, 0] - own).sum() > 0.1 * own.sum()
+
+
+def test_particles_beside_the_field_are_pictured_with_those_within() -> None:
+    """Those on the sensor's edge keep their part: pixels show what the same place of a larger sensor does."""
+    grains = POINT | {"count": 60, "bounds": {"kind": "box", "size_mm": (40.0, 40.0, 100.0)}}
+    given = scene(particles=[grains])
+    larger = lf.render(given.changed({"camera.sensor.pixels": (100, 100)})).mean[30:70, 30:70]
+    assert np.abs(lf.render(given).mean - larger).sum() < BETWEEN * larger.sum()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("f_number", "thick_mm"), [(4.0, 0.4), (8.0, 2.0)])
+def test_particles_before_a_real_lens_are_interpolated(
+    f_number: float, thick_mm: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a thin sheet before a double Gauss, which vignettes and whose aberrations change over the field."""
+    loaded = lf.load(Path(__file__).parents[2] / "assets" / "scenes" / "conventional.toml")
+    stop = loaded.camera.lens.stop_semi_diameter_mm
+    assert stop is not None
+    grains = POINT | {
+        "count": 400, "position_mm": (0.0, 0.0, -500.0), "bounds": {"kind": "box", "size_mm": (45.0, 45.0, thick_mm)},
+    }  # fmt: skip
+    given = loaded.changed({
+        "targets": [], "lights": [], "particles": [grains], "camera.lens.stop_semi_diameter_mm": stop * 4.0 / f_number,
+        "camera.sensor.pixels": (1024, 1024), "camera.sensor.pixel_mm": 0.0055, "transport": BANDS,
+    })  # fmt: skip
+    own = own_pictures(given)
+    spreads = counted(monkeypatch)
+    image = lf.render(given)
+    assert len(spreads) < 380
+    assert np.abs(image.mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"particles": [POINT | {"count": 2001}]}, "2,001 point spreads"),
+        (
+            {"particles": [POINT | {"count": 2001}], "camera.mla": ARRAY, "transport.diffraction": "lenslets"},
+            "2,001 point spreads",
+        ),
         ({"media": [{"absorption_per_mm": 1e-4}]}, "media: a point spread"),
         (
             {

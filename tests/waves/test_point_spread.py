@@ -11,8 +11,7 @@ from scipy.special import j0, j1
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.transport.render.progress import Progress
-from lfmesh.waves.particles import particle_film
-from lfmesh.waves.point_spread import refuse_point
+from lfmesh.waves.particles import particle_film, refuse_particles
 
 WAVE_NM, WAVE = 550.0, 0.55e-3
 PITCH, FOCAL, PIXEL = 0.14, 2.5, 0.014
@@ -311,7 +310,12 @@ def test_what_limits_the_grid_is_named_and_the_advice_works(monkeypatch: pytest.
     ):
         lf.point_spread(slow(0.5), (0.0, 0.0, -200.0), 500.0, progress=told.append)
     assert not told
-    refuse_point(slow(0.7), np.array([0.0, 0.0, -200.0]), (500.0,))
+    particle = {
+        "count": 1, "bounds": {"kind": "box", "size_mm": (1e-6,) * 3}, "position_mm": (0.0, 0.0, -200.0),
+        "intensity_w_sr": 1.0,
+    }  # fmt: skip
+    traced = {"diffraction": "lenslets", "split": "transmit", "wavelengths_nm": (500.0,)}
+    refuse_particles(lf.build(slow(0.7).changed({"particles": [particle], "transport": traced})))
 
     monkeypatch.setattr("lfmesh.waves.extent.MOST", 300)
     camera, point = conventional(1.25, 50.0, 0.005, 15), (0.0, 0.0, -FAR)

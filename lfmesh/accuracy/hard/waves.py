@@ -6,6 +6,9 @@ import numpy as np
 
 from lfmesh.accuracy.hard.outcome import Outcome, case
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Transport
+from lfmesh.transport.world import build
+from lfmesh.waves.between import BETWEEN
+from lfmesh.waves.particles import particle_film
 from lfmesh.waves.point_spread import point_spread
 from lfmesh.waves.wavefront import wavefront
 
@@ -59,3 +62,19 @@ def hyperboloid_of_f_0_6_before_a_plane_wave() -> Outcome:
     return _outcome(
         "no path difference", f"{found.pv_waves:.1e} waves from peak to valley", found.pv_waves < ALLOWED_WAVES
     )
+
+
+@case
+def particles_in_a_row_through_focus() -> Outcome:
+    """Interpolate point spreads along a depth over which defocus grows to many waves."""
+    lens = Surface(paraxial=True, focal_length_mm=1.0 / (1.0 / 50.0 + 1.0 / 2000.0), semi_diameter_mm=2.0, stop=True)
+    row = {"kind": "box", "size_mm": (1e-6, 1e-6, 300.0)}
+    scene = Scene(
+        camera=Camera(lens=Lens(surfaces=(lens,)), sensor=Sensor(pixels=(40, 40), pixel_mm=0.01, distance_mm=50.0)),
+        particles=({"count": 40, "bounds": row, "position_mm": (0.0, 0.0, -2000.0), "intensity_w_sr": 1.0},),
+        transport=Transport(wavelengths_nm=(NM,), diffraction="stop", split="transmit"),
+    )
+    world = build(scene)
+    own = np.sum([point_spread(scene, point).mean for point in world.particles[0].points], axis=0)
+    off = np.abs(particle_film(world)[:, :, 0] - own).sum() / own.sum()
+    return _outcome(f"within {BETWEEN:g} of their own spreads", f"{off:.2g}", bool(off < BETWEEN))

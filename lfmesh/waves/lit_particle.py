@@ -1,0 +1,153 @@
+"""A particle as the lens sees it: its light into the opening, and what its waves need, from a few hundred rays."""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import LfmeshError
+from lfmesh.optics.phase import PhaseTables, evaluate_phases
+from lfmesh.waves.bundle import INSIDE, Bundle
+from lfmesh.waves.extent import FINER, Extent
+from lfmesh.waves.point_spread import TOLERANCE, PointSpread, followed
+from lfmesh.waves.pupil_waves import pupil_rays
+from lfmesh.waves.refused import NoLightError, refuse_values
+from lfmesh.waves.wave_camera import WaveCamera, entering
+
+Array = NDArray[np.float64]
+Found = TypeVar("Found")
+
+EVEN = 0.05
+"""Largest change of a particle's light over the lens's opening, over the mean, with which it is pictured."""
+
+
+class Lit(NamedTuple):
+    """A particle as the lens sees it at one wavelength.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    point_mm : (3,) float64
+        Camera frame.
+    intensity_w_sr : float
+        Into the lens's opening.
+    place_mm : (2,) float64
+        Where its chief ray meets the sensor's plane, camera frame; NaN where the lens stops it.
+    period_mm, step_mm : float
+        Width of the grid that its waves need, and step between its places.
+    """
+
+    name: str
+    point_mm: Array
+    intensity_w_sr: float
+    place_mm: Array
+    period_mm: float
+    step_mm: float
+
+    def own_spread(self, camera: WaveCamera, wavelength_nm: float) -> PointSpread | None:
+        """Return its point spread, of 1 W/sr; None where none of its light falls on the pixels.
+
+        Parameters
+        ----------
+        camera : WaveCamera
+        wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            As from `lf.point_spread`, with the particle's name.
+        """
+        return _named(self.name, lambda: followed(camera, self.point_mm, wavelength_nm, of_all=True))
+
+
+class Particle(NamedTuple):
+    """A particle of a world.
+
+    Attributes
+    ----------
+    entry, number : int
+        Of its entry, and its own there.
+    place_mm, point_mm : (3,) float64
+        World and camera frame.
+    power_w : (channels,) float64
+        Over all directions.
+    along : (3,) float64
+        Way of the light that it scatters, camera frame.
+    phases : PhaseTables
+        By the angle to it.
+    """
+
+    entry: int
+    number: int
+    place_mm: Array
+    point_mm: Array
+    power_w: Array
+    along: Array
+    phases: PhaseTables
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        where = ", ".join(f"{x:g}" for x in self.place_mm)
+        return f"particles[{self.entry}], number {self.number} at ({where}) mm"
+
+    def lit(self, camera: WaveCamera, channel: int, *, hides: bool) -> Lit | None:
+        """Return the particle as the lens sees it at a wavelength; None if it is dark.
+
+        Parameters
+        ----------
+        camera : WaveCamera
+        channel : int
+        hides : bool
+            Look for targets before it.
+
+        Raises
+        ------
+        LfmeshError
+            A target hides it in part, its light changes too much over the opening, or its waves are too wide.
+        """
+        return _named(self.name, lambda: self._lit(camera, channel, hides=hides))
+
+    def _lit(self, camera: WaveCamera, channel: int, *, hides: bool) -> Lit | None:
+        wavelength = camera.scene.wavelengths_nm[channel]
+        refuse_values(camera.scene, self.point_mm, None, 1, TOLERANCE)
+        bundle = camera.looked_at(self.point_mm, wavelength)
+        if not bundle.passes.any():
+            return None
+        if hides:
+            camera.refuse_hidden(self.point_mm, bundle, wavelength)
+        intensity = self._intensity_w_sr(bundle, channel)
+        rays = pupil_rays(bundle, camera.camera, float(camera.sensor_mm[2]), wavelength)
+        extent = Extent.of(camera, wavelength, rays)
+        if extent.misses:
+            return None
+        grid = extent.grid(FINER, f"point_mm = {self.point_mm.tolist()}")
+        return Lit(self.name, self.point_mm, intensity, bundle.place[0], grid.n * grid.step_mm, grid.step_mm)
+
+    def _intensity_w_sr(self, bundle: Bundle, channel: int) -> float:
+        """Return the mean intensity into the lens's opening; refuse one that changes too much over it."""
+        ahead = entering(self.point_mm, bundle)
+        sent = np.empty(len(ahead))
+        evaluate_phases(self.phases, channel, ahead @ self.along / np.linalg.norm(ahead, axis=1), sent)
+        # Rays on the rim are not spread evenly.
+        inside = np.hypot(*bundle.pupil[bundle.passes].T) < INSIDE
+        mean = float(sent[inside].mean()) if inside.any() else float(sent.mean())
+        change = float(np.abs(sent - mean).max()) / mean
+        if change > EVEN:
+            raise LfmeshError(
+                f"the light that it scatters changes by {change:.2g} of its mean over the lens's opening, and point "
+                f"spreads stand for changes up to {EVEN:g}; take smaller particles or a smaller opening"
+            )
+        return float(self.power_w[channel]) * mean
+
+
+def _named(name: str, found: Callable[[], Found]) -> Found | None:
+    """Return what is found of a particle, or None if no light comes of it; name the particle in what is refused."""
+    try:
+        return found()
+    except NoLightError:
+        return None
+    except LfmeshError as error:
+        raise LfmeshError(f'{name}: {error}; or picture particles by rays: transport.diffraction = "none"') from None

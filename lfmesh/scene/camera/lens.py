@@ -508,8 +508,8 @@ class Lens(Model):
 
     file: Text | None = None
     """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
-    optiland .json file, or a table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with
-    lfmesh; it is read in place of `surfaces`."""
+    optiland .json file, or a table .csv, relative to the scene file. Or "lib:" and the name of a lens that comes with
+    lfmesh. It is read in place of `surfaces`."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
@@ -644,7 +644,7 @@ class Lens(Model):
             yield Fault(
                 ("surfaces",),
                 None,
-                "nothing but a stop: a lens needs a surface with glass behind it; for a pinhole camera put a flat "
+                "nothing but a stop: a lens needs a surface with glass behind it. For a pinhole camera put a flat "
                 "window before the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
                 "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
             )

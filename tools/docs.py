@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from docs_gallery import gallery
-from docs_reference import commands_page, python_page, scene_page
+from docs_reference import commands_page, file_pages, python_page
 from sphinx.cmd.build import main as sphinx
 
 from lfmesh.provenance import program
@@ -68,7 +68,7 @@ def copy_sources(place: Path) -> None:
 def write_generated(folder: Path, *, quick: bool) -> None:
     """Write the pages that the program makes of itself."""
     place = folder / "source" / PAGES / "generated"
-    pages = {"scene": scene_page(), "commands": commands_page(), "python": python_page()}
+    pages = {**file_pages(), "commands": commands_page(), "python": python_page()}
     pages["gallery"] = gallery(folder / "renders", place, program_digest(), quick=quick)
     for name, text in pages.items():
         keep(place / f"{name}.md", text.encode())

@@ -15,6 +15,11 @@ import pytest
 import lfmesh
 from lfmesh.cli import app
 from lfmesh.scene import Scene
+from lfmesh.study.datasets.dataset_file import DatasetFile
+from lfmesh.study.metrics.metrics import METRICS
+from lfmesh.study.optimise.design_file import DesignFile
+from lfmesh.study.optimise.figures import FIGURES
+from lfmesh.study.sweeps.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,14 +36,33 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("docs_gallery")
 
 
-def test_the_reference_has_every_table_and_key_of_the_schema(reference: ModuleType) -> None:
-    page, schema = reference.scene_page(), Scene.model_json_schema()
-    for name, table in {"Scene": schema, **schema["$defs"]}.items():
+FILES = {"scene": Scene, "study": StudyFile, "design": DesignFile, "dataset": DatasetFile}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_the_reference_has_every_table_and_key_of_each_kind_of_file(reference: ModuleType, kind: str) -> None:
+    page, schema = reference.file_pages()[kind], FILES[kind].model_json_schema()
+    for name, table in {FILES[kind].__name__: schema, **schema["$defs"]}.items():
         section = page.split(f"\n(table-{name.lower()})=\n")[1].split("\n(table-")[0]
         for key in table["properties"]:
             assert f"\n`{key}`: " in section, f"{name}.{key}"
     assert "(no description)" not in page
-    assert "any value" not in page
+    assert ("any value" in page) == (kind != "scene"), "what a study gives to a path may be anything"
+
+
+def test_names_of_tables_are_those_of_one_page_alone(reference: ModuleType) -> None:
+    pages = reference.file_pages().values()
+    targets = [each for page in pages for each in re.findall(r"^\((table-\w+)\)=$", page, re.MULTILINE)]
+    assert sorted(set(targets)) == sorted(targets)
+
+
+def test_the_reference_lists_every_metric(reference: ModuleType) -> None:
+    pages = reference.file_pages()
+    for name, metric in METRICS.items():
+        (row,) = [line for line in pages["study"].splitlines() if line.startswith(f"| `{name}` |")]
+        assert all(f"`{column.name}`" in row for column in metric.columns)
+    for name in FIGURES:
+        assert sum(f"`{name}`" in line for line in pages["design"].splitlines() if line.startswith("|")) == 1, name
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,60 @@ def test_the_gallery_lists_every_scene_and_shows_what_was_rendered(pictures: Mod
     assert page.count("Not rendered in this build.") == len(scenes) - 1
 
 
+CASE = """
+\"\"\"A truth.
+
+Its source: a_b.
+
+    y = f(x)
+\"\"\"
+import numpy as np
+import pytest
+
+def test_passes():
+    assert abs(1.25 - 1.0) < 0.5
+    assert np.float64(0.1) <= 1
+    assert 2.003 == pytest.approx(2.0, abs=0.004)
+    np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)
+    assert "a" < "b"
+
+def test_fails():
+    np.testing.assert_allclose(1.0, 2.0)
+
+@pytest.mark.skip
+def test_is_left_out():
+    pass
+"""
+
+
+def test_figures_of_the_validation_are_those_that_its_comparisons_have(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    pages = importlib.import_module("docs_validation")
+    path = tmp_path / "tests" / "validation" / "test_case_one.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(CASE)
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "CASES", path.parent)
+    assert pages.validation(tmp_path / "kept", "one", quick=True)[1]
+    page, passed = pages.validation(tmp_path / "kept", "one", quick=False)
+    assert not passed
+    assert "## Case one\n\nA truth.\n\nIts source: a\\_b.\n\n```text\n    y = f(x)\n```\n" in page
+    assert "`tools/test tests/validation/test_case_one.py`: 1 passed, 1 failed, 1 skipped, in" in page
+    (found,) = (tmp_path / "kept").glob("*.json")
+    comparisons = json.loads(found.read_text())["comparisons"]
+    assert {each["what"]: (round(each["value"], 6), round(each["limit"], 6)) for each in comparisons} == {
+        "abs(1.25 - 1.0) < 0.5": (0.25, 0.5),
+        "np.float64(0.1) <= 1": (0.1, 1.0),
+        "2.003 == pytest.approx(2.0, abs=0.004)": (0.003, 0.004),
+        "np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)": (0.3, 1.13),
+    }
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    assert [row.split("|")[2].strip() for row in rows] == ["0.003", "0.25", "0.3"]
+    assert pages.validation(tmp_path / "kept", "two", quick=True)[0].endswith("Not run in this build.\n")
+
+
 @pytest.mark.long
 def test_the_site_builds_without_a_warning_and_loads_nothing_from_the_network(tmp_path: Path) -> None:
     pytest.importorskip("furo")

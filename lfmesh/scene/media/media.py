@@ -86,7 +86,7 @@ class Medium(Model):
     """Scattering coefficient, in 1/mm; a number, or by wavelength."""
     emission_w_mm3_sr: Radiance = 0.0
     """Emission of a cubic millimetre in each direction, in W/(mm³ sr): a number at each wavelength, or in bands over
-    the whole range that they reach; by wavelength in W/(mm³ sr nm), which needs bands."""
+    the whole range that they reach. By wavelength it is in W/(mm³ sr nm), which needs bands."""
     spectrum: SpectralShape | None = None
     """Spectrum of the emission, a number or that of a grid, in any unit; the same at all wavelengths if omitted. Needs
     bands."""

@@ -2,10 +2,11 @@
 
     python -m pytest -p docs_figures -o enable_assertion_pass_hook=true --figures FILE tests/validation/test_codev.py
 
-Comparisons are `assert measured < limit` with numbers on both sides, `==` with `pytest.approx`, and
+Comparisons are `assert measured < limit` with a number on either side, `==` with `pytest.approx`, and
 `np.testing.assert_allclose`. FILE is JSON: the outcome of every test, the seconds, and the comparisons.
 """
 
+import ast
 import json
 import linecache
 import re
@@ -60,8 +61,10 @@ class Figures:
 
     def pytest_assertion_pass(self, orig: str, expl: str) -> None:
         """Keep the numbers of an assertion that has passed."""
-        said = expl.splitlines()[0]
-        if below := BELOW.fullmatch(said):
+        said, written = expl.splitlines()[0], ast.parse(orig.strip(), mode="eval").body
+        # Of low < measured < high pytest tells the second pair alone: a range, no measured difference.
+        single = isinstance(written, ast.Compare) and len(written.ops) == 1
+        if (below := BELOW.fullmatch(said)) and single:
             self._add(orig, *map(float, below.groups()))
         elif near := NEAR.fullmatch(said):
             found, truth, limit = map(float, near.groups())

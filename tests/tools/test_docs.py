@@ -136,6 +136,9 @@ def test_passes():
     assert 2.003 == pytest.approx(2.0, abs=0.004)
     np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)
     assert "a" < "b"
+    assert 0.1 < 0.2 < 0.3
+    assert (0.1
+            < 0.4)
 
 def test_fails():
     np.testing.assert_allclose(1.0, 2.0)
@@ -166,6 +169,7 @@ def test_figures_of_the_validation_are_those_that_its_comparisons_have(
     assert {each["what"]: (round(each["value"], 6), round(each["limit"], 6)) for each in comparisons} == {
         "abs(1.25 - 1.0) < 0.5": (0.25, 0.5),
         "np.float64(0.1) <= 1": (0.1, 1.0),
+        "(0.1 < 0.4)": (0.1, 0.4),
         "2.003 == pytest.approx(2.0, abs=0.004)": (0.003, 0.004),
         "np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)": (0.3, 1.13),
     }

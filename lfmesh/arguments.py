@@ -1,8 +1,10 @@
-"""Arguments of public functions: those of another kind than lfmesh's own classes are refused in one line."""
+"""Arguments of public functions: what is no number, or none of lfmesh's own classes, is refused in one line."""
 
 import inspect
+import reprlib
 from collections.abc import Callable
 from functools import wraps
+from numbers import Real
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -22,7 +24,7 @@ MADE_BY = {
 
 
 def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that refuses other arguments than those of lfmesh's classes which its annotations name.
+    """Return a function that refuses other arguments than the numbers, or lfmesh's classes, which its annotations name.
 
     Parameters whose annotation also names anything else, such as arrays or paths, are left to the function.
     """
@@ -32,7 +34,7 @@ def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
         # Annotations that only a type checker knows.
         return function
     signature = inspect.signature(function, follow_wrapped=False)
-    kinds = {name: found for name in signature.parameters if (found := _own_classes(hints.get(name)))}
+    kinds = {name: found for name in signature.parameters if (found := _classes(hints.get(name)))}
     if not kinds:
         return function
 
@@ -40,22 +42,33 @@ def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
     def checked(*args: Any, **kwargs: Any) -> Any:
         given = dict(zip(signature.parameters, args, strict=False)) | kwargs
         for name, classes in kinds.items():
-            if name in given and not isinstance(given[name], classes):
+            if name in given and not isinstance(given[name], classes) and not _is_number(given[name], classes):
                 raise LfmeshError(_refusal(function.__name__, name, given[name], classes))
         return function(*args, **kwargs)
 
     return checked
 
 
-def _own_classes(annotation: Any) -> tuple[type, ...]:
-    """Return the classes that an annotation allows if some are lfmesh's and the others None; else none."""
+def _classes(annotation: Any) -> tuple[type, ...]:
+    """Return the classes that an annotation allows: lfmesh's, or of a number, and None; none if there are others."""
     classes = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     own = [each for each in classes if each is not type(None)]
+    if own and all(each in (float, int) for each in own):
+        # That a number is whole is for the function to say.
+        return (Real, *(each for each in classes if each is not float))
     plain = all(isinstance(each, type) and each.__module__.startswith("lfmesh.") for each in own)
     return tuple(classes) if own and plain and not any(getattr(each, "_is_protocol", False) for each in own) else ()
 
 
+def _is_number(value: Any, classes: tuple[type, ...]) -> bool:
+    """Tell whether a value is a number in an array without axes, and numbers are allowed."""
+    return Real in classes and getattr(value, "ndim", None) == 0 and isinstance(value.item(), Real)
+
+
 def _refusal(function: str, name: str, value: Any, classes: tuple[type, ...]) -> str:
+    if Real in classes:
+        shown = f'"{value:.60}"' if isinstance(value, str) else reprlib.repr(value)
+        return f"{name} = {shown}: must be a {'whole ' if int in classes else ''}number"
     names = [each.__name__ for each in classes if each is not type(None)]
     ways = [MADE_BY[each] for each in names if each in MADE_BY]
     given = repr(value) if isinstance(value, str) else f"of type {type(value).__name__}"

@@ -3,6 +3,7 @@
 import pickle
 from typing import Any
 
+import numpy as np
 import pytest
 
 import lfmesh as lf
@@ -39,6 +40,25 @@ def test_a_keyword_is_checked_and_none_is_taken_where_it_is_allowed() -> None:
         lf.first_order(scene="s.toml")  # type: ignore[arg-type]
     image = lf.render(small_scene(samples=1))
     assert lf.decode(image, None).data.shape == lf.decode(image, scene=image.scene).data.shape
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [([0.0], "[0.0]"), ("3", '"3"'), ((1.0, 2.0), "(1.0, 2.0)"), ([0] * 99, "[0, 0, 0, 0, 0, 0, ...]")],
+)
+def test_what_is_no_number_is_named_with_its_parameter(value: Any, shown: str) -> None:
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.analyse(small_scene(), height_mm=value)
+    assert str(told.value) == f"height_mm = {shown}: must be a number"
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.analyse(small_scene(), across=value)
+    assert str(told.value) == f"across = {shown}: must be a whole number"
+
+
+@pytest.mark.parametrize("kind", [float, int, np.float32, np.int64, np.array])
+def test_numbers_of_numpy_are_numbers(kind: Any) -> None:
+    with pytest.raises(lf.LfmeshError, match=r"across = 3\S*: must be from 4 to 1000"):
+        lf.analyse(small_scene(), across=kind(3))
 
 
 def test_public_functions_can_be_pickled() -> None:

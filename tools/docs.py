@@ -3,9 +3,9 @@
     tools/docs [FOLDER] [--quick]
 
 The pages and what they link to are copied into FOLDER/source as they lie in the project, so that links hold in both;
-what the program says of itself (scene file, commands, Python names, gallery) is written beside them. Sphinx makes
-FOLDER/html of it, and any warning fails. Renders and notebooks are kept in FOLDER by the digest of their input and of
-the program.
+what the program says of itself (files, commands, Python names, gallery, figures of the validation) is written beside
+them. Sphinx makes FOLDER/html of it, and any warning fails, as does a test of the validation. Renders, notebooks and
+figures are kept in FOLDER by the digest of their input and of the program.
 """
 
 import argparse
@@ -16,7 +16,8 @@ import time
 from pathlib import Path
 
 from docs_gallery import gallery
-from docs_reference import commands_page, python_page, scene_page
+from docs_reference import commands_page, file_pages, python_page
+from docs_validation import validation
 from sphinx.cmd.build import main as sphinx
 
 from lfmesh.provenance import program
@@ -33,12 +34,12 @@ REDIRECT = '<!doctype html><meta http-equiv="refresh" content="0; url=assets/doc
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="tools/docs", description="Build the documentation site.")
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs")
-    parser.add_argument("--quick", action="store_true", help="neither render the gallery nor run the notebooks")
+    parser.add_argument("--quick", action="store_true", help="leave out gallery, notebooks and validation")
     wanted = parser.parse_args(arguments)
     folder = wanted.folder.resolve()
     begun = time.perf_counter()
     copy_sources(folder / "source")
-    write_generated(folder, quick=wanted.quick)
+    valid = write_generated(folder, quick=wanted.quick)
     said = time.perf_counter() - begun
     code = sphinx(
         [
@@ -49,8 +50,10 @@ def main(arguments: list[str]) -> int:
         ]
     )
     (folder / "html" / "index.html").write_text(REDIRECT, encoding="utf-8")
-    print(f"gallery and reference {said:.0f} s, all {time.perf_counter() - begun:.0f} s: {folder}/html/index.html")
-    return code
+    print(f"generated pages {said:.0f} s, all {time.perf_counter() - begun:.0f} s: {folder}/html/index.html")
+    if not valid:
+        print("a test of the validation has failed: see its page", file=sys.stderr)
+    return code if valid else 1
 
 
 def copy_sources(place: Path) -> None:
@@ -65,13 +68,15 @@ def copy_sources(place: Path) -> None:
         keep(place / path, (ROOT / path).read_bytes())
 
 
-def write_generated(folder: Path, *, quick: bool) -> None:
-    """Write the pages that the program makes of itself."""
+def write_generated(folder: Path, *, quick: bool) -> bool:
+    """Write the pages that the program makes of itself; return whether the tests of the validation have passed."""
     place = folder / "source" / PAGES / "generated"
-    pages = {"scene": scene_page(), "commands": commands_page(), "python": python_page()}
+    pages = {**file_pages(), "commands": commands_page(), "python": python_page()}
     pages["gallery"] = gallery(folder / "renders", place, program_digest(), quick=quick)
+    pages["validation"], valid = validation(folder / "validation", program_digest(), quick=quick)
     for name, text in pages.items():
         keep(place / f"{name}.md", text.encode())
+    return valid
 
 
 def keep(path: Path, content: bytes) -> None:

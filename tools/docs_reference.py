@@ -1,9 +1,9 @@
-"""Reference pages that the program writes of itself: the scene file, the commands, the Python names."""
+"""Reference pages that the program writes of itself: the files that it reads, the commands, the Python names."""
 
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from io import StringIO
 from typing import Any
 
@@ -12,6 +12,12 @@ from rich.console import Console
 import lfmesh
 from lfmesh.cli import app
 from lfmesh.scene import Scene
+from lfmesh.scene.model import Model
+from lfmesh.study.datasets.dataset_file import DatasetFile
+from lfmesh.study.metrics.metrics import METRICS
+from lfmesh.study.optimise.design_file import DesignFile
+from lfmesh.study.optimise.figures import FIGURES
+from lfmesh.study.sweeps.study_file import StudyFile
 
 Schema = dict[str, Any]
 
@@ -30,21 +36,68 @@ SUBJECTS = {
 HIDDEN_MEMBERS = "model_config, faults"
 
 
-def scene_page() -> str:
-    """Return the reference of scene files, one section a table, from their JSON Schema."""
-    schema = Scene.model_json_schema()
-    tables = schema.pop("$defs")
-    lines = [
-        "# Scene file",
-        "",
-        "A scene file is TOML. Every number carries its unit in its name. `lfmesh schema` prints this page as JSON",
-        "Schema, by which editors complete; [The scene file](../../../lfmesh/scene/README.md) explains by example.",
-        "",
-        *_section("Scene", schema),
-    ]
+GUIDE = "../../../lfmesh/study/README.md"
+"""To studies, designs and datasets, from a page of the reference."""
+
+
+def file_pages() -> dict[str, str]:
+    """Return the reference of each kind of file that lfmesh reads, one section a table, by the name of the page."""
+    return {
+        "scene": _file_page(
+            Scene,
+            "Scene file",
+            "A scene file is TOML. Every number carries its unit in its name. `lfmesh schema` prints this page as JSON "
+            "Schema, by which editors complete; [The scene file](../../../lfmesh/scene/README.md) explains by example.",
+        ),
+        "study": _file_page(
+            StudyFile,
+            "Study file",
+            f"A study file is TOML, and `lfmesh study` takes it. [Studies]({GUIDE}#the-study-file) explain by example.",
+            *("Metrics and their columns", _metrics()),
+        ),
+        "design": _file_page(
+            DesignFile,
+            "Design file",
+            f"A design file is TOML, and `lfmesh optimise` takes it. [Designs]({GUIDE}#designs) explain by example.",
+            *("Metrics of merit and constraints", _figures()),
+        ),
+        "dataset": _file_page(
+            DatasetFile,
+            "Dataset file",
+            f"A dataset file is TOML, and `lfmesh dataset` takes it. [Datasets]({GUIDE}#datasets) explain by example.",
+        ),
+    }
+
+
+def _file_page(
+    model: type[Model], title: str, about: str, named: str = "", names: Iterable[tuple[str, str]] = ()
+) -> str:
+    """Return the page of a kind of file, with a table of the names that one of its keys takes."""
+    schema = model.model_json_schema()
+    tables = schema.pop("$defs", {})
+    lines = [f"# {title}", "", about, "", *_section(model.__name__, schema)]
     for name in sorted(tables):
         lines += _section(name, tables[name])
+    if named:
+        lines += [f"## {named}", "", "| name | what it is |", "|---|---|"]
+        lines += [f"| {name} | {plain(words)} |" for name, words in names]
     return "\n".join(lines) + "\n"
+
+
+def _metrics() -> Iterator[tuple[str, str]]:
+    """Yield the metrics of studies with the columns that each brings to the table."""
+    for name, metric in METRICS.items():
+        columns = "; ".join(f"`{column.name}`: {column.title}" for column in metric.columns)
+        yield f"`{name}`", columns or "in `times.csv`, as times differ from run to run"
+
+
+def _figures() -> Iterator[tuple[str, str]]:
+    """Yield the figures that a merit may name, those of one title together."""
+    names: dict[str, list[str]] = defaultdict(list)
+    for name, figure in FIGURES.items():
+        names[figure.title].append(f"`{name}`")
+    for title, each in names.items():
+        yield ", ".join(each), title
 
 
 def _section(name: str, table: Schema) -> Iterator[str]:

@@ -33,7 +33,7 @@ TASKS = {
         "compare": "lfmesh compare scene.toml -o comparison/",
         "study": "lfmesh study study.toml -o out/",
         "study merge": "lfmesh study merge study.toml a/ b/ c/ -o out/",
-        "optimise": "lfmesh optimise design.toml -o best/",
+        "optimise": "lfmesh optimise assets/designs/triplet.toml -o best/",
         "fit": "lfmesh fit white.png scene.toml -o fitted/",
         "dataset": "lfmesh dataset template.toml -o data/ --count 100",
         "accuracy": "lfmesh accuracy scene.toml -o report/",

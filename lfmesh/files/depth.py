@@ -81,7 +81,7 @@ def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: ND
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, 3).ravel()
     true = np.where(np.isfinite(truth_mm), truth_mm, np.nan)
-    low, high = _shown_range(depth, true)
+    low, high = shown_range(depth.distance_mm, true) or depth.range_mm
     margin = 0.05 * max(high - low, 0.02 * high)
     scale = {"vmin": low - margin, "vmax": high + margin, "cmap": "viridis"}
     for axes, title, values, shown in (
@@ -101,13 +101,18 @@ def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: ND
     figure.savefig(path, metadata={"Software": None})
 
 
-def _shown_range(depth: DepthMap, true: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the depths that colours span: all of the truth, and nine of ten of what was found."""
-    found = depth.distance_mm[np.isfinite(depth.distance_mm)]
-    ends = true[np.isfinite(true)]
+def shown_range(distance_mm: NDArray[np.floating], truth_mm: NDArray[np.floating]) -> tuple[float, float] | None:
+    """Return the depths that colours span: all of the truth, and nine of ten of what was found; None without any.
+
+    Parameters
+    ----------
+    distance_mm, truth_mm : (t, s) float
+        What was found, and the truth.
+    """
+    found, ends = distance_mm[np.isfinite(distance_mm)], truth_mm[np.isfinite(truth_mm)]
     if found.size:
         ends = np.concatenate([ends, np.percentile(found, [5.0, 95.0])])
-    return (float(ends.min()), float(ends.max())) if ends.size else depth.range_mm
+    return (float(ends.min()), float(ends.max())) if ends.size else None
 
 
 def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) -> None:
@@ -123,7 +128,7 @@ def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) 
         axes.set(xlim=(ends[0] - margin, ends[1] + margin), ylim=(ends[0] - margin, ends[1] + margin))
         beyond = float(((y < ends[0] - margin) | (y > ends[1] + margin)).mean())
         if beyond:
-            axes.set_title(f"{percent(beyond)} of the samples are beyond", fontsize=10, loc="left")
+            axes.set_title(f"{percent(beyond)} of the samples lie outside", fontsize=10, loc="left")
     axes.set(xlabel="truth / mm", ylabel="from the light field / mm")
 
 

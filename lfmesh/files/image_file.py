@@ -101,8 +101,7 @@ def _refuse_impossible(image: Image) -> None:
     # A single replicate has no spread, and NaN stands for its error.
     if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
         raise ValueError("it has standard errors that are negative or infinite")
-    for name in ("seconds", "samples"):
-        value = getattr(image, name)
+    for name, value in {"seconds": image.seconds, "samples": image.samples, **image.timings}.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(f"{name} is {value!r}, no number")
     if isinstance(image.replicates, bool) or not isinstance(image.replicates, int) or image.replicates < 0:
@@ -122,6 +121,7 @@ def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
         replicates=metadata["replicates_finished"],
         samples=metadata["samples_per_pixel"],
         engine=metadata["engine"],
+        timings=metadata.get("timings") or {},
         refinement=Refinement(**metadata["refinement"]) if metadata.get("refinement") else None,
         hits=spectral.parts.get(HITS),
         aim=AimProof.from_dict(metadata["aim"]) if metadata.get("aim") else None,
@@ -189,6 +189,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
         "order": asdict(image.order) if image.order else None,
         "coatings": image.coatings,
         "seconds": image.seconds,
+        "timings": image.timings,
         "ledger": image.ledger.as_dict(),
         "pixels_sha256": pixels_sha256,
     }

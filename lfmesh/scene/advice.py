@@ -172,8 +172,8 @@ def _between_sections(scene: Scene) -> Iterator[str]:
     for i, surface in enumerate(scene.camera.lens.surfaces):
         if surface.form is not None and not surface.form.symmetric:
             yield (
-                f"surface {i} is a {surface.section_key}, not symmetric about x and y: first-order figures, and clear "
-                "apertures that are left out, are those of the sections along x and y; light between them may have its "
+                f"surface {i} is a {surface.section_key}, not symmetric about x and y. First-order figures, and clear "
+                "apertures that are left out, are those of the sections along x and y. Light between them may have its "
                 "image elsewhere, or be cut off"
             )
 

@@ -197,6 +197,6 @@ def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> st
     same = "let both have the same facets there, or " if scene.targets[other].refractor is not None else ""
     return (
         f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {close.gap:.2g} mm apart near "
-        f"({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {close.stand_off:.2g} mm off the curved faces, so "
-        f"rays would miss one of them; {same}leave {reach:.2g} mm or more between them, or take finer meshes"
+        f"({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {close.stand_off:.2g} mm off the curved faces. "
+        f"Rays would miss one of them; {same}leave {reach:.2g} mm or more between them, or take finer meshes"
     )

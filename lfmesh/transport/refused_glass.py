@@ -363,8 +363,8 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             if PART in shares and WHOLE not in shares:
                 lines.append(
                     f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets stand for "
-                    "curved surfaces: rays that pass the cut as near as facets stand off these may be lost, or take "
-                    "one body for the other; finer meshes have less of it"
+                    "curved surfaces. Rays that pass the cut as near as facets stand off these may be lost, or take "
+                    "one body for the other. Finer meshes have less of it"
                 )
     return lines
 

@@ -93,7 +93,7 @@ def test_strange_metadata_is_refused_or_read(image_of: Build, tmp_path: Path, ke
     assert refused > len(STRANGE) / 2
 
 
-@pytest.mark.parametrize("key", ["refinement", "aim", "blind", "order", "coatings", "inputs"])
+@pytest.mark.parametrize("key", ["refinement", "aim", "blind", "order", "coatings", "timings", "inputs"])
 def test_strange_optional_metadata_is_refused(image_of: Build, tmp_path: Path, key: str) -> None:
     written_anew(tmp_path, image_of(), **{key: [1, 2]})
     assert "raw.exr" in refusal(tmp_path)

@@ -20,6 +20,7 @@ from lfmesh.scene import Scene, first_order, load
 from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.render.certainty import Certainty
 from lfmesh.view.request import subject_of
+from tests.study.studies import small_scene
 
 Build = Callable[..., lf.Image]
 
@@ -42,6 +43,19 @@ def test_round_trip(image_of: Build, tmp_path: Path) -> None:
     assert back.complete
     assert back.hits is None
     assert back.order is None
+
+
+def test_the_seconds_of_a_run_stand_in_the_header_of_its_image_and_in_its_report(tmp_path: Path) -> None:
+    image = lf.render(small_scene(samples=1))
+    spent = image.timings
+    assert 0.0 < spent["thread_seconds"] <= spent["threads"] * spent["tracing_seconds"]
+    assert spent["tracing_seconds"] == image.seconds
+    run.save(image, tmp_path)
+    assert run.open_run(tmp_path).timings == spent
+    with OpenEXR.File(str(tmp_path / "raw.exr"), separate_channels=True) as file:
+        header = json.loads(file.parts[0].header["lfmesh"])
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert header["timings"] == report["timings"] == spent
 
 
 def test_what_the_order_of_the_surfaces_was_compared_with_is_kept(image_of: Build, tmp_path: Path) -> None:

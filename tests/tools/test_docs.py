@@ -15,6 +15,11 @@ import pytest
 import lfmesh
 from lfmesh.cli import app
 from lfmesh.scene import Scene
+from lfmesh.study.datasets.dataset_file import DatasetFile
+from lfmesh.study.metrics.metrics import METRICS
+from lfmesh.study.optimise.design_file import DesignFile
+from lfmesh.study.optimise.figures import FIGURES
+from lfmesh.study.sweeps.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,14 +36,33 @@ def pictures(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("docs_gallery")
 
 
-def test_the_reference_has_every_table_and_key_of_the_schema(reference: ModuleType) -> None:
-    page, schema = reference.scene_page(), Scene.model_json_schema()
-    for name, table in {"Scene": schema, **schema["$defs"]}.items():
+FILES = {"scene": Scene, "study": StudyFile, "design": DesignFile, "dataset": DatasetFile}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_the_reference_has_every_table_and_key_of_each_kind_of_file(reference: ModuleType, kind: str) -> None:
+    page, schema = reference.file_pages()[kind], FILES[kind].model_json_schema()
+    for name, table in {FILES[kind].__name__: schema, **schema["$defs"]}.items():
         section = page.split(f"\n(table-{name.lower()})=\n")[1].split("\n(table-")[0]
         for key in table["properties"]:
             assert f"\n`{key}`: " in section, f"{name}.{key}"
     assert "(no description)" not in page
-    assert "any value" not in page
+    assert ("any value" in page) == (kind != "scene"), "what a study gives to a path may be anything"
+
+
+def test_names_of_tables_are_those_of_one_page_alone(reference: ModuleType) -> None:
+    pages = reference.file_pages().values()
+    targets = [each for page in pages for each in re.findall(r"^\((table-\w+)\)=$", page, re.MULTILINE)]
+    assert sorted(set(targets)) == sorted(targets)
+
+
+def test_the_reference_lists_every_metric(reference: ModuleType) -> None:
+    pages = reference.file_pages()
+    for name, metric in METRICS.items():
+        (row,) = [line for line in pages["study"].splitlines() if line.startswith(f"| `{name}` |")]
+        assert all(f"`{column.name}`" in row for column in metric.columns)
+    for name in FIGURES:
+        assert sum(f"`{name}`" in line for line in pages["design"].splitlines() if line.startswith("|")) == 1, name
 
 
 @pytest.mark.parametrize(
@@ -94,6 +118,64 @@ def test_the_gallery_lists_every_scene_and_shows_what_was_rendered(pictures: Mod
     assert {line.removeprefix("## ") for line in page.splitlines() if line.startswith("## ")} == scenes
     assert (tmp_path / "pages" / "conventional-preview.png").is_file()
     assert page.count("Not rendered in this build.") == len(scenes) - 1
+
+
+CASE = """
+\"\"\"A truth.
+
+Its source: a_b.
+
+    y = f(x)
+\"\"\"
+import numpy as np
+import pytest
+
+def test_passes():
+    assert abs(1.25 - 1.0) < 0.5
+    assert np.float64(0.1) <= 1
+    assert 2.003 == pytest.approx(2.0, abs=0.004)
+    np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)
+    assert "a" < "b"
+    assert 0.1 < 0.2 < 0.3
+    assert (0.1
+            < 0.4)
+
+def test_fails():
+    np.testing.assert_allclose(1.0, 2.0)
+
+@pytest.mark.skip
+def test_is_left_out():
+    pass
+"""
+
+
+def test_figures_of_the_validation_are_those_that_its_comparisons_have(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    pages = importlib.import_module("docs_validation")
+    path = tmp_path / "tests" / "validation" / "test_case_one.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(CASE)
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "CASES", path.parent)
+    assert pages.validation(tmp_path / "kept", "one", quick=True)[1]
+    page, passed = pages.validation(tmp_path / "kept", "one", quick=False)
+    assert not passed
+    assert "## Case one\n\nA truth.\n\nIts source: a\\_b.\n\n```text\n    y = f(x)\n```\n" in page
+    assert "`tools/test tests/validation/test_case_one.py`: 1 passed, 1 failed, 1 skipped, in" in page
+    (found,) = (tmp_path / "kept").glob("*.json")
+    comparisons = json.loads(found.read_text())["comparisons"]
+    assert {each["what"]: (round(each["value"], 6), round(each["limit"], 6)) for each in comparisons} == {
+        "abs(1.25 - 1.0) < 0.5": (0.25, 0.5),
+        "np.float64(0.1) <= 1": (0.1, 1.0),
+        "(0.1 < 0.4)": (0.1, 0.4),
+        "2.003 == pytest.approx(2.0, abs=0.004)": (0.003, 0.004),
+        "np.testing.assert_allclose([1.0, 10.0, np.nan], [1.0, 10.3, np.nan], atol=0.1, rtol=0.1)": (0.3, 1.13),
+    }
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    assert [row.split("|")[2].strip() for row in rows] == ["0.003", "0.25", "0.3"]
+    assert pages.validation(tmp_path / "kept", "two", quick=True)[0].endswith("Not run in this build.\n")
 
 
 @pytest.mark.long

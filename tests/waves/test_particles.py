@@ -199,7 +199,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_many_particles_without_an_array_are_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between few spreads, within a hundredth of the light of their own; half of a cell's error would be enough."""
+    """Between few spreads, within a hundredth of the light of their own."""
     grains = POINT | {"count": 80, "bounds": {"kind": "box", "size_mm": (14.0, 14.0, 160.0)}}
     given = scene(particles=[grains])
     own = own_pictures(given)

@@ -130,8 +130,8 @@ def _coarser_in_words(factor: float, tolerance_mm: float | None, seconds: int) -
         return ""
     asked = f"tolerance_mm = {tolerance_mm:g}" if tolerance_mm else "usual"
     return (
-        f"making its facets took more than {math.ceil(COARSER[0][1] * seconds)} s of processor time; they are coarser "
-        f"and lie up to {factor:g} times as far off its surfaces as {asked}; set the environment variable {SECONDS} to "
+        f"making its facets took more than {math.ceil(COARSER[0][1] * seconds)} s of processor time. They are coarser "
+        f"and lie up to {factor:g} times as far off its surfaces as {asked}. Set the environment variable {SECONDS} to "
         f"more than {seconds}, or give a larger tolerance_mm"
     )
 

@@ -93,16 +93,16 @@ class Surface(Model):
     """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
     { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
     qbfs: Qbfs | None = None
-    """Forbes' mild asphere, with the same keys, without `asphere_mm` and `qcon`: a deviation along the normal of the
-    sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`; at the vertex the surface has another
-    radius."""
+    """Forbes' mild asphere, with the same keys, without `asphere_mm` and `qcon`. It is a deviation along the normal of
+    the sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`. At the vertex the surface has
+    another radius."""
 
     biconic: Biconic | None = None
     """Another section in x: `radius_mm` and `conic` are then those of the section y–z, and this gives those of the
     section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }."""
     toroid: Toroid | None = None
     """A circle in x: the curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) in the section y–z turns about
-    a line parallel to y, such as { radius_x_mm = 40.0 }; inf shifts it along x, a cylinder."""
+    a line parallel to y, such as { radius_x_mm = 40.0 }. With inf it is shifted along x: a cylinder."""
 
     paraxial: Flag = False
     """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
@@ -508,8 +508,8 @@ class Lens(Model):
 
     file: Text | None = None
     """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
-    optiland .json file, or a table .csv, relative to the scene file, or "lib:" and the name of a lens that comes with
-    lfmesh; it is read in place of `surfaces`."""
+    optiland .json file, or a table .csv, relative to the scene file. Or "lib:" and the name of a lens that comes with
+    lfmesh. It is read in place of `surfaces`."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
@@ -644,7 +644,7 @@ class Lens(Model):
             yield Fault(
                 ("surfaces",),
                 None,
-                "nothing but a stop: a lens needs a surface with glass behind it; for a pinhole camera put a flat "
+                "nothing but a stop: a lens needs a surface with glass behind it. For a pinhole camera put a flat "
                 "window before the stop, such as { thickness_mm = 1.0, index = 1.5, semi_diameter_mm = 10.0 }, "
                 "{ thickness_mm = 1.0, semi_diameter_mm = 10.0 }",
             )

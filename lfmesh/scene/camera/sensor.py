@@ -29,9 +29,9 @@ class Sensor(Model):
     """Cover glass before the pixels. It lies between the array, or the lens, and the sensor, and does not move the
     sensor: it moves the image away from the lens, by t (1 - 1/n), which a `distance_mm` that is omitted follows."""
     bands: Bands | None = None
-    """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`: a list of bands, or
-    "rgb" (Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm) or
-    "xyz" (the CIE 1931 colour-matching functions from 380 to 780 nm). A pixel's value is the power by wavelength,
+    """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`. A list of bands, or
+    "rgb": Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm. Or
+    "xyz": the CIE 1931 colour-matching functions from 380 to 780 nm. A pixel's value is the power by wavelength,
     weighted with the response. First-order optics takes the centroid of the first band's response."""
     pose: Pose = Field(default_factory=Pose)
     """Installation error, about the sensor's centre."""

@@ -51,9 +51,9 @@ Polarisation = Annotated[LinearPolarisation | CircularPolarisation, Field(discri
 
 class _Shines(Model):
     spectrum: Shape | None = None
-    """Spectrum of its power, in any unit: an illuminant's name such as "D65", a table
-    { wavelengths_nm = [...], values = [...] }, a CSV file with the columns wavelength_nm and value, or
-    { blackbody_k = ... }; the same at all wavelengths if omitted. Needs bands."""
+    """Spectrum of its power, in any unit; the same at all wavelengths if omitted. An illuminant's name such as "D65",
+    a table { wavelengths_nm = [...], values = [...] }, a CSV file with the columns wavelength_nm and value, or
+    { blackbody_k = ... }. Needs bands."""
 
 
 class PointLight(_Shines):

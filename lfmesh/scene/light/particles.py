@@ -133,8 +133,8 @@ class MeasuredDisplacement(Model):
     kind: Literal["file"] = "file"
     """Kind of displacement field."""
     file: FilePath
-    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm, whose places
-    are all nodes of a grid with edges along x, y, z, in any order; particles beyond it are not moved."""
+    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm. The
+    places are all nodes of a grid with edges along x, y, z, in any order. Particles beyond it are not moved."""
 
 
 Displacement = Annotated[

@@ -42,9 +42,9 @@ class Grid(Model):
     """A voxel grid in a file."""
 
     file: FilePath
-    """A `.npz` file, relative to the scene file, with arrays [x, y, z] named absorption_per_mm, scattering_per_mm,
-    emission_w_mm3_sr or temperature_k, with spacing_mm and, if its middle is not the medium's own origin, origin_mm
-    (centre of voxel 0); a `.npy` file with a single array; or VTK image data, `.vti`, with arrays named so, in mm."""
+    """A file relative to the scene file: `.npz`, `.npy` with a single array, or VTK image data, `.vti`, in mm. Arrays
+    [x, y, z] are named absorption_per_mm, scattering_per_mm, emission_w_mm3_sr or temperature_k. A `.npz` file also has
+    spacing_mm and, if its middle is not the medium's own origin, origin_mm (centre of voxel 0)."""
     quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
     """Quantity in the array of a `.npy` file, or in the only one of a `.vti` file."""
     spacing_mm: tuple[Positive, Positive, Positive] | None = None
@@ -86,7 +86,7 @@ class Medium(Model):
     """Scattering coefficient, in 1/mm; a number, or by wavelength."""
     emission_w_mm3_sr: Radiance = 0.0
     """Emission of a cubic millimetre in each direction, in W/(mm³ sr): a number at each wavelength, or in bands over
-    the whole range that they reach; by wavelength in W/(mm³ sr nm), which needs bands."""
+    the whole range that they reach. By wavelength it is in W/(mm³ sr nm), which needs bands."""
     spectrum: SpectralShape | None = None
     """Spectrum of the emission, a number or that of a grid, in any unit; the same at all wavelengths if omitted. Needs
     bands."""

@@ -41,8 +41,8 @@ class Tank(Model):
     liquid: Liquid
     """Liquid inside the walls."""
     open: Side | None = None
-    """The side that has no wall, where the liquid reaches to the end of the other walls: "top", its own +y, or
-    "front", its own +z, which looks at the camera where the tank is not turned. Omitted: it is closed."""
+    """The side that has no wall, where the liquid reaches to the end of the other walls. "top" is its own +y. "front"
+    is its own +z, which looks at the camera where the tank is not turned. Omitted: it is closed."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of its centre, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)

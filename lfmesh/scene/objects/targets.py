@@ -161,15 +161,15 @@ class Target(BodyFile):
     shape: Shape | None = None
     """A primitive shape. Or give `file`."""
     materials: Literal["file", "colours", "ignore"] | None = None
-    """Use of the mesh file's own materials. "file": those of a glTF file whole: base colour, metallic,
-    roughness and alpha, facet by facet; then the target has no `material`. "colours": their base colours and pictures
-    alone, which multiply the reflectance and the radiance of `material`; its own texture replaces them. "ignore":
+    """Use of the mesh file's own materials. "file": those of a glTF file whole, base colour, metallic,
+    roughness and alpha, facet by facet. Then the target has no `material`. "colours": their base colours and pictures
+    alone, which multiply the reflectance and the radiance of `material`. Its own texture replaces them. "ignore":
     nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
     else "colours"."""
     normals: Literal["file", "facets"] = "file"
-    """Normals by which a mesh file's surface is shaded: those at its vertices, interpolated, where the file has any
-    (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant; or those of its facets. What a ray meets,
-    on which side, and what is in shadow follows the facets."""
+    """Normals by which a mesh file's surface is shaded. "file": those at its vertices, interpolated, where the file has
+    any (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant. "facets": those of its facets. What a
+    ray meets, on which side, and what is in shadow follows the facets."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the target's own origin, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)

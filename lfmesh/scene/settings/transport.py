@@ -31,8 +31,8 @@ def _usual_replicates(before: dict[str, Any]) -> int:
 class Tessellation(Model):
     """Tessellation of the lens's surfaces.
 
-    Without a tolerance the meshes follow the scene: with `exact` they are as coarse as the smallest gap between two
-    surfaces allows, with the other levels so fine that their estimated error at the sensor is below a tenth of a pixel.
+    Without a tolerance the meshes follow the scene. With `exact` they are as coarse as the smallest gap between two
+    surfaces allows. With the other levels their estimated error at the sensor is below a tenth of a pixel.
     """
 
     sag_mm: Positive | None = None

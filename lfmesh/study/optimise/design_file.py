@@ -1,19 +1,23 @@
 """The design file: a scene, the numbers of it that may vary, and what makes a camera good."""
 
+import difflib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from lfmesh.scene.model import Fault, Model, nearest
+from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.quantities import Count, FractionOfOne, Number, ObjectDistance, Positive, Text, Whole
-from lfmesh.study.optimise.figures import FIGURES, LISTED_FIGURES, figure_named
+from lfmesh.study.optimise.figures import FIGURES, figure_named
 from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.study_file import read_tables
 
 MOST_ACROSS, MOST_STARTS = 100, 10_000
 """Bounds of what is asked of a search: more rays, or cameras to begin with, would fill the memory."""
+
+ALL_FIGURES = 'All of them: "Designs" in lfmesh/study/README.md, "Design file" in the reference of the documentation'
+"""Place of the list of figures, in the words of a message."""
 
 
 class Variable(Model):
@@ -68,8 +72,8 @@ class Goal(Model):
         """Yield what is wrong with the figure."""
         figure = figure_named(self.metric)
         if figure is None:
-            valid = f"unknown metric{nearest(self.metric, FIGURES)}; there are {LISTED_FIGURES}"
-            yield Fault(("metric",), self.metric, valid)
+            close = ", ".join(difflib.get_close_matches(self.metric, FIGURES, n=3, cutoff=0.0))
+            yield Fault(("metric",), self.metric, f"unknown metric; the nearest are {close}. {ALL_FIGURES}")
             return
         if self.field is not None and figure.source != "rays":
             yield Fault(("field",), self.field, f"omit it: {self.metric} is not of a field")
@@ -184,7 +188,7 @@ class DesignFile(Model):
     rays: Rays = Field(default_factory=Rays)
     """The rays that are sent."""
     search: Search = Field(default_factory=Search)
-    """The search for the best camera."""
+    """Method of the search, and its length."""
     variables: tuple[Variable, ...] = ()
     """Quantities that may vary."""
     merit: tuple[Term, ...] = ()

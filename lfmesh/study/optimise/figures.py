@@ -141,8 +141,6 @@ FIGURES: dict[str, Figure] = {
 }
 """All figures by name."""
 
-LISTED_FIGURES = ", ".join(FIGURES)
-
 
 def figure_named(name: str) -> Figure | None:
     """Return a figure; None where there is none of this name."""

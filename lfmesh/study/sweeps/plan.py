@@ -22,7 +22,7 @@ from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
 from lfmesh.study.sweeps.paths import value_at
-from lfmesh.study.sweeps.study_file import StudyFile, refused
+from lfmesh.study.sweeps.study_file import StudyFile, refused, unknown_metrics
 from lfmesh.study.tolerances.error_modes import TEMPLATES
 from lfmesh.study.tolerances.largest_change import Search
 
@@ -346,9 +346,10 @@ def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
             f"batches = {batches}: must divide transport.replicates = {transport.replicates} into equal parts of "
             f"{LEAST_REPLICATES} at least"
         )
+    yield from unknown_metrics(study.metrics)
     if "efficiency" in study.metrics and "noise" not in study.metrics:
         yield "metrics: efficiency is 1/(noise² · time); add noise"
-    for name in study.metrics:
+    for name in filter(METRICS.get, study.metrics):
         if why := METRICS[name].why_unknown(scene):
             yield f"metrics: {name} {why}"
 

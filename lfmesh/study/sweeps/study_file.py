@@ -1,7 +1,7 @@
 """The study file: a scene, what varies, what is measured."""
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.files import read_text
+from lfmesh.scene.literals import literal
 from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
 from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 from lfmesh.study.metrics.metrics import METRICS, columns_of
@@ -74,11 +75,6 @@ class StudyFile(Model):
             yield Fault(("axes",), None, "missing: what varies; or give a template")
         if self.template is not None and self.template not in TEMPLATES:
             yield Fault(("template",), self.template, f"must be one of {', '.join(TEMPLATES)}")
-        for i, name in enumerate(self.metrics):
-            if name not in METRICS:
-                yield Fault(
-                    ("metrics", i), name, f"unknown metric{nearest(name, METRICS)}; there are {', '.join(METRICS)}"
-                )
         if not self.metrics:
             yield Fault(("metrics",), [], "must not be empty")
         columns = {each.name: each for each in columns_of(tuple(filter(METRICS.get, self.metrics))) if each.worse}
@@ -135,18 +131,35 @@ class StudyFile(Model):
                 yield Fault(("axes", i, "count"), None, f"missing: how many values {axis.way} gives")
 
 
+def unknown_metrics(names: object) -> Iterator[str]:
+    """Yield what is wrong with the names of metrics, a line each; a value that is no list of names has its own fault.
+
+    Apart from `StudyFile.faults`, so that a file whose fields are wrong, and a plan whose paths lead nowhere, name them
+    among their faults.
+    """
+    for i, name in enumerate(names if isinstance(names, list | tuple) else ()):
+        if isinstance(name, str) and name not in METRICS:
+            close, there_are = nearest(name, METRICS), ", ".join(METRICS)
+            yield f"metrics[{i}] = {literal(name)}: unknown metric{close}; there are {there_are}"
+
+
 def read_study(path: Path) -> StudyFile:
-    """Read a study file.
+    """Read a study file; the names of its metrics are left to the plan.
 
     Raises
     ------
     LfmeshError
         It cannot be read, is no TOML, or no valid study: one line for each fault.
     """
-    return read_tables(path, StudyFile, "study")
+    return read_tables(path, StudyFile, "study", lambda data: unknown_metrics(data.get("metrics")))
 
 
-def read_tables(path: Path, kind: type[Tables], called: FileKind) -> Tables:
+def read_tables(
+    path: Path,
+    kind: type[Tables],
+    called: FileKind,
+    beside: Callable[[dict[str, Any]], Iterator[str]] = lambda _: iter(()),
+) -> Tables:
     """Read a TOML file that holds one model.
 
     Parameters
@@ -154,6 +167,8 @@ def read_tables(path: Path, kind: type[Tables], called: FileKind) -> Tables:
     path : Path
     kind : type of Model
     called : {"study", "dataset", "design"}
+    beside : callable
+        Given what the file holds, yields faults that are named beside those of the model.
 
     Raises
     ------
@@ -171,7 +186,7 @@ def read_tables(path: Path, kind: type[Tables], called: FileKind) -> Tables:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        raise refused(str(path), fault_lines(error, data)) from None
+        raise refused(str(path), [*fault_lines(error, data), *beside(data)]) from None
 
 
 def refused(name: str, faults: list[str]) -> LfmeshError:

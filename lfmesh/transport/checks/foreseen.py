@@ -50,8 +50,8 @@ def _folded(world: World) -> Iterator[PictureWarning]:
     if folded:
         whole = folded + sum(len(np.unique(tree.patches["facet"])) for tree in trees)
         yield FoldedPatchesWarning(
-            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch: rays that graze them, "
-            "within what the facets stand off the curved surface, may go on as if there were no glass; take finer "
+            f"{folded} of {whole} facets of curved glass have normals that fit no smooth patch. Rays that graze them, "
+            "within what the facets stand off the curved surface, may go on as if there were no glass. Take finer "
             "facets with normals that fit them (crease_deg has them estimated)"
         )
 

@@ -166,9 +166,9 @@ def _blind(scene: Scene, blind: BlindCheck | None) -> Iterator[PictureWarning]:
     if scene.transport.method == "forward":
         others, other = "paths traced back from some pixels", 'the default, method = "adjoint"'
     yield BlindCheckWarning(
-        f"the picture is wrong by more than its error says: in one of {rows} × {columns} blocks of pixels, {others} "
+        f"the picture is wrong by more than its error says. In one of {rows} × {columns} blocks of pixels, {others} "
         f"found {'more' if blind.worst > 0.0 else 'less'} light than it has, by {abs(blind.worst):.1f} standard "
-        f"errors; do not use it: take many more samples, or compare with {other}"
+        f"errors. Do not use it: take many more samples, or compare with {other}"
     )
 
 
@@ -221,9 +221,9 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
     if heavy is None or heavy.share < HEAVY_SHARE:
         return
     yield HeavyPathsWarning(
-        f"few paths bring much of the light: in {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
+        f"few paths bring much of the light. In {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
         f"pixel holds much of it, up to {percent(heavy.held)}, by paths {heavy.heavier:.2g} times as heavy as the "
-        "others'; pixels that met none lack that light, and their errors are too small; take many more samples"
+        "others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
     )
 
 
@@ -238,9 +238,9 @@ def _unmet_paths(image: "Image") -> Iterator[PictureWarning]:
     lit = np.count_nonzero(image.hits)
     if unmet > UNMET_SHARE * lit:
         yield HeavyPathsWarning(
-            f"few paths bring much of the light: in {percent(unmet / lit)} of the pixels with light, one such path as "
-            f"their neighbours met would bring more than {UNMET:g} times what all others have brought; pixels that met "
-            "none lack that light, which `upper` bounds and their errors do not tell; take many more samples"
+            f"few paths bring much of the light. In {percent(unmet / lit)} of the pixels with light, one such path as "
+            f"their neighbours met would bring more than {UNMET:g} times what all others have brought. Pixels that met "
+            "none lack that light, which `upper` bounds and their errors do not tell. Take many more samples"
         )
 
 
@@ -264,7 +264,7 @@ def _few_samples(image: "Image") -> Iterator[PictureWarning]:
     share = few_hits_share(image, lit_pixels(image.mean))
     if share is not None and share > FEW_SHARE:
         yield TooFewSamplesWarning(
-            f"too few samples to tell the noise well: in {percent(share)} of the lit pixels less than {FEW_HITS} found "
-            "light, so that edges, and light that few paths find, may be missing in picture and error; take more "
+            f"too few samples to tell the noise well. In {percent(share)} of the lit pixels less than {FEW_HITS} found "
+            "light. Edges, and light that few paths find, may be missing in picture and error. Take more "
             f"samples than {image.samples:g} a pixel"
         )

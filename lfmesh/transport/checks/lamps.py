@@ -36,9 +36,9 @@ def lamps_in_field(world: World) -> Iterator[PictureWarning]:
         )
         if scatters and isinstance(light, DiskLight):
             yield HeavyPathsWarning(
-                f"lights[{number}], a disk, stands in the field of a scene with media that scatter: where lines of "
-                "sight cross the plane of the disk few paths bring much of the light, and errors and upper bounds of "
-                "single pixels are too small; take many more samples, or a point lamp"
+                f"lights[{number}], a disk, stands in the field of a scene with media that scatter. Where lines of "
+                "sight cross the plane of the disk, few paths bring much of the light, and errors and upper bounds of "
+                "single pixels are too small. Take many more samples, or a point lamp"
             )
 
 
@@ -88,7 +88,7 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
             if world.scene.targets[target].refractor is None and near < reach:
                 yield HeavyPathsWarning(
                     f"lights[{number}] stands {near:.2g} mm from {named_target(world.scene, target)}, of which few "
-                    "samples meet the spot that it lights: the picture may be too dark, and its error too small; move "
+                    "samples meet the spot that it lights. The picture may be too dark, and its error too small. Move "
                     f'the lamp {reach:.2g} mm or more away, take more samples, or method = "forward"'
                 )
 

@@ -119,11 +119,11 @@ class Image(Pictured):
     def error(self) -> NDArray[np.float64]:
         """Pooled standard error of each pixel, (H, W, wavelengths) float64, W; of a single part computed at each call.
 
-        Of each part of the image the variance is the mean of the pixel's own and that of a pool: the pixel, the eight
-        around it and those at its place in the adjacent micro-images, as far as they are as bright (within a factor of
-        1.5) and lie where the picture is as steep (within a factor of 2), or where both have few hits, as far as these
-        differ by no more than chance; of a part that few samples of nearly any
-        pixel found, all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
+        Of each part of the image the variance is the mean of the pixel's own and that of a pool. The pool holds the
+        pixel, the eight around it and those at its place in the adjacent micro-images, as far as they are as bright
+        (within a factor of 1.5) and lie where the picture is as steep (within a factor of 2). Where both have few hits,
+        it holds those whose hits differ by no more than chance. Of a part that few samples of nearly any pixel found,
+        it holds all such pixels. The pool makes up for the few replicates of one pixel. NaN with fewer than two
         replicates.
         """
         if self.certainty is not None:

@@ -114,7 +114,7 @@ def _tabulated(
             ) from None
         raise SceneError(
             f"coatings.{name}: its reflectance changes too fast with the angle for a table (error "
-            f"{error.args[0]:.1g}): {_size(coating)}; give fewer or thinner layers, none of a lower index than both "
+            f"{error.args[0]:.1g}): {_size(coating)}. Give fewer or thinner layers, none of a lower index than both "
             "glasses that light resonates between, and between equal glasses none of nearly their index"
         ) from None
     values = np.stack([table.coefficients.ravel() for table in tables], axis=1)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from lfmesh.files import exr, run
 from lfmesh.files.calibration import read_calibration
-from lfmesh.files.depth import ESTIMATE
+from lfmesh.files.depth import ESTIMATE, shown_range
 from lfmesh.files.field import open_field
 from lfmesh.geometry.array.lattice import centre
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
@@ -78,6 +78,7 @@ class FieldViews:
         self.upright = Upright.of(image.scene)
         depth = folder / ESTIMATE
         self.depth_mm = exr.read_map(depth, ("Z",)) if depth.is_file() else None
+        self._true_depth_mm = exr.read_map(depth, ("truth", "Z")) if depth.is_file() else None
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -157,9 +158,8 @@ class FieldViews:
         return int(np.argmin([abs(1.0 / plane - 1.0 / focus) for plane in self.planes_mm]))
 
     def depth(self) -> tuple[Picture, float, float] | None:
-        """Return the depth map in colours with its nearest and farthest distance, mm; None if the run has none."""
-        if self.depth_mm is None:
+        """Return the depth map in colours with the distances at their ends, mm; None if the run has none."""
+        if self.depth_mm is None or self._true_depth_mm is None:
             return None
-        known = self.depth_mm[np.isfinite(self.depth_mm)]
-        low, high = (float(value) for value in np.percentile(known, [1.0, 99.0])) if known.size else (0.0, 1.0)
+        low, high = shown_range(self.depth_mm, self._true_depth_mm) or (0.0, 1.0)
         return coloured(self.depth_mm, low, high), low, high

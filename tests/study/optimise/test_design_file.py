@@ -56,7 +56,7 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "whole number": ({"variables": [{"path": "camera.sensor.pixels[0]", "range": [50.0, 150.0]}]}, ["a whole number"]),
     "twice": ({"variables": [VARIABLE, VARIABLE]}, ["variables[1].path", "is a variable already"]),
     "unknown metric": (
-        {"merit": [{"metric": "spot_rms"}]}, ['merit[0].metric = "spot_rms"', "did you mean 'spot_rms_mm'"],
+        {"merit": [{"metric": "spot_rms"}]}, ['merit[0].metric = "spot_rms"', "the nearest are spot_rms_mm,"],
     ),
     "no target": ({"merit": [{"metric": "efl_mm"}]}, ["merit[0].target: missing", "efl_mm"]),
     "weight": ({"merit": [{**TERM, "weight": -1.0}]}, ["merit[0].weight = -1.0", "above 0"]),
@@ -211,6 +211,7 @@ def test_the_exit_code_says_that_a_limit_is_not_kept(tmp_path: Path, capsys: pyt
     ("more", "words"),
     [
         (["[[merit]]", 'metric = "spotrms"'], ["design.toml", "merit[1].metric", "unknown metric"]),
+        (["[[merit]]", 'metric = "efl"'], ["the nearest are efl_mm,", "lfmesh/study/README.md"]),
         (["[[variables]]"], ["design.toml", "variables[2].path", "missing"]),
         (["=="], ["design.toml", "not valid TOML"]),
     ],
@@ -221,6 +222,7 @@ def test_the_command_names_file_and_fault(
     assert main(["optimise", str(write_design(tmp_path, *more)), "-o", str(tmp_path / "best")]) == 2
     complaint = " ".join(capsys.readouterr().err.split())
     assert all(word in complaint for word in words), complaint
+    assert len(complaint) < 400
     assert not (tmp_path / "best").exists()
 
 

@@ -51,6 +51,29 @@ values = [70.0]
     assert "add refocus = true" in text
 
 
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [
+        ("paired = 3", "paired = 3: must be true or false"),
+        ('design = "sobol"', "count: missing"),
+        ('[[axes]]\npath = "transport.sed"\nvalues = [1]', "did you mean 'seed'"),
+        ('[[axes]]\npath = "transport.samples"\nvalues = [1]\nfoo = 1', "axes[1].foo: unknown key"),
+    ],
+    ids=["of a value", "between keys", "of a path", "of an axis"],
+)
+def test_a_metric_that_does_not_exist_is_named_beside_any_other_fault(tmp_path: Path, fault: str, why: str) -> None:
+    axis = '[[axes]]\npath = "transport.seed"\nrange = [0, 1]\n' + ("" if "sobol" in fault else "count = 2\n")
+    text = f"{axis}{fault}" if fault.startswith("[[") else f"{fault}\n{axis}"
+    path = write(tmp_path, text)
+    path.write_text(path.read_text().replace('"light"', '"light", "psnrr"'))
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.Study.load(path)
+    first, *lines = str(told.value).splitlines()
+    assert first.endswith("2 faults")
+    assert any(why in line for line in lines)
+    assert "metrics[1] = \"psnrr\": unknown metric (did you mean 'psnr'?)" in lines[-1]
+
+
 def test_points_that_give_an_invalid_camera_are_named() -> None:
     axes = [
         {"path": "camera.mla.pitch_mm", "values": [0.5, -0.5, 9.0]},

@@ -100,3 +100,20 @@ def test_depth_is_shown_where_the_run_has_it(
     known = np.isfinite(distance)
     assert (picture[known & (distance < 500.0)] == near).all()
     assert (picture[known & (distance > 500.0)] == far).all()
+
+
+def test_colours_of_depth_span_the_truth_whatever_single_samples_say(
+    tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
+) -> None:
+    scene = camera("square")
+    columns, rows = scene.camera.sensor.pixels
+    image = image_of(scene, np.ones((rows, columns)))
+    run.save(image, tmp_path / "run")
+    truth = np.full((12, 14), 300.0, np.float32)
+    truth[:, 7:] = 700.0
+    found = np.full((12, 14), 500.0, np.float32)
+    found[0, :2] = 5.0, 1e6
+    exr.write_maps(tmp_path / "run" / "depth.exr", {"Z": found, "truth": truth}, {})
+    shown = FieldViews(image, tmp_path / "run").depth()
+    assert shown is not None
+    assert shown[1:] == (300.0, 700.0)

@@ -24,6 +24,10 @@
           height: `min(100cqh, ${100 / ratio}cqw)`,
         };
       },
+      // A quarter of a micro-image wide at most, so that the picture shows between the spots on any screen.
+      spot() {
+        return { strokeWidth: `min(2.5px, ${50 * this.radius}cqw)` };
+      },
       points() {
         return this.centres.map((centre) => `M${centre[0] * this.width} ${centre[1] * this.height}h0`).join("");
       },
@@ -85,7 +89,7 @@
            @pointercancel="from = to = null" @wheel.prevent="wheel" @dblclick="$emit('whole')" @contextmenu.prevent>
         <img :src="src" alt="" draggable="false" />
         <svg v-if="centres.length" :viewBox="'0 0 ' + width + ' ' + height" preserveAspectRatio="none">
-          <path v-if="spots" :d="points" stroke="#35d0ff" stroke-width="2.5" stroke-linecap="round" vector-effect="non-scaling-stroke" />
+          <path v-if="spots" :d="points" stroke="#35d0ff" :style="spot" stroke-linecap="round" vector-effect="non-scaling-stroke" />
           <g v-else v-for="(centre, i) in centres" :key="i" fill="none" stroke="#35d0ff"
              :transform="'translate(' + centre[0] * width + ' ' + centre[1] * height + ')'">
             <circle :r="radius * width" stroke-width="1" stroke-opacity="0.45" vector-effect="non-scaling-stroke" />

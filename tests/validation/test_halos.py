@@ -212,10 +212,14 @@ def image_of(case: str, samples: int, **transport: Any) -> tuple[float, float]:
     return float(image.mean.sum()), float(np.sqrt((image.stderr**2).sum()))
 
 
+ADJOINT = {"many lamps and media": 128, "glass beside the lamp": 128}
+"""Samples of the adjoint method where 512 leave a smaller error than those of the other images by far."""
+
+
 @cache
 def adjoint(case: str) -> tuple[float, float]:
     """Return the light of a case's adjoint image and its error, for both tests."""
-    return image_of(case, 512)
+    return image_of(case, ADJOINT.get(case, 512))
 
 
 @pytest.mark.parametrize("case", instances(BOTH_WAYS, long=[*LONG, "many lamps and media", "glass beside the lamp"]))

@@ -2,7 +2,8 @@
 
 Every part of lfmesh asks here for the solved scene, its first-order report, its paraxial lens and the lens's meshes.
 Scenes are immutable, so that an equal scene has the same answer, unless a file that its lens is made of has changed:
-the files' stamps are part of what an answer is kept under.
+the files' stamps are part of what an answer is kept under. Scenes with one camera and different targets, lights or
+random numbers share the meshes of its lens.
 """
 
 from collections import OrderedDict
@@ -98,9 +99,11 @@ def solved_camera(scene: Scene) -> SolvedCamera:
         # A file changed while it was read: what was read belongs to neither key.
         return SolvedCamera(ready)
     own = _key(ready, ready.camera.lens)
+    settings = ready.transport.surface, ready.transport.tessellation, ready.primary_nm
+    shapes = _shapes_of(ready.camera, *settings, *own[1:])
     with _lock:
         # What is solved already is its own solution.
-        camera = _kept.setdefault(own, SolvedCamera(ready))
+        camera = _kept.setdefault(own, SolvedCamera(ready, shapes))
         _kept[key] = camera
         while len(_kept) > 2 * KEPT:
             _kept.popitem(last=False)
@@ -145,6 +148,12 @@ def _key(scene: Scene, lens: Lens) -> Key:
     """Return what the answer for a scene depends on; `lens` is the scene's, read from its file where it names one."""
     files = tuple((place, path, file_stamp(scene.resolve(path))) for place, path in _files_of(lens))
     return scene.digest, scene.folder, tuple(sorted(scene.digests.items())), lens, files
+
+
+@lru_cache(maxsize=KEPT)
+def _shapes_of(*_: object) -> dict[int | None, LensShape]:
+    """Return the meshes, by rings, of all scenes that are alike in what meshes of a lens depend on, as given."""
+    return {}
 
 
 @lru_cache(maxsize=2 * KEPT)

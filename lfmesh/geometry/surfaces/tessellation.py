@@ -148,8 +148,8 @@ def set_bends(surface: Any, rim: float) -> None:
     if not domain < np.inf:
         return
     step = BEND_STEP * domain
-    # A whole step off the axis, where odd powers have a kink.
-    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], ALL_ROUND
+    # A whole step off the axis, where odd powers have a kink. Surfaces of revolution bend alike at all azimuths.
+    r, phi = np.linspace(step, domain - step, BEND_CIRCLES)[:, None], np.zeros(1) if is_revolved(surface) else ALL_ROUND
     x, y = r * np.cos(phi), r * np.sin(phi)
     xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
     xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))

@@ -11,6 +11,7 @@ import trimesh
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.geometry.lens import solved_camera as module
+from lfmesh.geometry.lens.lens_shape import lens_shape
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Camera, Lens, Scene, Sensor, first_order, solved
 from lfmesh.scene.first_order.paraxial import Paraxial
@@ -66,6 +67,40 @@ def test_another_scene_has_another(change: dict[str, object]) -> None:
     other = solved_camera(asset().changed(change))
     assert other is not camera
     assert other.scene == solved(asset().changed(change))
+
+
+def test_scenes_that_differ_beside_their_camera_share_its_meshes() -> None:
+    shape = solved_camera(asset()).lens_shape()
+    for change in ({"targets": ()}, {"name": "another"}, {"transport.seed": 7, "transport.samples": 3}):
+        other = solved_camera(asset().changed(change)).lens_shape()
+        assert all(one is same for one, same in zip(other.caps, shape.caps, strict=True))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"camera.lens.surfaces[0].radius_mm": 29.5},
+        {"camera.sensor.pixel_mm": 0.05},
+        {"camera.mla.distance_mm": 60.0},
+        {"camera.lens.stop_semi_diameter_mm": 3.0},
+        {"transport.wavelengths_nm": [400.0]},
+        {"transport.surface": "smooth"},
+        {"transport.surface": "exact"},
+        {"transport.tessellation.sag_mm": 0.02},
+        {"targets": ()},
+    ],
+)
+def test_meshes_are_those_that_the_scene_asks_for(change: dict[str, object]) -> None:
+    """Whichever scene near it was meshed before."""
+    near = asset().changed({"transport.surface": "patch"})
+    solved_camera(near).lens_shape()
+    camera = solved_camera(near.changed(change))
+    found, anew = camera.lens_shape(), lens_shape(camera.scene)
+    assert (found.rings, found.azimuths, found.rims) == (anew.rings, anew.azimuths, anew.rims)
+    np.testing.assert_array_equal(found.surfaces, anew.surfaces)
+    np.testing.assert_array_equal(found.errors_mm, anew.errors_mm)
+    for one, same in zip(found.caps, anew.caps, strict=True):
+        np.testing.assert_array_equal(one.vertices, same.vertices)
 
 
 def test_it_cannot_be_changed() -> None:

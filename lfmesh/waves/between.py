@@ -4,8 +4,8 @@ Without a microlens array a point's picture, moved onto its chief ray, changes l
 in cells, and the picture of one in a cell is interpolated linearly between those of the cell's corners, in x / z, y / z
 and 1 / z, of which defocus is a linear function. The particle nearest to the middle of each cell has a point spread of
 its own: where the interpolated one differs from it by more than `BETWEEN` of its light, the cell is cut in two, across
-the way along which the spread in the middle of an edge is farthest from the mean of its ends. Where fewer particles
-than corners are left, each has its own.
+the way along which the spread in the middle of an edge is farthest from the mean of its ends. Where a cell has no
+more particles than corners, each has its own.
 """
 
 import itertools

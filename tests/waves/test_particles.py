@@ -229,11 +229,14 @@ def test_particles_beside_the_field_are_pictured_with_those_within() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("f_number", "thick_mm"), [(4.0, 0.4), (8.0, 2.0)])
+@pytest.mark.parametrize(("f_number", "thick_mm", "most"), [(4.0, 0.4, 600), (8.0, 2.0, 200)])
 def test_particles_before_a_real_lens_are_interpolated(
-    f_number: float, thick_mm: float, monkeypatch: pytest.MonkeyPatch
+    f_number: float, thick_mm: float, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a thin sheet before a double Gauss, which vignettes and whose aberrations change over the field."""
+    """In a thin sheet before a double Gauss, which vignettes and whose aberrations change over the field.
+
+    At f/4 nearly each of so few particles needs its own, and looking for others costs little.
+    """
     loaded = lf.load(Path(__file__).parents[2] / "assets" / "scenes" / "conventional.toml")
     stop = loaded.camera.lens.stop_semi_diameter_mm
     assert stop is not None
@@ -247,7 +250,7 @@ def test_particles_before_a_real_lens_are_interpolated(
     own = own_pictures(given)
     spreads = counted(monkeypatch)
     image = lf.render(given)
-    assert len(spreads) < 380
+    assert len(spreads) < most
     assert np.abs(image.mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
 
 

@@ -59,7 +59,9 @@ class Lit(NamedTuple):
         LfmeshError
             As from `lf.point_spread`, with the particle's name.
         """
-        return _named(self.name, lambda: followed(camera, self.point_mm, wavelength_nm, of_all=True))
+        return _named(
+            self.name, lambda: followed(camera, self.point_mm, wavelength_nm, tolerance=TOLERANCE, of_all=True)
+        )
 
 
 class Particle(NamedTuple):

@@ -343,26 +343,29 @@ class Monochrome:
         while change > tolerance:
             fineness *= FINER
             if not self.extent.fits(fineness):
-                self._refuse_unsettled(first, change, tolerance)
+                self._refuse_unsettled(first, change, tolerance, of_all=of_all)
             finer = self._on_grid(self.extent.grid(fineness, self.words), report)
             light = finer.power_w if of_all else float(finer.mean.sum())
             change = float(np.abs(finer.mean - first.mean).sum()) / max(light, 1e-300)
             first = finer
         return replace(first, change=change)
 
-    def _refuse_unsettled(self, last: PointSpread, change: float, tolerance: float) -> None:
+    def _refuse_unsettled(self, last: PointSpread, change: float, tolerance: float, *, of_all: bool) -> None:
         """Refuse a picture that still changes on the finest grids; almost none on the pixels is no light."""
         share = float(last.mean.sum()) / last.entered_w
         if share < tolerance:
             raise no_light(self.point)
+        changed = f"has changed by {change:.2g} of its light on the finest grid that is possible"
+        if of_all:
+            raise LfmeshError(
+                f"the picture of {self.words} {changed}, and {tolerance:g} is allowed; give a point nearer the plane "
+                "in focus, or a smaller stop"
+            )
         # Rounded up, so that it is reached.
         digits = 1 - math.floor(math.log10(change))
         reached = math.ceil(change * 10.0**digits) / 10.0**digits
         more = f"give a tolerance of {reached:g} or more" if reached < 1.0 else "give a wider window"
-        raise LfmeshError(
-            f"tolerance = {tolerance:g}: the picture of {self.words} has changed by {change:.2g} of its light on the "
-            f"finest grid that is possible; {more}"
-        )
+        raise LfmeshError(f"tolerance = {tolerance:g}: the picture of {self.words} {changed}; {more}")
 
     def at_sensor(self, grid: Grid, report: Callable[[Progress], None] | None = None) -> Arrived:
         """Return the light by one grid behind the lens and on the plane of the sensor.

@@ -151,6 +151,17 @@ def test_a_particle_too_wide_for_waves_is_named_before_the_first_spread(
     assert main(["check", str(file)]) == 0
 
 
+def test_a_particle_whose_spread_does_not_settle_is_told_what_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Particles have no tolerance that could be raised."""
+    monkeypatch.setattr("lfmesh.waves.extent.MOST", 250)
+    monkeypatch.setattr("lfmesh.waves.lit_particle.TOLERANCE", 1e-9)
+    with pytest.raises(
+        lf.LfmeshError, match=r"particles\[0\], number 0 .* 1e-09 is allowed; give a point nearer"
+    ) as error:
+        lf.render(scene())
+    assert "tolerance =" not in str(error.value)
+
+
 def test_a_run_tells_the_progress_of_spreads_and_what_light_they_bring() -> None:
     told: list[Progress] = []
     given = scene(targets=[PLANE], **{"transport.wavelengths_nm": [500.0, 600.0]})

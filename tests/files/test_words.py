@@ -71,7 +71,7 @@ def test_a_run_says_how_many_pixels_found_no_light_and_when_samples_are_too_few(
     assert "No path found light for 480 pixels, 10 %. Their value is 0; upper bounds are in image.upper." in text(image)
     hits[6:26] = 9
     assert words.noise(image).few_hits_share == pytest.approx(20 / 54)
-    assert "in 37 % of the lit pixels less than 10 found light" in text(image)
+    assert "In 37 % of the lit pixels less than 10 found light" in text(image)
 
 
 def test_the_summary_says_noise_and_the_samples_that_halve_it(image_of: Build) -> None:

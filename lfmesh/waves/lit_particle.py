@@ -10,7 +10,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.optics.phase import PhaseTables, evaluate_phases
 from lfmesh.waves.bundle import INSIDE, Bundle
 from lfmesh.waves.extent import FINER, Extent
-from lfmesh.waves.point_spread import TOLERANCE, PointSpread, followed
+from lfmesh.waves.point_spread import TOLERANCE, Asked, PointSpread, followed
 from lfmesh.waves.pupil_waves import pupil_rays
 from lfmesh.waves.refused import NoLightError, refuse_values
 from lfmesh.waves.wave_camera import WaveCamera, entering
@@ -59,9 +59,8 @@ class Lit(NamedTuple):
         LfmeshError
             As from `lf.point_spread`, with the particle's name.
         """
-        return _named(
-            self.name, lambda: followed(camera, self.point_mm, wavelength_nm, tolerance=TOLERANCE, of_all=True)
-        )
+        asked = Asked(tolerance=TOLERANCE, of_all=True)
+        return _named(self.name, lambda: followed(camera, self.point_mm, wavelength_nm, asked=asked))
 
 
 class Particle(NamedTuple):

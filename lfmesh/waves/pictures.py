@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.scene import Scene, first_order
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.pose import Pose
-from lfmesh.waves.point_spread import TOLERANCE, followed
+from lfmesh.waves.point_spread import TOLERANCE, Asked, followed
 from lfmesh.waves.wave_camera import WaveCamera
 
 Array = NDArray[np.float64]
@@ -91,7 +91,7 @@ def pictures_of_points(
 
     def spread(of: WaveCamera, point: Array) -> Array:
         nonlocal worst, beyond, computed
-        found = followed(of, point, wavelength_nm, tolerance=tolerance)
+        found = followed(of, point, wavelength_nm, asked=Asked(tolerance=tolerance))
         worst, beyond, computed = max(worst, found.change), max(beyond, found.beyond), computed + 1
         return found.mean
 

@@ -190,8 +190,8 @@ def point_spread(
         value out of range.
     """
     with watched(progress) as report:
-        asked = window, oversample
-        found = followed(WaveCamera.of(scene), point_mm, wavelengths_nm, weights, asked, tolerance, report)
+        asked = Asked(window, oversample, tolerance)
+        found = followed(WaveCamera.of(scene), point_mm, wavelengths_nm, weights, asked, report)
     warn_caller(warnings_of(found.beyond))
     return found
 
@@ -214,10 +214,30 @@ def warnings_of(beyond: float) -> list[PictureWarning]:
     ]
 
 
+class Asked(NamedTuple):
+    """Picture that is asked of a point.
+
+    Attributes
+    ----------
+    window, oversample, tolerance
+        As of `point_spread`.
+    of_all : bool
+        Changes count over all light on the sensor's plane, of which the pixels may catch a small part.
+    """
+
+    window: int | None = None
+    oversample: int = 1
+    tolerance: float = TOLERANCE
+    of_all: bool = False
+
+
+ALL_PIXELS = Asked()
+
+
 def followed(
     camera: WaveCamera, point_mm: ArrayLike, wavelengths_nm: float | Sequence[float] | str | None = None,
-    weights: Sequence[float] | None = None, asked: tuple[int | None, int] = (None, 1), tolerance: float = TOLERANCE,
-    report: Callable[[Progress], None] | None = None, *, of_all: bool = False,
+    weights: Sequence[float] | None = None, asked: Asked = ALL_PIXELS,
+    report: Callable[[Progress], None] | None = None,
 ) -> PointSpread:  # fmt: skip
     """Return what `point_spread` does, without its warnings.
 
@@ -225,14 +245,11 @@ def followed(
     ----------
     camera : WaveCamera
         Of the scene.
-    point_mm, wavelengths_nm, weights, tolerance
+    point_mm, wavelengths_nm, weights
         As there.
-    asked : (int or None, int)
-        Window and parts of a pixel.
+    asked : Asked
     report : callable, optional
         Told the progress.
-    of_all : bool
-        Changes count over all light on the sensor's plane, of which the pixels may catch a small part.
 
     Raises
     ------
@@ -246,8 +263,8 @@ def followed(
         wavelengths_nm, weights = lines_of_band(scene, wavelengths_nm)
     nm = tuple(numbers_of("wavelengths_nm", scene.primary_nm if wavelengths_nm is None else wavelengths_nm).tolist())
     shares = shares_of(nm, numbers_of("weights", [1.0] * len(nm) if weights is None else weights).tolist())
-    refuse_values(scene, point, *asked, tolerance)
-    each = [one.converged(tolerance, report, of_all=of_all) for one in _monochromes(camera, point, nm, asked)]
+    refuse_values(scene, point, asked.window, asked.oversample, asked.tolerance)
+    each = [one.converged(asked, report) for one in _monochromes(camera, point, nm, asked)]
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise no_light(point)
@@ -266,7 +283,7 @@ def followed(
 
 
 def _monochromes(
-    camera: WaveCamera, point: Array, wavelengths_nm: tuple[float, ...], asked: tuple[int | None, int]
+    camera: WaveCamera, point: Array, wavelengths_nm: tuple[float, ...], asked: Asked
 ) -> "list[Monochrome]":
     """Return the point spreads of some wavelengths that are to be computed, of a window and parts of pixels."""
     middle = len(wavelengths_nm) // 2
@@ -321,17 +338,13 @@ class Monochrome:
         way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
         return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
-    def converged(
-        self, tolerance: float, report: Callable[[Progress], None] | None, *, of_all: bool = False
-    ) -> PointSpread:
+    def converged(self, asked: Asked, report: Callable[[Progress], None] | None) -> PointSpread:
         """Return the point spread on the first grid by which it changes less than the tolerance.
 
         Parameters
         ----------
-        tolerance : float
+        asked : Asked
         report : callable, optional
-        of_all : bool
-            As for `followed`.
 
         Raises
         ------
@@ -340,32 +353,32 @@ class Monochrome:
         """
         self.extent.refuse_wide(self.words)
         first, change, fineness = self._on_grid(self.extent.grid(1.0, self.words), report), math.inf, 1.0
-        while change > tolerance:
+        while change > asked.tolerance:
             fineness *= FINER
             if not self.extent.fits(fineness):
-                self._refuse_unsettled(first, change, tolerance, of_all=of_all)
+                self._refuse_unsettled(first, change, asked)
             finer = self._on_grid(self.extent.grid(fineness, self.words), report)
-            light = finer.power_w if of_all else float(finer.mean.sum())
+            light = finer.power_w if asked.of_all else float(finer.mean.sum())
             change = float(np.abs(finer.mean - first.mean).sum()) / max(light, 1e-300)
             first = finer
         return replace(first, change=change)
 
-    def _refuse_unsettled(self, last: PointSpread, change: float, tolerance: float, *, of_all: bool) -> None:
+    def _refuse_unsettled(self, last: PointSpread, change: float, asked: Asked) -> None:
         """Refuse a picture that still changes on the finest grids; almost none on the pixels is no light."""
         share = float(last.mean.sum()) / last.entered_w
-        if share < tolerance:
+        if share < asked.tolerance:
             raise no_light(self.point)
         changed = f"has changed by {change:.2g} of its light on the finest grid that is possible"
-        if of_all:
+        if asked.of_all:
             raise LfmeshError(
-                f"the picture of {self.words} {changed}, and {tolerance:g} is allowed; give a point nearer the plane "
-                "in focus, or a smaller stop"
+                f"the picture of {self.words} {changed}, and {asked.tolerance:g} is allowed; give a point nearer the "
+                "plane in focus, or a smaller stop"
             )
         # Rounded up, so that it is reached.
         digits = 1 - math.floor(math.log10(change))
         reached = math.ceil(change * 10.0**digits) / 10.0**digits
         more = f"give a tolerance of {reached:g} or more" if reached < 1.0 else "give a wider window"
-        raise LfmeshError(f"tolerance = {tolerance:g}: the picture of {self.words} {changed}; {more}")
+        raise LfmeshError(f"tolerance = {asked.tolerance:g}: the picture of {self.words} {changed}; {more}")
 
     def at_sensor(self, grid: Grid, report: Callable[[Progress], None] | None = None) -> Arrived:
         """Return the light by one grid behind the lens and on the plane of the sensor.
@@ -450,9 +463,7 @@ def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectru
     return replace(light, waves=light.waves * math.exp(-0.5 * behind.absorption_per_mm * way))
 
 
-def pixels_of(
-    camera: WaveCamera, pupil: PupilRays | None = None, asked: tuple[int | None, int] = (None, 1)
-) -> Sampling:
+def pixels_of(camera: WaveCamera, pupil: PupilRays | None = None, asked: Asked = ALL_PIXELS) -> Sampling:
     """Return the pixels, or parts of pixels, in the sensor's frame: all, or those of a window about the light.
 
     Parameters
@@ -460,11 +471,10 @@ def pixels_of(
     camera : WaveCamera
     pupil : PupilRays, optional
         The light, if a window is asked.
-    asked : (int or None, int)
-        Window and parts of a pixel.
+    asked : Asked
     """
     sensor = camera.scene.camera.sensor
-    window, oversample = asked
+    window, oversample = asked.window, asked.oversample
     count, first = list(sensor.pixels), [0, 0]
     if window is not None and pupil is not None:
         place = camera.sensor_mm

@@ -37,8 +37,8 @@ FOLLOWED, REFUSED = 1e-4, 0.02
 CLOSE_TO_RIM = 0.8
 """Of its semi-diameter: rays that come no farther from the axis than this say that a face does not clip them."""
 
-LEAST_RAYS = 16
-"""That pass, so that a wavefront is known."""
+LEAST_RAYS, LEAST_TRIALS = 16, 3
+"""That pass, so that a wavefront is known; so that a focus is."""
 
 FINE = 401
 """Directions on a side of the grid by which the power is summed."""
@@ -211,8 +211,7 @@ def waves_of_field(
     passes = bundle.passes
     if not passes.any():
         raise NoLightError("the lens lets none of its light pass; move it into the field of view")
-    if passes.sum() < LEAST_RAYS:
-        raise LfmeshError(f"the lens lets {passes.sum()} of {len(passes)} rays of this point pass; move it")
+    _refuse_few(bundle, LEAST_RAYS)
     traced = rays.traced(slope, bundle.entry[passes], wavelength_nm)
     direction, wavelength = traced.direction, wavelength_nm / NM_PER_MM
     found = _focus(traced.position, direction)
@@ -258,8 +257,9 @@ def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, waveleng
     Raises
     ------
     LfmeshError
-        Light that is collimated behind the lens.
+        Too few rays pass, or light is collimated behind the lens.
     """
+    _refuse_few(bundle, LEAST_TRIALS)
     place, direction = bundle.place[bundle.passes], bundle.direction[bundle.passes]
     position = np.column_stack([place, np.full(len(place), image_z_mm)])
     focus = _focus(position, direction)
@@ -268,6 +268,14 @@ def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, waveleng
     return PupilRays(
         wavelength_nm / NM_PER_MM, 0.5 * (low + high), 0.5 * (high - low), focus, radius, (position, direction)
     )
+
+
+def _refuse_few(bundle: Bundle, least: int) -> None:
+    """Refuse a point of whose rays the lens lets fewer pass than are needed."""
+    if bundle.passes.sum() < least:
+        raise LfmeshError(
+            f"the lens lets {bundle.passes.sum()} of {len(bundle.passes)} rays of this point pass; move it"
+        )
 
 
 def _focus(position: Array, direction: Array) -> Array:

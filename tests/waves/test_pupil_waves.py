@@ -5,6 +5,7 @@ reference sphere. It is summed by force, so that grids, polynomials and the lens
 """
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lfmesh as lf
+from lfmesh.waves.pupil_waves import pupil_rays
+from lfmesh.waves.wave_camera import WaveCamera
 
 Array = NDArray[np.float64]
 
@@ -133,3 +136,14 @@ def test_strehls_ratio_from_0_8_on_is_marechals(case: Case) -> None:
     assert found is not None
     assert 0.8 < found < 0.95
     assert found == pytest.approx(math.exp(-((2.0 * math.pi * wavefront(case, 64).rms_waves) ** 2)), abs=0.01)
+
+
+def test_two_rays_that_pass_are_too_few_and_no_collimated_light() -> None:
+    """Of a point at the edge of the field, of whose rays the lens stops nearly all."""
+    scene = lf.load(Path(__file__).parents[2] / "assets" / "scenes" / "conventional.toml").changed({"targets": []})
+    camera = WaveCamera.of(scene)
+    bundle = camera.looked_at(np.array([0.0, 0.0, -500.0]), WAVE_NM)
+    weight = bundle.weight.copy()
+    weight[2:] = 0.0
+    with pytest.raises(lf.LfmeshError, match="the lens lets 2 of 273 rays of this point pass"):
+        pupil_rays(bundle._replace(weight=weight), camera.camera, float(camera.sensor_mm[2]), WAVE_NM)

@@ -5,7 +5,7 @@ in cells, and the picture of one in a cell is interpolated linearly between thos
 and 1 / z, of which defocus is a linear function. The particle nearest to the middle of each cell has a point spread of
 its own: where the interpolated one differs from it by more than `BETWEEN` of its light, the cell is cut in two, across
 the way along which the spread in the middle of an edge is farthest from the mean of its ends. Where a cell has no
-more particles than corners, each has its own.
+more particles than corners, or the lens stops a particle's chief ray, each has its own.
 """
 
 import itertools
@@ -123,7 +123,10 @@ class _Volume:
     def picture(self) -> None:
         """Add all particles to the picture."""
         x, y, z = (PARTS if wide else 0 for wide in (self.width > 0.0).tolist())
-        cells = [_Cell((0, 0, 0), (x, y, z), np.arange(len(self.lit)))]
+        placed = np.array([np.isfinite(each.place_mm).all() for each in self.lit])
+        for member in np.flatnonzero(~placed).tolist():
+            self._add_own(member)
+        cells = [_Cell((0, 0, 0), (x, y, z), np.flatnonzero(placed))]
         while cells:
             cell = cells.pop()
             if len(cell.members) <= len(cell.corners) or max(np.subtract(cell.high, cell.low)) <= 1:
@@ -172,9 +175,12 @@ class _Volume:
         return FINER ** math.ceil(math.log(period, FINER)), FINER ** math.floor(math.log(step, FINER))
 
     def _bend(self, cell: _Cell, axis: int, grid: tuple[float, float]) -> float:
-        """Return how far the spread in the middle of an edge is from the mean of its ends, squared; inf if unknown."""
+        """Return how far the spread in the middle of an edge is from the mean of its ends, squared.
+
+        Where one is unknown it is inf, and below 0 along ways that cannot be cut.
+        """
         if cell.high[axis] == cell.low[axis] + 1:
-            return 0.0
+            return -1.0
         ends = (cell.low[axis], (cell.low[axis] + cell.high[axis]) // 2, cell.high[axis])
         low, middle, high = (self.spread_at(_with(cell.low, axis, end), *grid) for end in ends)
         if low is None or middle is None or high is None:

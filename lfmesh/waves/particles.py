@@ -106,9 +106,7 @@ def _looked_at(
     return camera, seen
 
 
-def _counted(
-    progress: Callable[[Progress], None] | None, stage: str, total: int, done: int = 0
-) -> Callable[[], None]:  # fmt: skip
+def _counted(progress: Callable[[Progress], None] | None, stage: str, total: int, done: int = 0) -> Callable[[], None]:
     """Return what tells the progress of a stage each time that it is called."""
     number, began = itertools.count(done + 1), time.perf_counter()
 

@@ -15,6 +15,7 @@ from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.render import render as trace_alone
 from lfmesh.waves.between import BETWEEN
+from lfmesh.waves.lit_particle import Lit, Particle
 from lfmesh.waves.particles import LOOKING, STAGE
 from lfmesh.waves.pupil_waves import pupil_waves
 
@@ -229,6 +230,19 @@ def test_cells_are_cut_until_spreads_between_are_right(monkeypatch: pytest.Monke
     assert np.abs(image.mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
     monkeypatch.setattr("lfmesh.waves.between.BETWEEN", 10.0)
     assert np.abs(lf.render(given).mean[:, :, 0] - own).sum() > 0.1 * own.sum()
+
+
+def test_particles_whose_chief_ray_is_stopped_have_their_own_spreads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No place is known for the spread between others; without its own the particle would be dark."""
+    given = scene(particles=[POINT | {"count": 20, "bounds": {"kind": "box", "size_mm": (14.0, 14.0, 100.0)}}])
+    own, seen = own_pictures(given), Particle.lit
+
+    def stopped(self: Particle, *args: Any, **named: Any) -> Lit | None:
+        found = seen(self, *args, **named)
+        return found and (found._replace(place_mm=np.full(2, np.nan)) if self.number == 3 else found)
+
+    monkeypatch.setattr(Particle, "lit", stopped)
+    assert np.abs(lf.render(given).mean[:, :, 0] - own).sum() < BETWEEN * own.sum()
 
 
 def test_particles_beside_the_field_are_pictured_with_those_within() -> None:

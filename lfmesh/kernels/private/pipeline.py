@@ -135,7 +135,7 @@ class CalleeCompiler(KernelCompiler):
 
 
 def add_callee(dispatcher: Dispatcher, function: Callable[..., Any], **options: Any) -> None:
-    """Let other kernels call a version of a kernel that is compiled for them.
+    """Let other kernels call a version of a kernel that is compiled for them, and made when it is first called.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def add_callee(dispatcher: Dispatcher, function: Callable[..., Any], **options: 
     **options
         Of `numba.njit`.
     """
-    callee_of[dispatcher] = numba.njit(pipeline_class=CalleeCompiler, **options)(function)
+    callee_of[dispatcher] = cache(lambda: numba.njit(pipeline_class=CalleeCompiler, **options)(function))
 
 
 @contextmanager

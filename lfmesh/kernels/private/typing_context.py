@@ -1,6 +1,6 @@
 """Typing of calls in kernels: signatures of built-in functions are cached, and kernels call kernels' own versions."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from operator import getitem, setitem
 from typing import Any
 
@@ -11,8 +11,8 @@ from numba.extending import models, register_model
 
 from lfmesh.kernels.private.expected import require
 
-callee_of: dict[Dispatcher, Dispatcher] = {}
-"""For each kernel that Python calls, the version of it that other kernels call."""
+callee_of: dict[Dispatcher, Callable[[], Dispatcher]] = {}
+"""For each kernel that Python calls, what gives the version of it that other kernels call."""
 
 
 class _CachedFunction(types.Function):  # type: ignore[misc]
@@ -55,8 +55,8 @@ class KernelContext:
 
     def resolve_value_type(self, value: Any) -> types.Type:
         """Return the type of a constant; a function's type changes when numba registers further overloads of it."""
-        if isinstance(value, Dispatcher):
-            value = callee_of.get(value, value)
+        if isinstance(value, Dispatcher) and value in callee_of:
+            value = callee_of[value]()
         found = self.context.resolve_value_type(value)
         if type(found) is not types.Function:
             return found

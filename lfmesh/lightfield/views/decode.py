@@ -65,8 +65,9 @@ def decode(
     """Sort the pixels of a raw image into the views of a light field.
 
     A sample is interpolated (bilinearly) at a whole number of pixels, or of halves, from the centre of its
-    micro-image, wherever that lies between the pixels. A hexagonal array is resampled, along its rows, to the square
-    grid that has the distance of its rows.
+    micro-image, wherever that lies between the pixels. Where another micro-image's centre is nearer, as for the views
+    in the corners of a hexagonal array, it is unknown: NaN. A hexagonal array is resampled, along its rows, to the
+    square grid that has the distance of its rows.
 
     Parameters
     ----------
@@ -196,12 +197,23 @@ def _as_views(
     mean: Array, spread: Array, calibration: Calibration, count: int, sampling: Sampling, upright: Upright
 ) -> tuple[Samples, Samples]:
     shape = (count, count, len(sampling.t_mm), len(sampling.s_mm), mean.shape[2])
-    data, stderr = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    data, stderr = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     _sort_pixels(
-        mean, spread, calibration.centres_px, sampling.rows, sampling.columns, sampling.share, *upright.senses, data,
-        stderr,
+        mean, spread, calibration.centres_px, sampling.rows, sampling.columns, sampling.share, *upright.senses,
+        _are_own(calibration, count, upright), data, stderr,
     )  # fmt: skip
     return data, stderr
+
+
+def _are_own(calibration: Calibration, count: int, upright: Upright) -> NDArray[np.bool_]:
+    """Tell of which views, (v, u), a lenslet has samples: no other micro-image's centre is nearer to them."""
+    sense_u, sense_v = upright.senses
+    u, v = np.meshgrid(sense_u * _centred(count, 1.0), sense_v * _centred(count, 1.0))
+    neighbours = 6 if calibration.layout == "hexagonal" else 4
+    turns = calibration.rotation_rad + 2.0 * np.pi / neighbours * np.arange(neighbours)
+    # In the direction of the neighbour, half of the way to it; rounding decides nothing.
+    ahead = u[..., None] * np.cos(turns) + v[..., None] * np.sin(turns)
+    return np.asarray((ahead <= 0.5 * calibration.pitch_px * (1.0 + 1e-6)).all(axis=-1))
 
 
 def sorted_views(light: Array, calibration: Calibration, count: int, sampling: Sampling, upright: Upright) -> Array:
@@ -237,9 +249,9 @@ def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Sample
 @kernel
 def _sort_pixels(
     mean: Array, spread: Array, centres: Array, rows: NDArray[np.int64], columns: NDArray[np.int64], share: Array,
-    sense_u: float, sense_v: float, data: Samples, stderr: Samples,
+    sense_u: float, sense_v: float, own: NDArray[np.bool_], data: Samples, stderr: Samples,
 ) -> None:  # fmt: skip
-    """Fill (v, u, t, s, c) samples and their standard errors from the raw image."""
+    """Fill (v, u, t, s, c) samples of the views that are own, and their standard errors, from the raw image."""
     count, _, height, width, channels = data.shape
     for t in range(height):
         row = rows[t]
@@ -247,6 +259,8 @@ def _sort_pixels(
             column, other = columns[row & 1, s], share[row & 1, s]
             for v in range(count):
                 for u in range(count):
+                    if not own[v, u]:
+                        continue
                     du, dv = sense_u * (u - 0.5 * (count - 1)), sense_v * (v - 0.5 * (count - 1))
                     for c in range(channels):
                         value, square = between_pixels(

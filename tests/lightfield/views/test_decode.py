@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import lfmesh as lf
 from lfmesh.geometry.array.lattice import Lattice
@@ -71,6 +72,27 @@ def test_a_hexagonal_array_is_resampled_to_a_square_grid(
     # Of an inverting lens' picture s runs against x on the array, t along y.
     expected = 1000.0 - 200.0 * field.s_mm[None, :] + 300.0 * field.t_mm[:, None]
     np.testing.assert_allclose(field.data[0, 0, :, 1:-1, 0], expected[:, 1:-1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["square", "hexagonal"])
+@pytest.mark.parametrize("views", [None, 13])
+def test_what_is_nearer_to_another_micro_image_is_in_no_view(
+    camera: Callable[..., Scene], image_of: Callable[..., lf.Image], layout: str, views: int | None
+) -> None:
+    """By the distances of a sample from all centres, for a lenslet in the middle of a turned array."""
+    scene = camera(layout).changed(BADLY_MOUNTED)
+    calibration = calibrate(scene)
+    field = decode(image_of(scene, ramp(scene, 2.0, 3.0)), calibration=calibration, views=views)
+    rows, columns = calibration.known.shape
+    row, column = rows // 2, columns // 2
+    across = np.arange(len(field.views[0])) - 0.5 * (len(field.views[0]) - 1)
+    # An inverting lens: columns of the picture run against those of the sensor.
+    places = calibration.centres_px[row, column] + np.stack(np.meshgrid(-across, across), axis=-1)
+    near, which = cKDTree(calibration.centres_px.reshape(-1, 2)).query(places, 2)
+    plain = near[..., 1] - near[..., 0] > 0.02
+    known = np.isfinite(field.data[:, :, row, field.data.shape[3] // 2, 0])
+    np.testing.assert_array_equal(known[plain], (which[..., 0] == row * columns + column)[plain])
+    assert not known.all() or (layout == "square" and views is None)
 
 
 @pytest.mark.parametrize("layout", ["square", "hexagonal"])

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lfmesh
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.files.exports.hci import write_hci
 from lfmesh.files.exports.lftoolbox import write_eslf, write_mat
 from lfmesh.files.exports.plenopticam import write_plenopticam
@@ -25,6 +25,12 @@ FieldFormat = Literal["lftoolbox", "eslf", "hci", "views"]
 RawFormat = Literal["plenopticam", "plenpy"]
 
 NOTE = "export.json"
+
+WITH_WEIGHTS = "lftoolbox"
+"""The format that says of each sample whether it is known."""
+
+HARDLY_DARK = 0.05
+"""Share of a view's samples that may be unknown, as at the edges of the array, without a warning."""
 
 _FIELD_WRITERS: dict[str, Callable[[Path, LightField], dict[str, Any]]] = {
     "lftoolbox": write_mat,
@@ -57,6 +63,11 @@ def export_field(
     list of Path
         The files.
 
+    Warns
+    -----
+    UserWarning
+        Views hold much that is unknown, and the format can only write it as black.
+
     Raises
     ------
     LfmeshError
@@ -70,7 +81,25 @@ def export_field(
     def write(staging: Path) -> dict[str, Any]:
         return write_hci(staging, field, depth_mm) if kind == "hci" else _FIELD_WRITERS[kind](staging, field)
 
-    return _exported(Path(folder), kind, write)
+    written = _exported(Path(folder), kind, write)
+    if kind != WITH_WEIGHTS:
+        warn_caller(_black_views(field))
+    return written
+
+
+def _black_views(field: LightField) -> Iterator[UserWarning]:
+    """Yield a warning of views with much that is unknown, and the number of those in the middle that have little."""
+    unknown = np.mean(~np.isfinite(field.data).all(axis=-1), axis=(2, 3))
+    dark = unknown > HARDLY_DARK
+    if not dark.any():
+        return
+    count, black = min(field.views), int((unknown == 1.0).sum())
+    rest = [cut for cut in range(1, (count + 1) // 2) if not dark[cut:-cut, cut:-cut].any()]
+    advice = f"; decode {count - 2 * rest[0]} views across, which are whole" if rest else ""
+    yield UserWarning(
+        f"{dark.sum()} of {dark.size} views are unknown in more than {HARDLY_DARK:.0%} of their samples, {black} "
+        f"of them in all, as no light of their lenslets comes there: the files have black in these places{advice}"
+    )
 
 
 def export_raw(

@@ -2,6 +2,7 @@
 
 import configparser
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -88,6 +89,27 @@ def test_the_toolbox_array_is_indexed_as_the_toolbox_does(field: lf.LightField, 
         np.testing.assert_allclose(light[known], field.data[..., 0][known], atol=0.51 * facts["unit_per_count"])
     assert facts["unit"] == "W per pixel"
     np.testing.assert_array_equal(facts["s_mm"], field.s_mm)
+
+
+def with_black_corners(field: lf.LightField) -> lf.LightField:
+    """The same, as a camera whose lens lights no corner of the micro-images has it."""
+    data = field.data.copy()
+    data[::4, ::4] = np.nan
+    return replace(field, data=data)
+
+
+def test_views_that_a_format_can_only_write_black_are_warned_of(field: lf.LightField, tmp_path: Path) -> None:
+    whole = replace(field, data=np.nan_to_num(field.data))
+    lf.export_field(whole, tmp_path / "whole", "views")
+    with pytest.warns(UserWarning, match=r"^4 of 25 views .* 4 of them in all.*decode 3 views across"):
+        lf.export_field(with_black_corners(whole), tmp_path / "views", "views")
+
+
+def test_the_toolbox_array_says_itself_what_is_unknown(field: lf.LightField, tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lf.export_field(with_black_corners(field), tmp_path / "mat", "lftoolbox")
+    assert not loadmat(tmp_path / "mat" / "lightfield.mat")["LF"][::4, ::4, :, :, 3].any()
 
 
 def test_every_tile_of_the_eslf_picture_is_a_lenslet(field: lf.LightField, tmp_path: Path) -> None:

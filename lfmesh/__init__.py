@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lfmesh.analysis.analysis import LensAnalysis, analyse
     from lfmesh.assets import asset_path
     from lfmesh.errors import (
+        BlackPictureWarning,
         BlindCheckWarning,
         ClearAirWarning,
         ClosedGapWarning,
@@ -159,6 +160,7 @@ __all__ = [
     "BackFace",
     "Band",
     "Biconic",
+    "BlackPictureWarning",
     "BlindCheckWarning",
     "Board",
     "BoardCorners",
@@ -323,6 +325,7 @@ _HOMES = {
     "lfmesh.assets": ["asset_path"],
     "lfmesh.errors": [
         *["FileError", "GlassError", "LfmeshError", "MeshError", "SceneError"],
+        "BlackPictureWarning",
         "BlindCheckWarning",
         "ClearAirWarning",
         "ClosedGapWarning",

@@ -93,6 +93,10 @@ class PictureWarning(UserWarning):
         return next((each for each in cls.__subclasses__() if each.__name__ == kind), cls)(text)
 
 
+class BlackPictureWarning(PictureWarning):
+    """No path found light: all pixels are 0."""
+
+
 class BlindCheckWarning(PictureWarning):
     """Samples that are not aimed found more or less light than the picture has: the picture is wrong."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import (
+    BlackPictureWarning,
     BlindCheckWarning,
     CutPathsWarning,
     HeavyPathsWarning,
@@ -68,6 +69,7 @@ def found(image: "Image") -> list[PictureWarning]:
     image : Image
     """
     return [
+        *_black(image),
         *proofs(image.scene, image.aim, image.order),
         *_blind(image.scene, image.blind),
         *books(image.scene, image.ledger),
@@ -76,6 +78,14 @@ def found(image: "Image") -> list[PictureWarning]:
         *_unmet_paths(image),
         *_few_samples(image),
     ]
+
+
+def _black(image: "Image") -> Iterator[PictureWarning]:
+    if not image.mean.any():
+        yield BlackPictureWarning(
+            "no path found light, and the picture is black. lfmesh check names what is not lit or not in view; "
+            "image.ledger says where the paths ended"
+        )
 
 
 def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list[PictureWarning]:

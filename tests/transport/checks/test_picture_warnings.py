@@ -55,6 +55,11 @@ def with_more(*targets: dict[str, Any]) -> lf.Scene:
     return scene(targets=[*scene().targets, *targets])
 
 
+def black(_: Patch, __: Path) -> lf.Scene:
+    """A black board before the one that shines."""
+    return with_more(plane(-90.0) | {"material": {"reflectance": 0.0}})
+
+
 def blind(patch: Patch, _: Path) -> lf.Scene:
     """Let samples that are not aimed find ten times the light."""
     compared = BlindSamples.compared
@@ -162,6 +167,7 @@ def diffraction(_: Patch, __: Path) -> lf.Scene:
 
 
 CASES: dict[type[PictureWarning], Callable[[Patch, Path], lf.Scene]] = {
+    lf.BlackPictureWarning: black,
     lf.BlindCheckWarning: blind,
     lf.LostEnergyWarning: lost,
     lf.OpenLedgerWarning: opened,

@@ -49,9 +49,9 @@ def share_of(text: str | None) -> tuple[int, int] | None:
 class Overrides:
     """Settings that replace those of the scene's [transport] table."""
 
-    samples: Annotated[Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many halve the noise.")] = (
-        None
-    )
+    samples: Annotated[
+        Whole | None, Parameter(help="Samples per pixel, in all; 4 times as many at least halve the noise.")
+    ] = None
     target_error: Annotated[
         float | None, Parameter(help="Relative standard error up to which noisy pixels get more samples, as 0.05.")
     ] = None

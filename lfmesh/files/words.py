@@ -162,7 +162,9 @@ def _unaimed(image: Image) -> list[str]:
     paths = "Unaimed samples" if image.scene.transport.method == "adjoint" else "Paths traced back from some pixels"
     if blind.smallest_deficit is None:
         return [f"{paths} are too few to tell whether light is missing."]
-    return [f"{paths} found no missing light (only losses above {percent(blind.smallest_deficit)} would show)."]
+    rows, columns = blind.blocks
+    least = percent(blind.smallest_deficit)
+    return [f"{paths} found no missing light in {rows} × {columns} blocks (each would show losses above {least})."]
 
 
 def _order(image: Image) -> list[str]:
@@ -258,7 +260,7 @@ def _noise_lines(image: Image, measured: Noise) -> list[str]:
     quarter, half, most = (percent(error) for error in measured.relative_error)
     lines.append(
         f"Noise: a quarter of the lit pixels are known to {quarter} or better, half to {half}, three quarters to {most}"
-        f" (one standard error); 4 times the samples, {4 * image.samples:g} a pixel, would halve that."
+        f" (one standard error); 4 times the samples, {4 * image.samples:g} a pixel, would at least halve that."
     )
     if image.refinement is not None:
         lines.append(_refined(image.refinement))

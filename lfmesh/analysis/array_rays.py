@@ -119,7 +119,7 @@ class ArrayRays:
         points = np.column_stack([flat, np.zeros(len(flat))])
         return frames.points(self.plate.moves[MLA_FRAME, CAMERA_FRAME], points)[:, :2]
 
-    @cached_property
+    @property
     def _tables(self) -> Tables:
         return at_wavelength(self.world, self.wavelength_nm)
 

@@ -1,7 +1,8 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple, TypedDict, Unpack
+from functools import lru_cache, partial
+from typing import Any, NamedTuple, TypedDict, Unpack, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +40,9 @@ X_AXIS = (1.0, 0.0, 0.0)
 
 ROUNDING = 1e-12
 """Share of I by which the polarised part of a given Stokes vector may exceed it."""
+
+WAVELENGTHS_KEPT = 8
+"""Wavelengths whose tables a world keeps."""
 
 
 class Settings(TypedDict, total=False):
@@ -271,7 +275,15 @@ def _unit_directions(p: NDArray[np.float64], d: NDArray[np.float64]) -> NDArray[
 
 
 def at_wavelength(world: World, wavelength_nm: float) -> Tables:
-    """Return the tables of a world with media and interfaces at one wavelength."""
+    """Return the tables of a world with media and interfaces at one wavelength.
+
+    Those of some wavelengths are kept: many short calls of `trace` would spend much of their time on them.
+    """
+    kept = world.kept.setdefault("tables at a wavelength", lru_cache(WAVELENGTHS_KEPT)(partial(_at_wavelength, world)))
+    return cast(Tables, kept(wavelength_nm))
+
+
+def _at_wavelength(world: World, wavelength_nm: float) -> Tables:
     tables = world.tables
 
     def media(within: Any) -> Media:

@@ -22,7 +22,6 @@ from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.sequences.ray_tables import Arrived, behind_faces, follow_sequence
 from lfmesh.transport.sequences.sequences import image_path
-from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
 
@@ -199,18 +198,8 @@ class LensRays:
         start = np.column_stack([entry, np.zeros(len(entry))]) + before * ahead
         return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 
-    @cached_property
-    def _tables(self) -> dict[float, Tables]:
-        """Tables by wavelength, kept: many short bundles would spend most of their time on them."""
-        return {}
-
-    def _at(self, wavelength_nm: float) -> Tables:
-        if wavelength_nm not in self._tables:
-            self._tables[wavelength_nm] = at_wavelength(self.world, wavelength_nm)
-        return self._tables[wavelength_nm]
-
     def _followed(self, slope: Array, entry: Array, wavelength_nm: float, faces: int | None = None) -> Arrived:
-        tables = self._at(wavelength_nm)
+        tables = at_wavelength(self.world, wavelength_nm)
         path = image_path(len(tables.lens.surfaces))
         return follow_sequence(tables, path if faces is None else path.until(faces), *self.starts(slope, entry))
 
@@ -296,7 +285,7 @@ class LensRays:
             path = (position * direction).sum(axis=1)
         else:
             path = further_than(position, np.array([*(field * self.object_mm), -self.object_mm]))
-        tables, shape = self._at(wavelength_nm), self.world.lens_shape
+        tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         path = media[0] * path
         heights = np.empty((len(position), len(media) - 1))

@@ -36,6 +36,10 @@ def run(
     """
     outputs.check()
     _check(reports)
+    if serving.browser:
+        from lfmesh.view.browser import refuse_to_serve
+
+        refuse_to_serve(serving.host, serving.port)
     windowed = not outputs and not serving.browser and (not reports or has_display())
     if windowed and not has_display():
         raise LfmeshError(NO_DISPLAY)

@@ -1,5 +1,5 @@
 """The viewer as a page in a web browser: 3D view, path table, filter and light field, served by trame on loopback."""
 
-from lfmesh.view.browser.server import serve
+from lfmesh.view.browser.server import refuse_to_serve, serve
 
-__all__ = ["serve"]
+__all__ = ["refuse_to_serve", "serve"]

@@ -71,18 +71,10 @@ def serve(
         The port is taken, the host is none of this machine's, the extra `browser` is not installed, nothing can be
         drawn here, or the subject cannot be read.
     """
-    if not 0 <= port <= 65535:
-        raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any that is free")
-    try:
-        import aiohttp  # noqa: F401
-        import trame_server
-        import trame_vtk  # noqa: F401
-    except ImportError as missing:
-        raise LfmeshError(f"{EXTRA} ({missing.name} is missing)") from None
-    if _is_in_event_loop():
-        raise LfmeshError("the page is served from the command line or a script; in a notebook use lf.show")
+    refuse_to_serve(host, port)
+    import trame_server
+
     with Probe() as probe:
-        _refuse_taken(host, port)
         from lfmesh.view.browser.guard import Guard, is_loopback
         from lfmesh.view.browser.page import Page, say
         from lfmesh.view.browser.sessions import Sessions
@@ -103,6 +95,33 @@ def serve(
     guard = Guard(host)
     server.controller.on_server_bind.add(lambda site: site.app.middlewares.extend([guard.answer, sessions.answer]))
     asyncio.run(_serve(server, sessions, guard.token, host, port, open_browser))
+
+
+def refuse_to_serve(host: str, port: int) -> None:
+    """Refuse what would keep a page from being served, before anything is built or traced for it.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+        0: any that is free.
+
+    Raises
+    ------
+    LfmeshError
+        The port is taken, the host is none of this machine's, or the extra `browser` is not installed.
+    """
+    if not 0 <= port <= 65535:
+        raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any that is free")
+    try:
+        import aiohttp  # noqa: F401
+        import trame_server  # noqa: F401
+        import trame_vtk  # noqa: F401
+    except ImportError as missing:
+        raise LfmeshError(f"{EXTRA} ({missing.name} is missing)") from None
+    if _is_in_event_loop():
+        raise LfmeshError("the page is served from the command line or a script; in a notebook use lf.show")
+    _refuse_taken(host, port)
 
 
 async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port: int, open_browser: bool) -> None:

@@ -664,26 +664,24 @@ def other_addresses() -> list[str]:
         return [*found, outward.getsockname()[0]]
 
 
-def test_a_taken_port_is_one_clear_line_and_ctrl_c_a_clean_end(run: Path) -> None:
-    first = Server(str(run / "scene.toml"), "--rays", "none")
-    assert len(first.line.splitlines()) == 1
+def test_a_taken_port_is_one_clear_line_before_anything_is_read(server: Server) -> None:
     second = subprocess.run(
-        [*LFMESH, "view", str(run / "scene.toml"), "--browser", "--port", str(first.port)],
+        [*LFMESH, "view", "no_such_scene.toml", "--browser", "--port", str(server.port)],
         capture_output=True, text=True, timeout=HANGS_S, cwd=Path(lf.__file__).parents[1],
     )  # fmt: skip
     assert second.returncode == 2
     assert second.stdout == ""
     (line,) = second.stderr.strip().splitlines()
-    assert str(first.port) in line
+    assert f"port = {server.port}:" in line
+
+
+def test_two_hundred_open_sockets_keep_nobody_out(server: Server) -> None:
     with ExitStack() as held:
         for number in range(200):
-            client = held.enter_context(socket.create_connection((first.host, first.port), timeout=5.0))
+            client = held.enter_context(socket.create_connection((server.host, server.port), timeout=HANGS_S))
             if number % 2:  # a slow one, in the middle of its request
                 client.sendall(b"GET /index.html HT")
-        assert first.answer().status == 200, "with 200 open sockets"
-        code, errors = first.stop()
-    assert code == 0
-    assert "Traceback" not in errors
+        assert server.answer().status == 200
 
 
 def test_the_page_starts_as_the_command_line_says(browser: Any, run: Path) -> None:

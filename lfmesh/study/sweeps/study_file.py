@@ -77,19 +77,22 @@ class StudyFile(Model):
             yield Fault(("template",), self.template, f"must be one of {', '.join(TEMPLATES)}")
         if not self.metrics:
             yield Fault(("metrics",), [], "must not be empty")
-        columns = {each.name: each for each in columns_of(tuple(filter(METRICS.get, self.metrics))) if each.worse}
+        known = tuple(filter(METRICS.get, self.metrics))
+        columns = {each.name: each for each in columns_of(known) if each.worse}
         judged = list(columns)
         there_are = f"there are {', '.join(judged)}" if judged else f"metrics = {list(self.metrics)} have none"
         for name, limit in self.limits.items():
             if name not in judged:
-                valid = f"no column that can be limited{nearest(name, judged)}; {there_are}"
-                yield Fault(("limits", name), limit, valid)
+                # It may be of a metric that is misspelt, which is a fault by itself.
+                if known == self.metrics:
+                    valid = f"no column that can be limited{nearest(name, judged)}; {there_are}"
+                    yield Fault(("limits", name), limit, valid)
                 continue
             low, high = columns[name].reach
             if not low <= limit <= high:
                 yield Fault(("limits", name), limit, f"must be from {low:g} to {high:g}, as the column's values are")
         for i, each in enumerate(self.compensators):
-            if each.metric not in judged:
+            if each.metric not in judged and known == self.metrics:
                 valid = f"no column that can be made best{nearest(each.metric, judged)}; {there_are}"
                 yield Fault(("compensators", i, "metric"), each.metric, valid)
             if each.path in [other.path for other in self.compensators[:i]]:

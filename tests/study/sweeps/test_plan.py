@@ -6,6 +6,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
+from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.plan import DISTANCES, seed_of
 from tests.study.studies import SHIFT, shifted, small_scene
@@ -105,6 +106,25 @@ def test_refocus_that_refocuses_nothing_is_refused() -> None:
 def test_a_limit_of_metrics_without_columns_to_limit_says_so() -> None:
     with pytest.raises(lf.LfmeshError, match=r"no column that can be limited; metrics = \['efficiency'\] have none"):
         shifted(metrics=("efficiency",), limits={"psnr_db": 30.0})
+
+
+def test_a_limit_of_a_misspelt_metric_is_one_fault_and_not_two() -> None:
+    with pytest.raises(lf.LfmeshError) as told:
+        shifted(metrics=("psnrr",), limits={"psnr_db": 30.0})
+    assert "psnrr" in str(told.value)
+    assert "can be limited" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "title"),
+    [
+        ("camera.mla.radius_mm[0]", "camera.mla.radius[0] / mm"),
+        ("camera.lens.f_number", "camera.lens.f_number"),
+        ("transport.samples", "transport.samples"),
+    ],
+)
+def test_the_unit_of_a_field_is_said_once(path: str, title: str) -> None:
+    assert titled(path, None) == title
 
 
 def test_python_names_a_fault_of_a_study_by_the_public_class() -> None:

@@ -159,26 +159,18 @@ def without_kick(array: ArraySeen, p: Vector, kick: tuple[float, float]) -> tupl
 
 
 @inlined
-def is_far(growth: float) -> bool:
-    """Tell whether a change of direction is far, so that light comes from elsewhere, too: see `MOST_GROWTH`.
-
-    Parameters
-    ----------
-    growth : float
-        From `without_kick`.
-    """
-    return not 0.0 < growth <= MOST_GROWTH
-
-
-@inlined
 def wide_share_after_kick(growth: float) -> float:
-    """Return the share of rays that go anywhere among samples with a far change of direction.
+    """Return the share of rays that go anywhere among samples with a change of direction; 0 unless that is far.
+
+    After a far one light comes from elsewhere, too: see `MOST_GROWTH`.
 
     Parameters
     ----------
     growth : float
         From `without_kick`.
     """
+    if 0.0 < growth <= MOST_GROWTH:
+        return 0.0
     return min(WIDE_SHARE_BY_GROWTH * (growth - 1.0), MOST_WIDE_SHARE) if growth > 0.0 else MOST_WIDE_SHARE
 
 

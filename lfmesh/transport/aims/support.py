@@ -11,10 +11,10 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.kick_aim import (
-    is_far,
     list_cells_of_pixel,
     most_listed_after_kick,
     shown_after_kick,
+    wide_share_after_kick,
     without_kick,
 )
 from lfmesh.transport.aims.lenslet_aim import (
@@ -181,7 +181,7 @@ def _outside_cells(
         p = move_point(frames, SENSOR_FRAME, MLA_FRAME, rays[i, 0], rays[i, 1], 0.0)
         listed = list_cells_of_pixel(mla.apertures, array, (px, py, pz), extent, near)
         shown, growth = shown_after_kick(mla.apertures, array, near, listed, cells, p, (kick[i, 0], kick[i, 1]))
-        if is_far(growth):
+        if wide_share_after_kick(growth) > 0.0:
             continue
         d = move_direction(frames, SENSOR_FRAME, MLA_FRAME, -rays[i, 2], -rays[i, 3], -rays[i, 4])
         on_cells, on_wider = lenslets_density(array, shown, p, d)

@@ -17,7 +17,6 @@ from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.aims.disk import Vector
 from lfmesh.transport.aims.kick_aim import (
-    is_far,
     list_cells_of_pixel,
     shown_after_kick,
     wide_share_after_kick,
@@ -278,7 +277,7 @@ def _cells_shown(
         kick = _kick_of_sample(apertures, room, i, stratified, colour)
         bundle[KICK_X + i], bundle[KICK_Y + i], bundle[KICK_AT + i] = kick[0], kick[1], float(apertures.events)
     shown, growth = shown_after_kick(apertures, array, room.near, near, room.cells, p, kick)
-    return shown, (wide_share_after_kick(growth) if is_far(growth) else 0.0)
+    return shown, wide_share_after_kick(growth)
 
 
 @inlined

@@ -34,7 +34,7 @@ CASES = {
     "spreads": ["--quick"],
     "startup": ["--quick"],
 }
-LONG = ("lens", "startup", "against", "scaling", "media", "paired", "render", "spreads")
+LONG = ("errors", "lens", "startup", "against", "scaling", "media", "paired", "render", "spreads")
 """Start-up compiles all kernels twice, the other commit's tree once more; scaling starts a process for each size, lens
 for each lens and each other program. Of commands that render scenes and print tables of them, image and errors are in
 the suite.

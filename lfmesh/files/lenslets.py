@@ -12,11 +12,15 @@ BLUR = 0.5
 """Standard deviation of the Gaussian that joins lenslets to a picture, in pitches."""
 
 
-def lenslet_means(power: Array, micro_images: Lattice) -> Array:
-    """Average the pixels of every micro-image.
+PARTS = 8
+"""Parts along each side of a pixel that lies in several micro-images."""
 
-    The mean rather than the sum: micro-images hold a pixel row more or less where the pitch is no whole
-    number, and a sum would show that as a pattern of bars.
+
+def lenslet_means(power: Array, micro_images: Lattice) -> Array:
+    """Average the light of every micro-image over its area.
+
+    Pixels on its border count by their parts in it. By whole pixels some micro-images would have a row more than their
+    neighbours, a dark one, and the picture a pattern of bars.
 
     Parameters
     ----------
@@ -30,9 +34,9 @@ def lenslet_means(power: Array, micro_images: Lattice) -> Array:
         0 for lenslets that have no pixel.
     """
     sums = np.zeros((micro_images.rows, micro_images.columns, power.shape[2]))
-    pixels = np.zeros(sums.shape[:2])
-    _add_to_lenslets(np.ascontiguousarray(power, dtype=np.float64), micro_images, sums, pixels)
-    return np.asarray(sums / np.maximum(pixels, 1.0)[:, :, None])
+    areas = np.zeros(sums.shape[:2])
+    _add_to_lenslets(np.ascontiguousarray(power, dtype=np.float64), micro_images, sums, areas)
+    return np.asarray(np.divide(sums, areas[..., None], out=np.zeros_like(sums), where=areas[..., None] > 0.0))
 
 
 def paint(means: Array, micro_images: Lattice, longest_px: int = 640) -> Array:
@@ -61,16 +65,25 @@ def paint(means: Array, micro_images: Lattice, longest_px: int = 640) -> Array:
 
 
 @kernel
-def _add_to_lenslets(power: Array, lattice: Lattice, sums: Array, pixels: Array) -> None:
-    """Add every pixel to the lenslet whose micro-image it lies in, and count it there."""
+def _add_to_lenslets(power: Array, lattice: Lattice, sums: Array, areas: Array) -> None:
+    """Add every pixel, or each of its parts, to the lenslet whose micro-image it lies in, and its area, pixels, too."""
     height, width, channels = power.shape
     for r in range(height):
         for c in range(width):
-            column, row = cell_of(lattice, c - 0.5 * (width - 1), r - 0.5 * (height - 1))
-            if is_inside(lattice, column, row):
-                pixels[row, column] += 1.0
-                for channel in range(channels):
-                    sums[row, column, channel] += power[r, c, channel]
+            x, y = c - 0.5 * width, r - 0.5 * height
+            column, row = cell_of(lattice, x, y)
+            is_whole = True
+            for corner in range(1, 4):
+                other_column, other_row = cell_of(lattice, x + corner % 2, y + corner // 2)
+                is_whole = is_whole and other_column == column and other_row == row
+            each = 1 if is_whole else PARTS
+            for part in range(each * each):
+                if not is_whole:
+                    column, row = cell_of(lattice, x + (part % each + 0.5) / each, y + (part // each + 0.5) / each)
+                if is_inside(lattice, column, row):
+                    areas[row, column] += 1.0 / (each * each)
+                    for channel in range(channels):
+                        sums[row, column, channel] += power[r, c, channel] / (each * each)
 
 
 @kernel

@@ -114,5 +114,9 @@ class Launcher:
         chunk : int
             Number of packets that are started together.
         """
+        parts = list(source.parts(chunk))
+        if len(parts) == 1:
+            # To start a thread takes longer than to trace a few rays.
+            return [keep(self.trace(source, parts[0]), parts[0])]
         with Threads(threads or os.cpu_count() or 1) as pool:
-            return list(pool.map(lambda part: keep(self.trace(source, part), part), source.parts(chunk)))
+            return list(pool.map(lambda part: keep(self.trace(source, part), part), parts))

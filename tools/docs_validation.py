@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -42,22 +43,24 @@ def validation(kept: Path, program: str, *, quick: bool) -> tuple[str, bool]:
         "[Accuracy](../../../tests/validation/README.md) has the claims by subject, and further tests.",
         "",
     ]
-    passed = True
     shared = b"".join(path.read_bytes() for path in sorted(CASES.glob("*.py")) if not path.stem.startswith("test_"))
+    files = {}
     for path in sorted(CASES.glob("test_*.py")):
         digest = hashlib.sha256(path.read_bytes() + shared + program.encode()).hexdigest()[:12]
-        found = kept / f"{path.stem}-{digest}.json"
-        if not found.is_file() and not quick:
-            print(f"validation: {path.stem}", flush=True)
-            measured(path, found)
-        facts = json.loads(found.read_text()) if found.is_file() else None
-        passed = passed and (facts is None or "failed" not in facts["outcomes"].values())
-        lines += entry(path, facts)
-    return "\n".join(lines), passed
+        files[path] = kept / f"{path.stem}-{digest}.json"
+    if not quick:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(measured, files.keys(), files.values()))
+    facts = {path: json.loads(found.read_text()) if found.is_file() else None for path, found in files.items()}
+    passed = all("failed" not in each["outcomes"].values() for each in facts.values() if each is not None)
+    return "\n".join([*lines, *(line for path, each in facts.items() for line in entry(path, each))]), passed
 
 
 def measured(path: Path, out: Path) -> None:
-    """Run the tests of a file, and keep the figures of their comparisons."""
+    """Run the tests of a file, and keep the figures of their comparisons, if they are not kept already."""
+    if out.is_file():
+        return
+    print(f"validation: {path.stem}", flush=True)
     out.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "docs_figures", "--figures", str(out), str(path)]
     # Byte code of other runs of pytest tells nothing of assertions that pass.

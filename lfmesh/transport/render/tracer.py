@@ -80,7 +80,9 @@ class Tracer:
         self.parts = parts_of(self.world, aimed=self.aimed)
         self.threads = transport.threads or os.cpu_count() or 1
         self.seed = run_key(transport.seed)
-        self.order = self._check_order()
+        if (kept := f"order of surfaces, aimed: {self.aimed}") not in self.world.kept:
+            self.world.kept[kept] = self._check_order()
+        self.order: OrderCheck | None = self.world.kept[kept]
         if self.order is not None and not self.order.holds:
             self.parts = parts_of(self.world, aimed=self.aimed, by_meshes=True)
         if self.adjoint:
@@ -227,7 +229,10 @@ class Tracer:
         return ChunkTally(chunk.number, chunk.part.booked(space.book), work, deposits, chunk.place)
 
     def _check_order(self) -> OrderCheck | None:
-        """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none."""
+        """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none.
+
+        Once for a world: which surfaces come in which order is no matter of the seed.
+        """
         order, ghosts = self._compared_in_order(), self._compared_ghosts()
         return ghosts if order is None else order.joined(ghosts)
 

@@ -229,7 +229,7 @@ def test_cameras_that_errors_do_not_tell_apart_are_said_to_be_so() -> None:
     assert "is broken at 1 of 3 cameras; 1 is too near to it to tell." in held
     held = " ".join(in_short(of_values(0.838, values | {0.04: (0.9, 0.01)})))
     assert "is held at 2 of 3 cameras; 1 is too near to it to tell." in held
-    held = " ".join(in_short(of_values(0.838, {value: (0.9, math.nan) for value in (0.0, 0.02, 0.04)})))
+    held = " ".join(in_short(of_values(0.838, dict.fromkeys((0.0, 0.02, 0.04), (0.9, math.nan)))))
     assert "is held at all 2 cameras." in held
 
 

@@ -68,7 +68,7 @@ class Placement:
     warnings: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return what is known in words, warnings last."""
+        """Return what is known in words, its warnings last, as notes."""
         box = ", ".join(
             f"{axis} {low:.5g} to {high:.5g}" for axis, low, high in zip("xyz", self.low, self.high, strict=True)
         )
@@ -80,7 +80,7 @@ class Placement:
             f"  before the lens      {self.nearest_mm:.5g} mm to {self.farthest_mm:.5g} mm",
             f"  share of the field   {100 * self.share:.3g} % at most",
             *lamps,
-            *(f"warning: {self.name} {text}" for text in self.warnings),
+            *(f"Note: {self.name} {text}" for text in self.warnings),
         ]
 
 

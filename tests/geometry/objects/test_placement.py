@@ -137,7 +137,7 @@ def test_check_prints_where_targets_stand_and_refuses_a_broken_mesh(
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     said = capsys.readouterr().out
     assert "targets[0] (part): 12 facets" in said
-    assert "warning: targets[0] (part) is out of the field" in said
+    assert "Note: targets[0] (part) is out of the field" in said
     (tmp_path / file).write_bytes(b"solid nothing")
     assert main(["check", str(tmp_path / "scene.toml")]) == 2
     assert "part.stl" in capsys.readouterr().err

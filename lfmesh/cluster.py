@@ -52,8 +52,10 @@ def connected(address: str, workers: int) -> Iterator[Any]:
         from distributed import Client, LocalCluster
         from distributed.client import ClosedClientError
         from distributed.comm import CommClosedError
-    except ImportError:
-        raise LfmeshError('--dask needs dask.distributed: pip install "lfmesh[cluster]"') from None
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and (error.name or "").split(".")[0] in ("distributed", "dask")
+        why = "" if missing else f", which cannot be imported: {error}"
+        raise LfmeshError(f'--dask needs dask.distributed{why}: pip install "lfmesh[cluster]"') from None
     if address == LOCAL:
         with (
             LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,

@@ -27,6 +27,28 @@ ITS_FOLDER = Path("/proc/self/cwd")
 """The folder that a process works in: one name, and for each process another place."""
 
 
+def test_a_dask_that_cannot_be_imported_is_told_from_one_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = ImportError("cannot import name 'Client' from 'distributed'")
+
+    class Finder:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "distributed":
+                raise broken
+
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+    for name in [name for name in sys.modules if name.split(".")[0] == "distributed"]:
+        monkeypatch.delitem(sys.modules, name)
+    why = "--dask needs dask.distributed, which cannot be imported: cannot import name 'Client'"
+    with pytest.raises(lf.LfmeshError, match=why), cluster.connected("local", 1):
+        pass
+    broken = ModuleNotFoundError("No module named 'distributed'", name="distributed")
+    with (
+        pytest.raises(lf.LfmeshError, match=r"--dask needs dask\.distributed: pip install"),
+        cluster.connected("local", 1),
+    ):
+        pass
+
+
 def started(*words: str, folder: Path | None = None, sources: Path = PACKAGE.parent) -> subprocess.Popen[bytes]:
     """Start a program of dask in a folder, with lfmesh from there, if it has one, or from some sources."""
     return subprocess.Popen(

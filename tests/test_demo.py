@@ -86,7 +86,10 @@ def test_another_seed_gives_other_noise_and_the_same_picture(folder: Path) -> No
 
 
 DARK = {
-    "lamp behind the target": ({"light_z_mm": -900.0}, ["no light reaches it there, and it does not emit"]),
+    "lamp behind the target": (
+        {"light_z_mm": -900.0},
+        ["reached targets[0] (wall), but found nothing there that emits", "targets[0] (wall) is lit by no lamp on the"],
+    ),
     "target out of the field": (
         {"target_x_mm": 400.0},
         ["None of the paths traced back from the sensor reached a target; ", " left the lens and met nothing."],
@@ -95,7 +98,7 @@ DARK = {
         {"stop_mm": 1e-4},
         [
             "None of the paths traced back from the sensor reached a target, none even got out of the lens.",
-            "ended on the stop",
+            "that came to the lens, 100 % ended on the stop.",
         ],
     ),
 }

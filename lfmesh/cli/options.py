@@ -39,7 +39,9 @@ def share_of(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+    if found is not None and int(found[1]) > int(found[2]):
+        raise LfmeshError(f"--shard {text}: there is no share {found[1]} of {found[2]}; write the number first: 1/3")
+    if found is None or int(found[1]) < 1:
         raise LfmeshError(f'--shard {text}: give the number of a share and how many there are, such as "1/3"')
     return int(found[1]), int(found[2])
 

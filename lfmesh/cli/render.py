@@ -36,7 +36,7 @@ def demo(
 
 @app.command
 def check(scene: SceneFile, /) -> int:
-    """Check a scene file and print its first-order optics and where its targets stand, with warnings in plain words.
+    """Check a scene file and print its first-order optics and where its targets stand, with warnings and notes.
 
     Loads every mesh and picture, and traces nothing but a few rays of particles that are to be pictured by waves.
 
@@ -73,8 +73,11 @@ def check(scene: SceneFile, /) -> int:
 
         with progress() as report:
             refuse_particles(world, report)
-    known = "\n".join(lines)
-    warn_caller(each for each in foreseen(world) if str(each) not in known)
+    found = foreseen(world)
+    warn_caller(found)
+    # What is a warning is no note.
+    said = {f"Note: {each}" for each in found}
+    lines = [line for line in lines if line not in said]
     lines += lamp_lines(loaded, world.targets)
     print("\n".join(map(wrapped, lines)))
     return 0

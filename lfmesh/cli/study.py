@@ -123,7 +123,8 @@ def _plan(loaded: "Study", workers: int | None) -> int:
     found = probe(plan, workers)
     print(
         f"{found.points} points, {found.units} units in {found.workers} processes, {', '.join(plan.metrics)}: about "
-        f"{duration(found.seconds)} ({found.unit_seconds:.2g} s a unit), {found.bytes / 1e9:.2g} GB of memory"
+        f"{duration(found.seconds)} ({duration(found.start_seconds)} to start, {found.unit_seconds:.2g} s a camera in "
+        f"one process), {found.bytes / 1e9:.2g} GB of memory"
     )
     return 0
 

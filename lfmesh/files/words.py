@@ -1,21 +1,47 @@
 """The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.objects.placement import placements
+from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import percent
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
-from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import typical_over_rms
 from lfmesh.transport.render.image import Image
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
+
+MOST_ENDS, MOST_TARGETS = 4, 3
+"""Places where light ended, and targets, that a sentence names."""
+
+BEFORE_LENS = {
+    "sensor", "beside the sensor", "housing", "reflections not followed",
+    "mla mount", "mla edge", "mla wall", "mla mask",
+}  # fmt: skip
+"""Places in the ledger between sensor and lens."""
+
+BEYOND_LENS = "beyond the lens"
+
+WITHOUT_PLACE = {
+    BEYOND_LENS: "got out of it",
+    "sensor": "reached the sensor",
+    "beside the sensor": "fell beside the sensor",
+    "escaped": "left the scene",
+    "rounding": "was lost to rounding",
+    "reflections not followed": "went into reflections that are not followed",
+    "étendue of thin lenses": "went with étendue that thin lenses do not keep",
+    "diffracted beyond a right angle": "was diffracted beyond a right angle",
+}
+"""Words for entries of the ledger that are no bodies."""
 
 
 @dataclass(frozen=True)
@@ -187,11 +213,11 @@ def _coatings(image: Image) -> list[str]:
 
 
 def where_the_light_went(image: Image) -> list[str]:
-    """Return sentences on where the packets ended that did not make the picture, from the ledger: the cause first."""
+    """Return sentences on why a picture is dark: what the scene tells, and where the packets ended by the ledger."""
     ledger = image.ledger
     adjoint = image.scene.transport.method == "adjoint"
     ends = _ends(image)
-    total = sum(share for _, share in ends)
+    total = sum(ends.values())
     if total <= 0.0 and ledger.lamps is not None and ledger.lamps.emitted > 0.0:
         return [
             f"Only particles shine: {percent(ledger.lamps.sensor / ledger.lamps.emitted)} of their light came to"
@@ -201,10 +227,17 @@ def where_the_light_went(image: Image) -> list[str]:
         return []
     if total <= 0.0:
         return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
-    parts = [f"{percent(share / total)} {words}" for words, share in ends if share >= 0.001 * total][:4]
     if not adjoint:
-        return [f"Of the light, {', '.join(parts)}."]
-    return [_reached(ledger, image.scene), f"Of all these paths, {', '.join(parts)}."]
+        return [f"Of the light, {_shares(image, ends)}.", *_reasons(image)]
+    # Most paths from the sensor end before the lens, whatever is wrong with a scene.
+    to_lens = {name: share for name, share in ends.items() if name not in BEFORE_LENS}
+    came = sum(to_lens.values())
+    if not came > 0.0:
+        return [_reached(image), f"None of them came to the lens: {_shares(image, ends)}."]
+    in_lens = {name: share for name, share in to_lens.items() if name not in _outside(image.scene)}
+    out = {BEYOND_LENS: came - sum(in_lens.values())}
+    lens = f"Of the {percent(came / total)} that came to the lens, {_shares(image, out | in_lens)}."
+    return [_reached(image), *_reasons(image), lens]
 
 
 def duration(seconds: float) -> str:
@@ -289,34 +322,61 @@ def _refined(refinement: Refinement) -> str:
     return f"{line}."
 
 
-def _ends(image: Image) -> list[tuple[str, float]]:
-    """Places where packets end physically, largest first; entries of roulette and aimed sampling are no places."""
+def _ends(image: Image) -> dict[str, float]:
+    """Return what ended at each place; entries of roulette and aimed sampling are no places."""
     ledger = image.ledger
-    ends = [(_ended(name), share) for name, share in ledger.absorbed.items()]
-    ends += [
-        ("reached the sensor", ledger.sensor),
-        ("left the scene", ledger.escaped),
-        (f"was cut after {image.scene.transport.max_events} events (max_events)", ledger.depth),
-        ("was lost to rounding", sum(ledger.lost.values())),
-    ]
-    return sorted(ends, key=lambda end: -end[1])
+    return {
+        **ledger.absorbed,
+        "sensor": ledger.sensor,
+        "escaped": ledger.escaped,
+        "max_events": ledger.depth,
+        "rounding": sum(ledger.lost.values()),
+    }
 
 
-def _ended(name: str) -> str:
-    """``stop`` takes an article, ``targets[0]`` does not; light beside the sensor ended on nothing that has a name."""
-    if name == "beside the sensor":
-        return "fell beside the sensor"
+def _outside(scene: Scene) -> set[str]:
+    """Return the places of a ledger that lie in front of the lens."""
+    bodies = [_in_ledger(scene, number) for number in range(len(scene.targets))]
+    media = [medium.name or f"media[{i}]" for i, medium in enumerate(scene.media)]
+    return {"escaped", *bodies, *media, *(f"inside {name}" for name in bodies)}
+
+
+def _in_ledger(scene: Scene, number: int) -> str:
+    """Return the name of a target in the ledger."""
+    return scene.targets[number].name or f"targets[{number}]"
+
+
+def _shares(image: Image, ends: dict[str, float]) -> str:
+    """List the largest shares of what ended, and the rest in one."""
+    total = sum(ends.values())
+    largest = sorted(ends, key=lambda name: -ends[name])[:MOST_ENDS]
+    largest = [name for name in largest if ends[name] >= 0.001 * total]
+    rest = total - sum(ends[name] for name in largest)
+    parts = [f"{percent(ends[name] / total)} {_ended(name, image.scene)}" for name in largest]
+    return ", ".join([*parts, *([f"{percent(rest / total)} elsewhere"] if rest >= 0.001 * total else [])])
+
+
+def _ended(name: str, scene: Scene) -> str:
+    """Return what became of a share of light, given its name in the ledger."""
+    if name in WITHOUT_PLACE:
+        return WITHOUT_PLACE[name]
+    if name == "max_events":
+        return f"was cut after {scene.transport.max_events} events (max_events)"
     if name.startswith("coating of "):
         return f"was absorbed by the {name}"
-    return f"ended on {name}" if name.startswith("targets[") else f"ended on the {name}"
+    if name.startswith("inside "):
+        return f"was absorbed {name}"
+    return f"ended on {name}" if name.startswith(("targets[", "media[", "lens[")) else f"ended on the {name}"
 
 
-def _reached(ledger: Ledger, scene: Scene) -> str:
+def _reached(image: Image) -> str:
     """Return a sentence on whether the paths from the sensor reached targets, and these have light."""
+    ledger, scene = image.ledger, image.scene
     paths = "of the paths traced back from the sensor"
+    opaque = [i for i, target in enumerate(scene.targets) if target.refractor is None]
+    met = [named_target(scene, i) for i in opaque if ledger.absorbed.get(_in_ledger(scene, i), 0.0) > 0.0]
     if ledger.reached_target <= 0.0:
-        opaque = [f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is None]
-        black = sum(ledger.absorbed.get(name, 0.0) for name in opaque)
+        black = sum(ledger.absorbed.get(_in_ledger(scene, i), 0.0) for i in opaque)
         if black > 0.0:
             return (
                 f"{percent(black / ledger.emitted)} {paths} met a target from its black side, which neither emits nor "
@@ -327,7 +387,33 @@ def _reached(ledger: Ledger, scene: Scene) -> str:
         return (
             f"None {paths} reached a target; {percent(ledger.escaped / ledger.emitted)} left the lens and met nothing."
         )
-    reached = f"{percent(ledger.reached_target / ledger.emitted)} {paths} reached a target"
+    where = " and ".join(met) if len(met) <= MOST_TARGETS else f"{len(met)} targets"
+    reached = f"{percent(ledger.reached_target / ledger.emitted)} {paths} reached {where or 'a target'}"
     if ledger.lit <= 0.0:
-        return f"{reached}, but no light reaches it there, and it does not emit."
-    return f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those arrived where there is light."
+        return f"{reached}, but found nothing there that emits or scatters light of a lamp."
+    facing = (
+        f"{reached}; {percent(ledger.lit / ledger.reached_target)} of those found a side that emits or faces a lamp"
+    )
+    return facing + ("." if image.mean.any() else ", but something stands before the lamp.")
+
+
+def _reasons(image: Image) -> list[str]:
+    """Return sentences on targets that cannot be seen, or from which no light can come."""
+    scene, ledger = image.scene, image.ledger
+    with suppress(LfmeshError):
+        # Files that have gone since the render say nothing.
+        known = [str(warning) for warning in image.warnings]
+        places = placements(scene)
+        found = [f"{place.name} {why}" for place in places for why in place.warnings]
+        lines = [f"{why}." for why in found if why not in known]
+        for number, (target, place) in enumerate(zip(scene.targets, places, strict=True)):
+            # Of what scatters everything, nothing ends on it.
+            own = target.shape is not None or not target.takes_materials
+            takes = own and isinstance(target.material.reflectance, float) and target.material.reflectance < 1.0
+            ended = ledger.absorbed.get(_in_ledger(scene, number), 0.0)
+            if place.share and target.refractor is None and takes and not ended and ledger.reached_target > 0.0:
+                lines.append(
+                    f"No path reached {place.name}, which stands in the field: it is small, or another body hides it."
+                )
+        return lines
+    return []

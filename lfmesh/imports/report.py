@@ -134,7 +134,7 @@ class Report:
         listed = [str(line) for line in in_order if every_line or line.verdict in look]
         counts = Counter(line.verdict for line in self.lines)
         summary = ", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict if counts[verdict])
-        return [*listed, f"lines: {summary}", *self.notes]
+        return [*listed, *([f"lines: {summary}"] if summary else []), *self.notes]
 
 
 def _cut(text: str) -> str:

@@ -9,7 +9,7 @@ import difflib
 import re
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 from pydantic import (
     BaseModel,
@@ -75,6 +75,9 @@ class _ModelClass(ModelMetaclass):
 
 class Model(BaseModel, metaclass=_ModelClass):
     """A part of the scene: immutable, no unknown keys, no NaN, no infinity unless a field allows it."""
+
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+    """Where to give what is looked for in this part and belongs to another one, by the key that is tried."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -257,11 +260,18 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
     if kind in ("extra_forbidden", "invalid_key"):
         key = str(where[-1])
         keys = list(cls.model_fields)
+        if key in cls.elsewhere:
+            return Fault(where, None, f"unknown key; {cls.elsewhere[key]}")
         return Fault(where, None, f"unknown key{nearest(key, keys)}; valid here: {', '.join(keys)}")
+    field = cls.model_fields.get(str(where[0])) if len(where) == 1 else None
+    meaning = _first_sentence(field.description) if field is not None and field.description else ""
     if kind == "missing":
-        field = cls.model_fields.get(str(where[0]))
-        meaning = f": {_first_sentence(field.description)}" if len(where) == 1 and field and field.description else ""
-        return Fault(where, None, f"missing{meaning}")
+        return Fault(where, None, f"missing{meaning and f': {meaning}'}")
+    if kind == "tuple_type":
+        if isinstance(value, Mapping):
+            heading = str(where[0]) if "schema_version" in cls.model_fields else f"...{where[0]}"
+            return Fault(where, None, f"must be a list of tables: write [[{heading}]] above each of them")
+        return Fault(where, value, f"must be a list{meaning and f': {meaning}'}")
     if kind == "union_tag_not_found":
         return Fault(where, value, "needs a key `kind` that says what it is")
     if kind == "union_tag_invalid":
@@ -280,7 +290,6 @@ def _restated(detail: ErrorDetails, cls: type[Model]) -> Fault:
         "int_type": "must be a whole number, without quotes or a decimal point",
         "string_type": "must be text in quotes",
         "bool_type": "must be true or false",
-        "tuple_type": "must be a list",
         "model_type": "must be a table",
         "model_attributes_type": "must be a table",
         "finite_number": "must be a finite number",

@@ -194,7 +194,7 @@ SAID_BY_THE_FILES = {
     "truncated GLB": (cut("part.glb", 0.6), GLB, "part.glb: broken"),
     "garbage GLB": (fill("part.glb", GARBAGE), GLB, "part.glb: broken"),
     "texture that is no picture": (fill("chart.png", b"no picture"), None, "chart.png: not a picture"),
-    "truncated texture": (cut("chart.png", 0.5), None, "chart.png: "),
+    "truncated texture": (cut("chart.png", 0.5), None, "targets[1].material.texture: "),
     "profile that is none": (
         fill("lamp.ies", GARBAGE),
         ('kind = "point"', 'kind = "point"\nprofile = "lamp.ies"'),

@@ -46,6 +46,11 @@ def test_conversion_says_what_became_of_the_lines(tmp_path: Path, capsys):
     assert load_lens(tmp_path / "out.toml").surfaces[1].semi_diameter_mm == 5.0
 
 
+def test_a_lens_without_lines_of_another_program_says_nothing_of_lines(tmp_path: Path, capsys) -> None:
+    assert main(["lens", "convert", "lib:tessar_50mm", str(tmp_path / "out.toml")]) == 0
+    assert capsys.readouterr().out == f"  {tmp_path / 'out.toml'}\n"
+
+
 def test_a_glass_may_be_replaced_in_conversion(tmp_path: Path, capsys):
     (tmp_path / "in.seq").write_text(SINGLET_SEQ.replace("NBK7_SCHOTT", "BK7_SCHOTT"))
     words = ["lens", "convert", str(tmp_path / "in.seq"), str(tmp_path / "out.zmx")]

@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,14 +98,52 @@ def test_a_black_picture_says_that_the_light_ended_on_the_stop(image_of: Build, 
 
 def test_a_black_adjoint_picture_says_that_no_light_reaches_the_target(image_of: Build) -> None:
     black = np.zeros((60, 80, 1))
-    ledger = lf.Ledger(emitted=4.0, absorbed={"stop": 3.0, "targets[0]": 1.0}, reached_target=1.0, lit=0.0)
+    absorbed = {"stop": 1.0, "mount": 0.5, "targets[0]": 0.2, "housing": 2.0, "reflections not followed": 0.5}
+    ledger = lf.Ledger(emitted=5.0, absorbed=absorbed, escaped=0.8, reached_target=1.0, lit=0.0)
     lines = text(image_of(mean=black, stderr=black, ledger=ledger))
-    assert "75 % ended on the stop, 25 % ended on targets[0]" in lines
-    cause = lines.index("25 % of the paths traced back from the sensor reached a target, but no light reaches it there")
-    assert cause < lines.index("75 % ended on the stop"), "the cause comes first"
+    cause = lines.index(
+        "20 % of the paths traced back from the sensor reached targets[0], but found nothing there that"
+    )
+    ends = lines.index(
+        "Of the 50 % that came to the lens, 40 % got out of it, 40 % ended on the stop, 20 % ended on the"
+    )
+    assert cause < ends, "the cause comes first"
     nowhere = lf.Ledger(emitted=4.0, escaped=4.0)
     said = text(image_of(mean=black, stderr=black, ledger=nowhere))
     assert "None of the paths traced back from the sensor reached a target" in said
+    shadow = lf.Ledger(emitted=4.0, escaped=4.0, reached_target=4.0, lit=2.0)
+    assert "50 % of those found a side that emits or faces a lamp, but something stands before the lamp." in text(
+        image_of(mean=black, stderr=black, ledger=shadow)
+    )
+
+
+def test_shares_of_light_come_to_the_whole_in_sentences(image_of: Build) -> None:
+    black = np.zeros((60, 80, 1))
+    absorbed = {"housing": 0.4, "mla mount": 0.3, "mla edge": 0.1, "reflections not followed": 0.15, "mla wall": 0.05}
+    lines = text(image_of(mean=black, stderr=black, ledger=lf.Ledger(emitted=1.0, absorbed=absorbed)))
+    assert (
+        "None of them came to the lens: 40 % ended on the housing, 30 % ended on the mla mount, 15 % went into "
+        "reflections that are not followed, 10 % ended on the mla edge, 5 % elsewhere." in lines
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "ended", "said"),
+    [
+        ({"targets[0].material.reflectance": 0.0}, "targets[0]", "targets[0] reflects nothing and does not shine: its"),
+        ({"lights[0].position_mm": [0.0, 0.0, -900.0]}, "targets[0]", "targets[0] is lit by no lamp on the side that"),
+        ({"targets[0].name": "board"}, "targets[1]", "No path reached targets[0] (board), which stands in the field"),
+    ],
+)
+def test_a_black_picture_names_what_is_wrong_with_its_targets(
+    image_of: Build, scene: Scene, changes: dict[str, Any], ended: str, said: str
+) -> None:
+    black = np.zeros((60, 80, 1))
+    ledger = lf.Ledger(emitted=1.0, absorbed={ended: 1.0}, reached_target=1.0)
+    lines = text(image_of(scene.changed(changes), mean=black, stderr=black, ledger=ledger))
+    assert said in lines
+    good = text(image_of(mean=black, stderr=black, ledger=replace(ledger, absorbed={"targets[0]": 1.0})))
+    assert said[-20:] not in good
 
 
 def test_a_picture_from_within_a_target_says_that_its_inside_is_black(image_of: Build) -> None:

@@ -251,6 +251,12 @@ WRONG = [
     ({"camera.mla.asphere_mm": [1e6]}, r"up to 51\.85\d* mm deep in its cell, more than thickness_mm = 0\.3"),
     ({"camera.mla.asphere_mm": [-1e6]}, r"rises up to 51\.8\d* mm over its apexes, more than pitch_mm = 0\.12"),
     ({"camera.mla.asphere_mm": 3.0}, r"mla\.asphere_mm = 3\.0: must be a list"),
+    ({"camera.mla.count": 24}, r"mla\.count = 24: must be a list: Number of lenslets: columns, rows"),
+    ({"camera.mla.pitch_mm": 125.0}, r"give a smaller pitch_mm than 125, or here 26042 or more"),
+    ({"targets": {}}, r"targets: must be a list of tables: write \[\[targets\]\] above each of them"),
+    ({"camera.sensor.bands": {}}, r"sensor\.bands: must be a list of tables: write \[\[\.\.\.bands\]\] above"),
+    ({"camera.lens.coating": "ar"}, r"lens\.coating: unknown key; a surface has it: .*\(lfmesh lens convert lib:"),
+    ({"camera.lens.file": "lib:tessar_50mm"}, r"surfaces are given too; .*lens convert lib:tessar_50mm lens\.toml"),
     ({"camera.mla.asphere_mm": [0.0] * 15}, r"mla\.asphere_mm\[0\] = .*may have 14 entries at most"),
     ({"camera.mla.cylinder_axis": "z"}, r"mla\.cylinder_axis = \"z\": must be 'x' or 'y'"),
     ({"camera.mla.cylinder_axis": "y", "camera.mla.layout": "hexagonal"},
@@ -276,6 +282,11 @@ WRONG = [
 def test_what_does_not_fit_together_is_refused(scene: Scene, values: dict[str, object], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         scene.changed(values)
+
+
+def test_lenslets_that_diverge_are_said_to_be_why_the_sensor_has_no_place(scene: Scene) -> None:
+    with pytest.raises(SceneError, match=r"^camera\.mla: the first lenslet type diverges \(focal length -0\.5 mm\)"):
+        solved(scene.changed({"camera.mla.focal_length_mm": -0.5, "camera.sensor.distance_mm": None}))
 
 
 def test_files_that_carry_units_need_none() -> None:

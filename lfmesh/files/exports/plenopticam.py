@@ -100,6 +100,6 @@ def _warn(calibration: Calibration) -> None:
     if spot > LARGEST_SPOT:
         warnings.warn(
             f"PlenoptiCam may miss the pitch of the micro-images: they are {spot:.2g} pitches wide; stop the lens down "
-            f"until they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or less",
+            f"until they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or a larger f-number",
             stacklevel=3,
         )

@@ -50,6 +50,9 @@ class Placement:
     facets : int
     picture : tuple of int, or None
         Width and height of its texture.
+    lit_by : tuple of str, or None
+        Lamps that stand before a side that the camera sees and shine its way. None where the camera sees no such side,
+        or the target is of glass.
     warnings : tuple of str
     """
 
@@ -61,20 +64,23 @@ class Placement:
     share: float
     facets: int
     picture: tuple[int, int] | None
+    lit_by: tuple[str, ...] | None
     warnings: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return what is known in words, warnings last."""
+        """Return what is known in words, its warnings last, as notes."""
         box = ", ".join(
             f"{axis} {low:.5g} to {high:.5g}" for axis, low, high in zip("xyz", self.low, self.high, strict=True)
         )
         texture = f", texture {self.picture[0]} × {self.picture[1]}" if self.picture else ""
+        lamps = [] if self.lit_by is None else [f"  lit by               {', '.join(self.lit_by) or 'no lamp'}"]
         return [
             f"{self.name}: {self.facets} facets{texture}",
             f"  box in the world     {box} mm",
             f"  before the lens      {self.nearest_mm:.5g} mm to {self.farthest_mm:.5g} mm",
             f"  share of the field   {100 * self.share:.3g} % at most",
-            *(f"warning: {self.name} {text}" for text in self.warnings),
+            *lamps,
+            *(f"Note: {self.name} {text}" for text in self.warnings),
         ]
 
 
@@ -100,6 +106,7 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
     before = seen[:, 2] < 0.0
     picture = _in_field(seen[before], facts)
     share = _share(picture) if before.any() else 0.0
+    lit_by = _lamps(scene, target, body, frame.inverse(to_camera)) if share else None
     return Placement(
         named_target(scene, number),
         corners.min(axis=0),
@@ -109,13 +116,15 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
         share,
         len(body.mesh.faces),
         (body.texture.shape[1], body.texture.shape[0]) if body.texture is not None else None,
-        tuple(_warnings(scene, facts, target, body, seen, share)),
+        lit_by,
+        tuple(_warnings(scene, facts, target, body, seen, share, lit_by)),
     )
 
 
 def _warnings(
-    scene: Scene, facts: FirstOrder, target: Target, body: TargetMesh, seen: Array, share: float
-) -> Iterator[str]:
+    scene: Scene, facts: FirstOrder, target: Target, body: TargetMesh, seen: Array, share: float,
+    lit_by: tuple[str, ...] | None,
+) -> Iterator[str]:  # fmt: skip
     """Yield what is likely to disappoint about a target; `seen` are its corners in the camera frame, mm."""
     # The first-order report tells by itself where shapes stand, unless the camera has moved.
     told = target.shape is not None and not any(scene.camera.pose.shift_mm) and not any(scene.camera.pose.tilt_deg)
@@ -139,19 +148,15 @@ def _warnings(
         return
     if target.refractor is not None:
         return
-    centres, normals, radii = _facets_in_front(body, scene)
-    if not len(radii):
+    if lit_by is None:
+        if target.material.sides == "front" and not body.closed:
+            yield 'shows the camera its black side: sides = "front", and its front faces away; turn it round'
+    elif _shines(target):
         return
-    to_eye = np.einsum("ij,ij->i", normals, eye - centres)
-    if target.material.sides == "front" and not body.closed and not (to_eye > 0.0).any():
-        yield 'shows the camera its black side: sides = "front", and its front faces away; turn it round'
-        return
-    if _shines(target) or not scene.lights or any(_shines(other) for other in scene.targets):
-        return
-    visible = to_eye > 0.0 if body.closed else to_eye != 0.0
-    if visible.any() and not _is_lit(
-        scene.lights, centres[visible], (normals * np.sign(to_eye)[:, None])[visible], radii[visible]
-    ):
+    elif _is_black(target, body):
+        zero = "texture" if target.material.reflectance else "reflectance"
+        yield f"reflects nothing and does not shine: its {zero} is 0"
+    elif not lit_by and scene.lights and not any(_shines(other) for other in scene.targets):
         yield "is lit by no lamp on the side that the camera sees: only light from other bodies can reach it"
 
 
@@ -220,9 +225,38 @@ def _shines(target: Target) -> bool:
     return target.refractor is None and target.material.emits
 
 
-def _is_lit(lights: tuple[Light, ...], points: Array, normals: Array, radii: Array) -> bool:
-    """Tell whether any lamp sends light to any of the facets, on the side that the normals point to."""
-    return any(bool(_lit(light, points, normals, radii).any()) for light in lights)
+def _is_black(target: Target, body: TargetMesh) -> bool:
+    """Tell whether a target scatters no light, by a reflectance of 0 or a black texture."""
+    if target.material.gloss is not None or body.materials:
+        return False
+    return target.material.reflectance == 0.0 or (body.texture is not None and not body.texture.any())
+
+
+def _lamps(scene: Scene, target: Target, body: TargetMesh, to_world: Array) -> tuple[str, ...] | None:
+    """Return the lamps that shine on a side of an opaque target that the camera sees; None where it sees no such side.
+
+    Parameters
+    ----------
+    scene : Scene
+    target : Target
+    body : TargetMesh
+    to_world : (4, 4) float64
+        From the camera frame.
+    """
+    if target.refractor is not None:
+        return None
+    eye = frame.points(to_world, np.zeros((1, 3)))[0]
+    centres, normals, radii = _facets_in_front(body, scene)
+    to_eye = np.einsum("ij,ij->i", normals, eye - centres)
+    visible = to_eye > 0.0 if body.closed or target.material.sides == "front" else to_eye != 0.0
+    if not visible.any():
+        return None
+    towards = (normals * np.sign(to_eye)[:, None])[visible]
+    return tuple(
+        f"lights[{number}] ({light.kind})"
+        for number, light in enumerate(scene.lights)
+        if _lit(light, centres[visible], towards, radii[visible]).any()
+    )
 
 
 def _lit(light: Light, points: Array, normals: Array, radii: Array) -> NDArray[np.bool_]:

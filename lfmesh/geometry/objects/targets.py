@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lfmesh.errors import MeshError
+from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, Piece, load_mesh
 from lfmesh.geometry.frame import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_corner_normals, facet_normals, joined
@@ -103,7 +103,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
             pieces = [replace(piece, picture=None, factor=np.ones(len(piece.factor))) for piece in pieces]
     with_alpha = asks_alpha or taken
     if target.material.texture is not None:
-        picture = load_texture(scene.resolve(target.material.texture), with_alpha)
+        picture = _picture(target, scene, with_alpha)
         pieces = [_covered(piece, picture, name) for piece in pieces]
     pieces, closed = _oriented([replace(piece, mesh=welded(piece.mesh)) for piece in pieces])
     placed, texture = atlas(name, pieces)
@@ -173,6 +173,15 @@ def _shading_normals(mesh: Mesh) -> Array | None:
             np.abs(cosine) >= np.cos(np.deg2rad(STEEPEST_DEG)), np.copysign(1.0, cosine) * normals, facet
         )
     return normals if np.abs(normals - facet).max(initial=0.0) > FLAT else None
+
+
+def _picture(target: Target, scene: Scene, alpha: bool) -> Texture:
+    try:
+        return load_texture(scene.resolve(str(target.material.texture)), alpha)
+    except FileError as error:
+        number = next((i for i, each in enumerate(scene.targets) if each is target), None)
+        which = "" if number is None else f"targets[{number}]."
+        raise FileError(f"{which}material.texture: {error}") from None
 
 
 def named_target(scene: Scene, number: int) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import zip_longest
-from typing import get_args
+from typing import ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -503,8 +503,15 @@ AS_IT_STANDS = FileChoices()
 """No choices."""
 
 
+_EDIT = "to change surfaces of a lens file write it as another one (lfmesh lens convert {} lens.toml), and edit that"
+
+
 class Lens(Model):
     """The main lens as its prescription, or the file that holds it."""
+
+    elsewhere: ClassVar[Mapping[str, str]] = {
+        "coating": "a surface has it: surfaces = [{ ..., coating = ... }]; " + _EDIT.format("lib:tessar_50mm")
+    }
 
     file: Text | None = None
     """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
@@ -629,7 +636,9 @@ class Lens(Model):
         """Yield what is wrong between surfaces."""
         if self.file is not None:
             if self.surfaces:
-                yield Fault(("file",), self.file, "surfaces are given too; give one of them")
+                yield Fault(
+                    ("file",), self.file, f"surfaces are given too; give one of them; {_EDIT.format(self.file)}"
+                )
             return
         for key in FILE_CHOICES:
             if value := getattr(self, key):

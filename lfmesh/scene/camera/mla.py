@@ -171,13 +171,14 @@ class MicrolensArray(Model):
         if abs(radius_mm) < self.corner_mm:
             return (
                 f"a sphere of radius {abs(radius_mm):.6g} mm does not reach the corner of its cell, "
-                f"{self.corner_mm:.6g} mm from the axis: {self._least(radius_mm, scale)} or a smaller pitch_mm"
+                f"{self.corner_mm:.6g} mm from the axis: give a smaller pitch_mm than {self.pitch_mm:g}, or here "
+                f"{self._least(radius_mm, scale)}"
             )
         depth = abs(radius_mm) - math.sqrt(radius_mm**2 - self.corner_mm**2)
         if radius_mm > 0 and depth > self.thickness_mm:
             return (
                 f"the curved face is {depth:.6g} mm deep at the corner of its cell, more than "
-                f"thickness_mm = {self.thickness_mm:g}: a plate of {at_least(depth)} mm or more, or "
+                f"thickness_mm = {self.thickness_mm:g}: give a plate of {at_least(depth)} mm or more, or here "
                 f"{self._least(radius_mm, scale)}"
             )
         return None
@@ -230,7 +231,7 @@ class MicrolensArray(Model):
         least = (corner**2 + thickness**2) / (2 * thickness) if radius_mm > 0 and thickness < corner else corner
         # As much as the rounding of the sagitta of a deep cap.
         words = at_least(abs(scale) * least * (1 + 1e-9))
-        return f"give {words} or more" if radius_mm * scale > 0 else f"give -{words} or less"
+        return f"{words} or more" if radius_mm * scale > 0 else f"-{words} or less"
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

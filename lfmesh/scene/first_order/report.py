@@ -250,13 +250,13 @@ class FirstOrder(Shown):
         yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
 
     def lines(self) -> list[str]:
-        """Return the report, a line a property, warnings last.
+        """Return the report, a line a property, its warnings last, as notes.
 
         Returns
         -------
         list of str
         """
-        return [f"{name:<23}{value}" for name, value in self.rows()] + [f"warning: {text}" for text in self.warnings]
+        return [f"{name:<23}{value}" for name, value in self.rows()] + [f"Note: {text}" for text in self.warnings]
 
     def __str__(self) -> str:
         return "\n".join(self.lines())

@@ -247,10 +247,13 @@ def _focal_plane_mm(mla: MicrolensArray, wavelength_nm: float) -> float:
     focal_length = lenslet_focal_length_mm(mla, wavelength_nm)[0]
     air = rear_principal_mm(mla, wavelength_nm)
     if not 0 < focal_length - air < math.inf:
+        if not 0 < focal_length < math.inf:
+            raise SceneError(
+                f"camera.mla: the first lenslet type diverges (focal length {focal_length:.4g} mm), and has no focal "
+                "plane to put the sensor in: give camera.sensor.distance_mm too, or lenslets that collect light"
+            )
         why = (
-            "the first lenslet type diverges"
-            if not 0 < focal_length < math.inf
-            else "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
+            "the two faces focus light inside their plate or before it; give a thinner plate or larger radii"
             if mla.has_back
             else f"the lenslets' focal length of {focal_length:.6g} mm ends inside their plate; with "
             f"thickness_mm at most {at_most(mla.thickness_mm * focal_length / air * (1 - BEYOND))} it would not"

@@ -44,7 +44,7 @@ USED_UP = {
 """Fields that solving a scene replaces by others, and the optional field that then says the same."""
 
 
-CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 8, 12
+CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 10, 12
 """Cameras that a search of the largest change traces, and an adjustment for each compensator."""
 
 

@@ -1,24 +1,28 @@
 """Time and memory of a study, estimated before it is run."""
 
+import json
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+from lfmesh.errors import LfmeshError
 from lfmesh.study.metrics.metrics import pictures_of
 from lfmesh.study.sweeps.plan import Plan
+from lfmesh.study.sweeps.pool import in_pool
 from lfmesh.study.sweeps.study import cores, default_workers
 from lfmesh.study.sweeps.unit import Unit, reference_films, run_unit
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Time and memory of a study, estimated from a short trace of the reference.
+    """Time and memory of a study, estimated from short traces of some of its cameras.
 
     Attributes
     ----------
     points, units : int
     workers : int
-    unit_seconds, seconds : float
-        Of one unit in one process, and of all.
+    unit_seconds, start_seconds, seconds : float
+        Of one camera in one process, of starting the processes, and of all.
     bytes : float
         Memory, of all processes.
     """
@@ -27,43 +31,79 @@ class Probe:
     units: int
     workers: int
     unit_seconds: float
+    start_seconds: float
     seconds: float
     bytes: float
 
 
-PROBE_SHARES = (1, 3)
-"""Replicates of the reference that are traced for a probe: the difference is the time of each more."""
+REPLICATES = (4, 2)
+"""Replicates of a camera that are traced for a probe: the difference is the time of each more."""
 
 PROCESS_BYTES = 4e8
 """Of a process that has traced something, without its films."""
 
 
+@dataclass(frozen=True)
+class _Stopwatch:
+    """A unit of work that takes the time of another one."""
+
+    unit: Unit
+    point: int = 0
+    batch: int = 0
+
+    def compute(self, _: bytes | Path) -> bytes:
+        """Return seconds: of all, of a process's first camera, of another one, and of that with each of `REPLICATES`.
+
+        A camera that was traced before takes less, as its tables are there.
+        """
+        times = [time.perf_counter()]
+        cameras = [replace(self.unit, replicates=range(count)) for count in REPLICATES]
+        films = [reference_films(cameras[0])]
+        run_unit(replace(cameras[0], point=0), films[0])
+        times.append(time.perf_counter())
+        films.append(reference_films(cameras[1]))
+        for camera, reference in zip((cameras[0], *cameras), (films[0], *films), strict=True):
+            began = time.perf_counter()
+            run_unit(camera, reference)
+            times.append(time.perf_counter() - began)
+        first = times[1] - times[0]
+        return json.dumps([time.perf_counter() - times[0], first, *times[2:]]).encode()
+
+
 def probe(plan: Plan, workers: int | None = None) -> Probe:
-    """Estimate time and memory of a study from a short trace of its reference."""
-    workers = default_workers(len(plan.units)) if workers is None else max(workers, 1)
-    unit = _reference_unit(plan, max(1, cores() // workers))
+    """Estimate time and memory of a study from short traces of its cameras, in a process of their own.
+
+    Raises
+    ------
+    LfmeshError
+        They cannot be traced.
+    """
+    workers = default_workers(len(plan.units)) if workers is None else workers
+    at_once = max(workers, 1)
+    unit = _first_unit(plan, max(1, cores() // at_once))
+    # Kernels that have to be compiled are no part of a study: from now on they are kept.
     reference_films(replace(unit, replicates=range(1)))
-    times, content = [], b""
-    for count in PROBE_SHARES:
-        began = time.perf_counter()
-        content = reference_films(replace(unit, replicates=range(count)))
-        times.append(time.perf_counter() - began)
-    # The metrics of so few replicates; the jackknife takes one estimate for each, and one more.
-    few = replace(unit, replicates=range(PROBE_SHARES[1]))
-    run_unit(few, content)
     began = time.perf_counter()
-    run_unit(few, content)
-    compared = (time.perf_counter() - began) * (len(unit.replicates) + 1) / (PROBE_SHARES[1] + 1)
-    each = max(0.0, (times[1] - times[0]) / (PROBE_SHARES[1] - PROBE_SHARES[0]))
-    one = max(times[0] - each, 0.0) + each * len(unit.replicates) + compared
+    (result,) = in_pool([(_Stopwatch(unit), Path())], 1)
+    elapsed = time.perf_counter() - began
+    if result.content is None:
+        raise LfmeshError(f"the study cannot be tried: {result.reason}")
+    busy, first, fresh, again, with_fewer = json.loads(result.content)
+    start = max(0.0, elapsed - busy + first - fresh)
+    each = max(0.0, (again - with_fewer) / (REPLICATES[0] - REPLICATES[1]))
+    replicates = len(unit.replicates)
+    one = max(0.0, fresh + each * (replicates - REPLICATES[0]))
     columns, rows = plan.base.camera.sensor.pixels
-    film = 8.0 * columns * rows * plan.base.channels * len(unit.replicates) * len(pictures_of(plan.metrics))
+    film = 8.0 * columns * rows * plan.base.channels * replicates * len(pictures_of(plan.metrics))
     # The camera's own films, the reference's, and what comparing them takes.
-    memory = workers * (PROCESS_BYTES + 4.0 * film)
-    seconds = one * sum(plan.cameras_of(point) for point in plan.points) * plan.study.batches / workers
-    return Probe(len(plan.points), len(plan.units), workers, one, seconds, memory)
+    memory = at_once * (PROCESS_BYTES + 4.0 * film)
+    cameras = sum(plan.cameras_of(point) for point in plan.points) * plan.study.batches
+    # The process that traces the reference is started before those of the pool.
+    starts = start * (1 if workers == 0 else 2)
+    return Probe(len(plan.points), len(plan.units), at_once, one, starts, starts + one * cameras / at_once, memory)
 
 
-def _reference_unit(plan: Plan, threads: int) -> Unit:
-    reference = plan.camera_of(plan.points[0])
-    return Unit(plan.digest, 0, 0, reference, reference, plan.metrics, plan.replicates_of(0), threads)
+def _first_unit(plan: Plan, threads: int) -> Unit:
+    """Return a unit of the first camera beside the reference, which is neither searched nor adjusted."""
+    reference, camera = (plan.camera_of(point) for point in (plan.points[0], plan.points[:2][-1]))
+    return Unit(plan.digest, 1, 0, camera, reference, plan.metrics, plan.replicates_of(0), threads)

@@ -69,6 +69,7 @@ def page(table: Table) -> str:
                 "figure": Markup(figures.axis_figure(table, i, known)),
                 "unit": name_and_unit(plan.axes[i].title)[1] or "unit",
                 "slopes": [_slope_cells(each) for each in sensitivities if each.path == plan.axes[i].path],
+                "no_slope": _why_no_slope(table, i, known),
             }
             for i in drawn
             if known
@@ -112,6 +113,17 @@ def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
         if columns
         else "No metric has a column with a known value."
     )
+
+
+def _why_no_slope(table: Table, axis: int, columns: list[Column]) -> str:
+    """Return why a parameter has no sensitivities."""
+    rows = [row for row in table.along(axis) if row.estimates]
+    if not all(is_number(table.value_of(row, axis)) for row in rows):
+        return "No sensitivity: the values are no numbers."
+    if all(column.of == "psnr" for column in columns):
+        limited = "its budget has those" if table.limited else "with a limit of PSNR, its budget has those"
+        return f"PSNR has no sensitivity, as it is infinite at the reference; {limited} of the mean square behind it."
+    return "No sensitivity: it takes three points at which this parameter alone differs."
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS, Column
 from lfmesh.study.sweeps.axes import name_and_unit
-from lfmesh.study.sweeps.table import CONFIDENCE, Row, Table
+from lfmesh.study.sweeps.table import CONFIDENCE, DOUBT, Row, Table
 from lfmesh.study.tolerances.budget import Budget, budget_of
 from lfmesh.study.tolerances.largest_change import Allowed
 
@@ -102,6 +102,13 @@ def ranked_by(rows: list[Row], column: Column) -> list[Row]:
     return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
 
 
+def told_apart(one: Row, other: Row, column: Column) -> bool:
+    """Tell whether two points differ in a column by more than their standard errors may, taken as independent."""
+    (a, error_a), (b, error_b) = one.means[column.name], other.means[column.name]
+    errors = [error for error in (error_a, error_b) if not math.isnan(error)]
+    return abs(a - b) > DOUBT * math.hypot(*errors)
+
+
 def _judged(table: Table) -> list[Column]:
     return [column for column in table.columns if column.worse]
 
@@ -135,15 +142,16 @@ def _limits(table: Table) -> Iterator[str]:
     yield from () if table.plan.scenes else beyond_limits(table)
     for column in table.limited:
         limit = _limit(table, column)
-        bad = [row for row in rows if not table.keeps(row, column)]
-        unsure = sum(table.keeps(row, column, 1.96) != table.keeps(row, column, -1.96) for row in rows)
+        held = sum(table.keeps(row, column, DOUBT) for row in rows)
+        bad = sum(not table.keeps(row, column, -DOUBT) for row in rows)
+        unsure = len(rows) - held - bad
         doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
         if not rows:
             yield f"Nothing is known of the limit {limit} yet."
         elif not bad:
-            yield f"The limit {limit} is held at all {len(rows)} cameras{doubt}."
+            yield f"The limit {limit} is held at {'all' if not unsure else f'{held} of'} {len(rows)} cameras{doubt}."
         else:
-            yield f"The limit {limit} is broken at {len(bad)} of {len(rows)} cameras{doubt}."
+            yield f"The limit {limit} is broken at {bad} of {len(rows)} cameras{doubt}."
 
 
 def beyond_limits(table: Table) -> Iterator[str]:
@@ -188,7 +196,43 @@ def largest_changes(table: Table) -> Iterator[str]:
     for i in (i for i in bound if not bound[i]):
         name, unit = name_and_unit(table.plan.axes[i].title)
         reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
-        yield f"{name} may change by {reach}{unit and ' ' + unit}, all that was studied: no limit is reached."
+        broken = _on_the_way(table, sides[i], -DOUBT)
+        unsure = [change for change in _on_the_way(table, sides[i], DOUBT) if change not in broken]
+        studied = f"by {reach}{unit and ' ' + unit}, all that was studied"
+        if broken:
+            yield f"{name} keeps the limits when changed {studied}, but breaks one on the way, at {_changes(broken)}."
+        elif unsure:
+            yield f"{name} may change {studied}; errors leave open whether limits are kept at {_changes(unsure)}."
+        else:
+            yield f"{name} may change {studied}: no limit is reached."
+
+
+def _on_the_way(table: Table, searched: list[Row], errors: float) -> list[float]:
+    """Return the changes of an axis, no farther than it was found to go, at which a limit is not kept.
+
+    Parameters
+    ----------
+    table : Table
+    searched : list of Row
+        Sides of the axis.
+    errors : float
+        See `Table.keeps`.
+    """
+    axis = searched[0].point.searched
+    assert axis is not None
+    start = float(table.plan.reference_values[axis])
+    ends = [change_of(table, row) for row in searched]
+    found = set()
+    for row in table.along(axis):
+        change = float(table.value_of(row, axis)) - start
+        inside = any(0.0 < change / end <= 1.0 for end in ends if end)
+        if inside and row.means and not all(table.keeps(row, column, errors) for column in table.limited):
+            found.add(change)
+    return sorted(found)
+
+
+def _changes(changes: list[float]) -> str:
+    return ", ".join(f"{change:+.4g}" for change in changes)
 
 
 def _breaking(table: Table) -> Iterator[str]:
@@ -335,7 +379,10 @@ def _ends(table: Table) -> Iterator[str]:
         return
     for which, row in (("Best", ranked[0]), ("Worst", ranked[-1])):
         value = column_value(row, column)
-        yield f"{which} by {column.noun}: {words_of(table, row)}, {value}{column.unit if value[0].isdigit() else ''}."
+        near = sum(not told_apart(row, other, column) for other in ranked if other is not row)
+        words = f"{which} by {column.noun}: {words_of(table, row)}, {value}{column.unit if value[0].isdigit() else ''}"
+        others = f"{near} of {len(ranked) - 1} others {'is' if near == 1 else 'are'}"
+        yield f"{words}; {others} not told from it by errors." if near else f"{words}."
 
 
 def _steepest(table: Table) -> Iterator[str]:

@@ -58,8 +58,10 @@ class StudyFile(Model):
     """Position of the edge of the metrics "mtf50" and "refocus"; in the plane in focus if omitted."""
     limits: dict[str, Number] = Field(default_factory=dict)
     """Limits of a good camera, by the column of the table, such as "psnr_db" = 30.0: at least, or, of columns that are
-    the worse the larger they are, at most. The report has the yield, and the largest change of each axis by itself that
-    keeps them, which is searched between the reference and the farthest values of the axis."""
+    the worse the larger they are, at most. They are values of the column, not shares of the reference's: for 10 % less
+    than the reference run the study without limits, and take 0.9 times point 0 of its table. The report has the yield,
+    and the largest change of each axis by itself that keeps them, which is searched between the reference and the
+    farthest values of the axis."""
     compensators: tuple[Compensator, ...] = ()
     """Adjustments that assembly makes at every point, apart from the reference, before the metrics are taken."""
     axes: tuple[Axis, ...] = ()

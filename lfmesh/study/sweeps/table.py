@@ -222,11 +222,13 @@ class Table:
         row : Row
         column : Column
         errors : float
-            By so many standard errors the value is taken to be worse.
+            By so many standard errors the value is taken to be worse; one whose error is not known is taken as it is.
         """
         value, error = row.means[column.name]
         sign = 1.0 if column.harm(1.0) > 0.0 else -1.0
-        return column.keeps(value + sign * errors * error if errors else value, self.plan.study.limits[column.name])
+        return column.keeps(
+            value + sign * errors * error if error == error else value, self.plan.study.limits[column.name]
+        )
 
     @property
     def limited(self) -> tuple[Column, ...]:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
-    """Describe the profiles and spectra of a scene's lamps, warnings last.
+    """Describe the profiles and spectra of a scene's lamps, notes last.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             profile = read_profile(scene.resolve(light.profile))
             lines.append(f"{where} profile: {light.profile}, {_in_words(profile, light.power_w)}")
             if targets and not _shines_on(profile, light, targets):
-                lines.append(f"warning: {where}: its profile sends no light towards a corner of any target")
+                lines.append(f"Note: {where}: its profile sends no light towards a corner of any target")
         if scene.passbands:
             lines.append(f"{where} spectrum: {_spectrum(scene, number)}")
     return lines

@@ -261,7 +261,7 @@ def coating_lines(scene: Scene) -> list[str]:
         error = f"tabulated to {finish.error:.0e}" if finish.error > 0.0 else "the same at every angle"
         lines.append(f"{face.body:<34}{face.coating}: {said}; {error}")
     unused = [name for name in scene.all_coatings if name not in used]
-    return [*lines, *(f"warning: coatings.{name}: no surface has this coating" for name in unused)]
+    return [*lines, *(f"Note: coatings.{name}: no surface has this coating" for name in unused)]
 
 
 def _by_angle(finish: InterfaceKind, quantity: int, colour: int) -> str:

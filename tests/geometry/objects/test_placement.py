@@ -85,6 +85,7 @@ def test_the_unit_that_is_suspected_is_the_files(tmp_path: Path) -> None:
         ({"shape": {"kind": "sphere", "radius_mm": 200.0}, "position_mm": [0.0, 0.0, -50.0]}, None, "round the camera"),
         ({"rotation_deg": [0.0, 180.0, 0.0], "material": {"sides": "front"}}, None, "black side"),
         ({"position_mm": [0.0, 0.0, -40.0]}, None, "lit by no lamp"),
+        ({"material": {"reflectance": 0.0}}, None, "its reflectance is 0"),
         ({}, [{"kind": "directional", "direction": [0.0, 0.0, 1.0], "irradiance_w_m2": 1.0}], "lit by no lamp"),
         ({}, [{"kind": "spot", "direction": [0.0, 0.0, 1.0], "half_angle_deg": 20.0} | LAMP | {"kind": "spot"}], "lit"),
         ({}, [{"kind": "disk", "direction": [0.0, 0.0, 1.0], "radius_mm": 5.0} | LAMP | {"kind": "disk"}], "lit by no"),
@@ -114,6 +115,17 @@ def test_what_can_be_seen_is_not_warned_of(target: dict[str, Any], lights: list[
     assert placed(PLANE | target, lights=lights).warnings == ()
 
 
+def test_the_lamps_that_shine_on_what_the_camera_sees_are_told() -> None:
+    behind = LAMP | {"position_mm": [0.0, 0.0, -300.0]}
+    sun = {"kind": "directional", "direction": [0.0, 0.0, -1.0], "irradiance_w_m2": 1.0}
+    placement = placed(PLANE, lights=[behind, LAMP, sun])
+    assert placement.lit_by == ("lights[1] (point)", "lights[2] (directional)")
+    assert "  lit by               lights[1] (point), lights[2] (directional)" in placement.lines()
+    assert "  lit by               no lamp" in placed(PLANE, lights=[behind]).lines()
+    away = PLANE | {"rotation_deg": [0.0, 180.0, 0.0], "material": {"sides": "front"}}
+    assert placed(away, lights=[behind, LAMP]).lit_by is None
+
+
 def test_check_prints_where_targets_stand_and_refuses_a_broken_mesh(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,7 +137,7 @@ def test_check_prints_where_targets_stand_and_refuses_a_broken_mesh(
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     said = capsys.readouterr().out
     assert "targets[0] (part): 12 facets" in said
-    assert "warning: targets[0] (part) is out of the field" in said
+    assert "Note: targets[0] (part) is out of the field" in said
     (tmp_path / file).write_bytes(b"solid nothing")
     assert main(["check", str(tmp_path / "scene.toml")]) == 2
     assert "part.stl" in capsys.readouterr().err

@@ -260,7 +260,7 @@ WARNED = [
 def test_warnings_say_what_is_likely_to_disappoint(scene: Scene, values: dict[str, object], words: str) -> None:
     facts = first_order(matched(scene).changed(values))
     assert any(words in warning for warning in facts.warnings), facts.warnings
-    assert f"warning: {facts.warnings[0]}" in str(facts)
+    assert f"Note: {facts.warnings[0]}" in str(facts)
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ def test_check_says_what_coatings_reflect_and_which_are_not_used(tmp_path, capsy
     # Magnesium fluoride of 106.5 nm on n = 1.5 at 587.6 nm, just off its quarter wave.
     assert [line.split("  ")[0] for line in own] == ["coating of lens surface 0", "coating of the mla's curved face"]
     assert all("ar: reflects 1.41 % at 0, 1.53 % at 30, 5.51 % at 60 degrees; tabulated to " in line for line in own)
-    assert "warning: coatings.half: no surface has this coating" in lines
+    assert "Note: coatings.half: no surface has this coating" in lines
 
 
 def test_check_says_what_passes_a_coating_that_absorbs(tmp_path, capsys):

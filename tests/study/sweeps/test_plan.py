@@ -1,14 +1,18 @@
 """A study says all that is wrong with it before anything is traced."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
 
 import lfmesh as lf
 from lfmesh.cli import main
+from lfmesh.study.sweeps import probe
 from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.plan import DISTANCES, seed_of
+from lfmesh.study.sweeps.pool import Result, here
 from tests.study.studies import SHIFT, shifted, small_scene
 
 STUDY = """
@@ -179,14 +183,36 @@ def test_the_digest_follows_what_is_computed(tmp_path: Path) -> None:
     assert shifted(3).plan.digest == shifted(3).plan.digest
 
 
-def test_a_dry_run_lists_points_and_computes_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_lists_points_and_computes_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(probe, "in_pool", lambda units, _: here(units))
     path = write(tmp_path, f'[[axes]]\npath = "{SHIFT}"\nvalues = [0.01, 0.02]')
     assert main(["study", str(path), "--dry-run"]) == 0
     printed = capsys.readouterr().out
     assert "camera.mla.pose.shift_mm[0] = 0.02" in printed
     assert "3 points, 3 units" in printed
-    assert "GB of memory" in printed
+    assert re.search(r"about [\d.]+ s \([\d.]+ s to start, [\d.]+ s a camera in one process\), [\d.]+ GB", printed)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.toml", "study.toml"]
+
+
+@pytest.mark.parametrize(("workers", "seconds"), [(0, 7.0 + 3 * 5.0), (2, 2 * 7.0 + 3 * 5.0 / 2)])
+def test_the_time_of_a_study_has_the_start_of_its_processes_and_new_cameras(
+    monkeypatch: pytest.MonkeyPatch, workers: int, seconds: float
+) -> None:
+    """Of 20 s until a process answers it worked for 15 s, 4 s of which went to its first camera, where others take 2 s.
+
+    So it starts in 7 s. Two replicates more take 1 s more, so ten take 3 s more than the four that were tried.
+    """
+    times = json.dumps([15.0, 4.0, 2.0, 1.5, 0.5]).encode()
+    monkeypatch.setattr(probe, "in_pool", lambda units, _: (Result(unit, times) for unit, _ in units))
+    monkeypatch.setattr(probe, "reference_films", lambda _: b"")
+    clock = iter((0.0, 20.0))
+    monkeypatch.setattr(probe.time, "perf_counter", lambda: next(clock))
+    axes = [{"path": SHIFT, "values": [0.01, 0.02]}]
+    found = probe.probe(lf.Study(small_scene(replicates=10), axes=axes, metrics=["light"]).plan, workers)
+    assert found.unit_seconds == pytest.approx(5.0)
+    assert found.seconds == pytest.approx(seconds)
 
 
 FOCAL, STOP = "camera.mla.focal_length_mm", "camera.lens.stop_semi_diameter_mm"

@@ -14,7 +14,10 @@ from lfmesh.cli import main
 from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.sweeps.figures import TITLE_LETTERS
 from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE
-from lfmesh.study.sweeps.sentences import written
+from lfmesh.study.sweeps.sentences import in_short, written
+from lfmesh.study.sweeps.statistics import Estimate
+from lfmesh.study.sweeps.table import Row, Table
+from lfmesh.study.tolerances.largest_change import Allowed
 from tests.conftest import chromium
 from tests.processor_time import HANGS_S
 from tests.study.studies import SHIFT, shifted, small_scene
@@ -106,7 +109,7 @@ def test_a_report_names_a_parameter_in_one_way_and_says_why_a_table_is_empty(fol
     # The path stands once below the heading of its figures; else the label is the name.
     assert page.count(SHIFT) == 1
     assert page.count("decentre = 0.05 mm") > 1
-    assert "No sensitivity: it takes three points" in page
+    assert "No sensitivity: the values are no numbers." in page
 
 
 def test_tables_are_no_wider_than_a_page_and_every_column_is_in_one(tmp_path: Path) -> None:
@@ -182,3 +185,56 @@ def test_best_and_worst_are_the_same_above_pictures_and_below(
         below = re.findall(rf"{which.lower()} by chief rays: displacement, rms: ([^<\"]*)<", page)
         assert set(below) == {above}
     assert re.search(r"decentre may change by \+0\.\d+ \(\+[\d.e-]+ to \+[\d.e-]+\) mm, until a limit is reached", said)
+
+
+def of_values(limit: float, values: dict[float, tuple[float, float]]) -> Table:
+    """Return the table of a study of a decentre: NCC with its error at each value, the last of which is searched."""
+    axis = {"path": SHIFT, "values": list(values)[1:], "label": "decentre / mm"}
+    plan = lf.Study(small_scene(), axes=[axis], metrics=["ncc"], limits={"ncc": limit}).plan
+    far = max(values)
+    rows = []
+    for point in plan.points:
+        at = point.values[0] if point.values[0] is not None else 0.0
+        means = {column.name: Estimate(*values[at]) for column in columns_of(("ncc",))}
+        rows.append(Row(point, means, means, allowed=None if point.searched is None else Allowed(far, far, far, "")))
+    return Table(plan, tuple(rows))
+
+
+@pytest.mark.parametrize(
+    ("at_middle", "at_end", "said"),
+    [
+        ((0.94, 0.01), (0.95, 0.01), "decentre may change by +0.1 mm, all that was studied: no limit is reached."),
+        ((0.94, 0.01), (0.95, 0.07), "; errors leave open whether limits are kept at +0.1."),
+        ((0.83, 0.05), (0.95, 0.07), "; errors leave open whether limits are kept at +0.05, +0.1."),
+        ((0.7, 0.01), (0.95, 0.07), "decentre keeps the limits when changed by +0.1 mm, all that was studied, but "
+         "breaks one on the way, at +0.05."),
+    ],
+)  # fmt: skip
+def test_a_change_that_reaches_no_limit_claims_no_more_than_its_errors_allow(
+    at_middle: tuple[float, float], at_end: tuple[float, float], said: str
+) -> None:
+    table = of_values(0.838, {0.0: (0.93, 0.006), 0.05: at_middle, 0.1: at_end})
+    (sentence,) = (each for each in in_short(table) if each.startswith("decentre"))
+    assert sentence.endswith(said)
+
+
+def test_cameras_that_errors_do_not_tell_apart_are_said_to_be_so() -> None:
+    values = {0.0: (0.93, 0.006), 0.02: (0.9, 0.01), 0.04: (0.6, 0.01), 0.06: (0.949, 0.07)}
+    best, worst = (each for each in in_short(of_values(0.5, values)) if each.startswith(("Best", "Worst")))
+    assert "decentre = 0.06 mm, 0.949 ± 0.070" in best
+    assert best.endswith("; 1 of 2 others is not told from it by errors.")
+    assert "decentre = 0.04 mm" in worst
+    assert "not told" not in worst
+    held = " ".join(in_short(of_values(0.838, values)))
+    assert "is broken at 1 of 3 cameras; 1 is too near to it to tell." in held
+    held = " ".join(in_short(of_values(0.838, values | {0.04: (0.9, 0.01)})))
+    assert "is held at 2 of 3 cameras; 1 is too near to it to tell." in held
+    held = " ".join(in_short(of_values(0.838, dict.fromkeys((0.0, 0.02, 0.04), (0.9, math.nan)))))
+    assert "is held at all 2 cameras." in held
+
+
+def test_a_psnr_is_said_to_have_no_sensitivity_as_it_is_infinite_at_the_reference(tmp_path: Path) -> None:
+    shifted(5, ("psnr",)).run(tmp_path, workers=0)
+    page = html.unescape((tmp_path / "report.html").read_text())
+    assert "PSNR has no sensitivity, as it is infinite at the reference; with a limit of PSNR, its budget has" in page
+    assert "it takes three points" not in page

@@ -74,4 +74,4 @@ def test_check_prints_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert main(["check", "scene.toml"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "lights[0] profile: down.ies, lit from 0 to 90 degrees" in out
-    assert "warning: lights[0]: its profile sends no light" in out
+    assert "Note: lights[0]: its profile sends no light" in out

@@ -175,8 +175,13 @@ def fast_scene(method: str, engine: str, elements: Any = ()) -> Scene:
     return made.changed({"camera.sensor.pixels": [8, 8], "camera.sensor.pixel_mm": 20.0})
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("posed", [False, True])
+@pytest.mark.parametrize(
+    ("engine", "posed"),
+    [
+        *(("mesh", False), ("sequential", True)),
+        *(pytest.param(*values, marks=pytest.mark.long) for values in (("mesh", True), ("sequential", False))),
+    ],
+)
 def test_forward_equals_adjoint_through_a_fast_thin_lens(engine: str, posed: bool) -> None:
     """Power sums of the whole image, by Welch's z at 1e-3 for both comparisons of a case.
 

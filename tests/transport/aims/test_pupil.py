@@ -151,7 +151,7 @@ def test_aimed_rays_of_a_random_camera_bring_what_rays_to_everywhere_bring(
     assert p_of_difference(aimed, everywhere) > LEVEL
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", instances(CAMERAS, long=["square array", "hexagonal array"]))
 def test_fewer_rays_are_sent_in_vain(name: str) -> None:
     """The noise at equal samples falls: one-sided paired t-test of the pixels' variances."""
     here = scene(CAMERAS[name], samples=32)

@@ -541,8 +541,12 @@ def test_forward_equals_adjoint_wherever_media_are(case: str) -> None:
     assert abs(z) < 3.3, (z, images)
 
 
+@pytest.mark.long
 def test_forward_equals_adjoint_in_a_ring_by_its_mesh(tmp_path: Path) -> None:
-    """A torus that glows, absorbs and scatters before a lit wall: a z-test of the whole light at 3.3 sigma."""
+    """A torus that glows, absorbs and scatters before a lit wall: a z-test of the whole light at 3.3 sigma.
+
+    Media in meshes compile kernels of their own; chords through them are in transport/events/test_volume_in_mesh.
+    """
     trimesh.creation.torus(14.0, 6.0).export(tmp_path / "ring.stl")
     ring = CLOUD | {"bounds": {"file": str(tmp_path / "ring.stl"), "units": "mm"}, "rotation_deg": [30.0, 20.0, 0.0],
                     "emission_w_mm3_sr": 1e-8}  # fmt: skip

@@ -188,8 +188,8 @@ def test_all_ways_find_the_light_that_the_lens_reflects_onto_the_screen(folder: 
     near = sheet((3.0, 25.0), (-30.0, -30.0), 30.0, GLOW)
     white, black = (sheet((-2.5, 2.5), (-30.0, -30.0), 5.0, material) for material in (WHITE, BLACK))
     camera: dict[str, Any] = {"focus_mm": 30.0, "lens": STRONG_LENS, "pixel_mm": 8.0}
-    found = found_by_all(folder, [white, near], [], 32768, 131072, **camera)
-    ghosts = watts(scene(folder, [black, near], [], samples=32768 * REPLICATES, seed=9, **camera))
+    found = found_by_all(folder, [white, near], [], 16384, 131072, **camera)
+    ghosts = watts(scene(folder, [black, near], [], samples=16384 * REPLICATES, seed=9, **camera))
     assert_same(found)
     for way, (mean, error) in found.items():
         assert mean - ghosts[0] > 10.0 * np.hypot(error, ghosts[1]), (way, found, ghosts)

@@ -231,10 +231,15 @@ def power_by_grid(world, path, point):
     return watts.sum(), np.hypot(watts.max() * np.sqrt(edge.sum() / 12.0), 0.5 * (coarse - watts.sum()))
 
 
-def test_every_ghost_by_quadrature_has_the_power_of_the_sequential_trace(world):
+@pytest.fixture(scope="module")
+def exact(world):
+    """Ghosts of the second field point by quadrature."""
+    return exact_ghosts(world, FIELD_POINTS[1])
+
+
+def test_every_ghost_by_quadrature_has_the_power_of_the_sequential_trace(world, exact):
     """And so has the image path; their total, to a thousandth."""
     point = FIELD_POINTS[1]
-    exact = exact_ghosts(world, point)
     faces, numbers = faces_of(world.scene), world.lens_shape.numbers
     found, true, error = [], [], []
     for row in (exact.image, *exact.ghosts):
@@ -259,10 +264,9 @@ def test_every_ghost_by_quadrature_has_the_power_of_the_sequential_trace(world):
     assert exact.error < 1e-3 * exact.power
 
 
-def test_ghosts_by_quadrature_are_those_of_the_mesh_engine(world):
+def test_ghosts_by_quadrature_are_those_of_the_mesh_engine(world, exact):
     """The image path's ten strongest ghosts, and all of them together, by t-tests over launches of several seeds."""
     point, seeds = FIELD_POINTS[1], 12
-    exact = exact_ghosts(world, point)
     launches = [ghost_matrix(launched(world, point, seed)).power for seed in range(seeds)]
     strongest_rows = exact.ghosts[:10]
     found = np.array([[power[row.path.mirrors] for row in strongest_rows] + [power.sum()] for power in launches])

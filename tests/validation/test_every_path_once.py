@@ -20,6 +20,7 @@ from lfmesh.transport.paths.automaton import EVERY
 from lfmesh.transport.render.parts import Part, parts_of
 from lfmesh.transport.render.render import Renderer
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 """Chance that this file fails though all is right; shared by its comparisons (Bonferroni)."""
@@ -135,7 +136,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def watts(given: lf.Scene) -> tuple[float, float]:
     """Return a one-pixel image's power and its standard error, W."""
-    image = lf.render(given)
+    image = unchecked(given)
     return float(image.mean[0, 0, 0]), float(image.stderr[0, 0, 0])
 
 

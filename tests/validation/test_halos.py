@@ -16,6 +16,7 @@ from lfmesh.transport.tables import objects
 from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from tests.cameras import camera_without_array
 from tests.instances import instances
+from tests.renders import unchecked
 
 Array = NDArray[np.float64]
 
@@ -84,8 +85,8 @@ def rendered(scene: dict[str, Any], depth: int) -> tuple[float, float]:
                "transport.replicates": 16, "transport.split": "transmit", "transport.max_events": depth}  # fmt: skip
     even = {"shape": {"kind": "plane", "width_mm": 1e3, "height_mm": 1e3}, "position_mm": [0.0, 0.0, -400.0],
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip
-    one = lf.render(lens_scene(surfaces).changed({**changes, "targets": [even]})).mean.sum()
-    image = lf.render(lens_scene(surfaces).changed({**changes, **scene, "transport.seed": 4}))
+    one = unchecked(lens_scene(surfaces).changed({**changes, "targets": [even]})).mean.sum()
+    image = unchecked(lens_scene(surfaces).changed({**changes, **scene, "transport.seed": 4}))
     return float(image.mean.sum() / one), float(np.sqrt((image.stderr**2).sum()) / one)
 
 
@@ -207,7 +208,7 @@ FORWARD = {"a target beside the lamp": 8192, "a point lamp in fog that scatters 
 def image_of(case: str, samples: int, **transport: Any) -> tuple[float, float]:
     """Return the whole light of an image and its standard error, W."""
     settings = {"samples": samples, "replicates": 16, "seed": 12} | transport
-    image = lf.render(lf.Scene(camera=camera_without_array(pixels=8), transport=settings, **BOTH_WAYS[case]))  # type: ignore[arg-type]
+    image = unchecked(lf.Scene(camera=camera_without_array(pixels=8), transport=settings, **BOTH_WAYS[case]))  # type: ignore[arg-type]
     assert abs(image.ledger.imbalance) < 1e-11
     return float(image.mean.sum()), float(np.sqrt((image.stderr**2).sum()))
 

@@ -19,6 +19,7 @@ import lfmesh as lf
 from lfmesh.optics.fresnel import fresnel
 from tests.cameras import camera_without_array
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 """Chance that a statistical test fails though the law holds."""
@@ -156,7 +157,7 @@ def box(size: tuple[float, float, float]) -> Any:
 
 def picture(*targets: dict[str, Any], **transport: Any) -> lf.Image:
     settings = {"samples": 64, "replicates": 8, "threads": 1, "engine": "mesh"} | transport
-    return lf.render(lf.Scene(camera=CAMERA, targets=[*targets, SHINING], transport=settings))
+    return unchecked(lf.Scene(camera=CAMERA, targets=[*targets, SHINING], transport=settings))
 
 
 @pytest.mark.parametrize("split", ["both", "transmit"])
@@ -220,7 +221,7 @@ def test_both_methods_see_the_same_through_nested_glass(body: Body) -> None:
     small = SHINING | {"shape": {"kind": "plane", "width_mm": 16.0, "height_mm": 16.0}}
     settings: dict[str, Any] = {"replicates": 32, "engine": "mesh"}
     adjoint, forward = (
-        lf.render(lf.Scene(camera=one_pixel, targets=[*pile, small], transport=settings | own))
+        unchecked(lf.Scene(camera=one_pixel, targets=[*pile, small], transport=settings | own))
         for own in ({"samples": 16384}, {"samples": 524288, "method": "forward"})
     )
     for image in (adjoint, forward):

@@ -15,6 +15,7 @@ import lfmesh as lf
 from lfmesh.errors import SceneError
 from tests.cameras import SQUARE_ARRAY, biconvex
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 """Chance that a scene fails though both methods are right; shared by its comparisons (Bonferroni)."""
@@ -59,7 +60,7 @@ def scene(changes: dict[str, Any], width_mm: float = 6.0, **transport: Any) -> l
 
 def squares(given: lf.Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the light in squares of pixels and in all of them, and its standard errors, W; pixels are independent."""
-    image = lf.render(given)
+    image = unchecked(given)
     for ledger in (image.ledger, image.ledger.lamps):
         assert ledger is None or abs(ledger.imbalance) < 1e-12
     assert sum(image.ledger.lost.values()) <= 1e-7 * image.ledger.emitted

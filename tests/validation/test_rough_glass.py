@@ -14,6 +14,7 @@ from scipy import stats
 import lfmesh as lf
 from tests.cameras import biconvex
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 """Chance that this file fails though all is right; shared by its COMPARISONS (Bonferroni)."""
@@ -86,7 +87,7 @@ def scene(folder: Path, targets: list[Any], lights: list[Any], **transport: Any)
 
 def watts(given: lf.Scene) -> tuple[float, float]:
     """Return a one-pixel image's power and its standard error, W."""
-    image = lf.render(given)
+    image = unchecked(given)
     assert abs(image.ledger.imbalance) < 1e-12
     return float(image.mean[0, 0, 0]), float(image.stderr[0, 0, 0])
 
@@ -150,7 +151,7 @@ def test_a_furnace_shows_no_rough_glass(folder: Path, finish: Any, index: float,
     seen from the body under some 1e-2 of all directions.
     """
     body = glass(file, -50.0, finish, index)
-    image, empty = lf.render(furnace(folder, [body])), lf.render(furnace(folder, []))
+    image, empty = unchecked(furnace(folder, [body])), unchecked(furnace(folder, []))
     assert abs(image.ledger.imbalance) < 1e-12
     assert sum(image.ledger.lost.values()) == 0.0
     reached, all_of_it = image.ledger.reached_target, empty.ledger.reached_target

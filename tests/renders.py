@@ -18,6 +18,11 @@ class _Checked(Renderer):
         return self.found
 
 
+def unchecked(scene: lf.Scene) -> lf.Image:
+    """Return an image without the blind check, which takes as long as a small picture; else that of `lf.render`."""
+    return Renderer(lf.build(scene), check=False).image()
+
+
 def by_seed(scene: lf.Scene, seeds: Iterable[int]) -> Iterator[lf.Image]:
     """Yield the image of every seed, with the pixels and the ledger of `lf.render`; the scene is built once for all."""
     return of_world(lf.build(scene), seeds)

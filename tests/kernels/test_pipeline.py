@@ -16,6 +16,7 @@ from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 
 from lfmesh.kernels.private.typing_context import KernelContext
+from tests.instances import instances
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,6 +35,8 @@ OPERANDS = [
     RECORD,
 ]
 OPERATORS = [operator.add, operator.mul, operator.truediv, operator.lt, operator.eq, operator.getitem, operator.and_]
+LIKE_OTHERS = [operator.mul, operator.lt, operator.and_]
+"""The suite has an operator of numbers, one whose results are floating, and one of arrays, tuples and records."""
 
 
 def answer(context: Any, which: Any, args: tuple[types.Type, ...]) -> Any:
@@ -43,7 +46,7 @@ def answer(context: Any, which: Any, args: tuple[types.Type, ...]) -> Any:
         return None
 
 
-@pytest.mark.parametrize("which", OPERATORS, ids=lambda which: which.__name__)
+@pytest.mark.parametrize("which", instances(OPERATORS, long=LIKE_OTHERS), ids=lambda which: which.__name__)
 def test_what_is_remembered_is_what_numba_answers_anew(which: Any) -> None:
     cpu_target.typing_context.refresh()
     remembering = KernelContext(cpu_target.typing_context)

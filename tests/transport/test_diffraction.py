@@ -99,18 +99,31 @@ FAR = 0.065
 """Thousandths of the light that the prototype left out on a pixel, at most."""
 
 
+def sums(pixels: Array) -> Array:
+    """Return sums of pixels, five across a lenslet: by column, by row, by place across lenslets, of all."""
+    across, along = pixels.sum(axis=0), pixels.sum(axis=1)
+    places = [each.reshape(-1, 5).sum(axis=0) for each in (across, along)]
+    return np.concatenate([across, along, *places, [pixels.sum()]])
+
+
 def agrees(first: lf.Image, second: lf.Image) -> bool:
-    """Compare all pixels of two images by Welch's t-tests with a bound for the worst (Bonferroni)."""
-    error = np.hypot(first.error, second.error)
-    both = error > 0.0
-    t = np.abs(first.mean - second.mean)[both] / error[both]
+    """Compare the sums of two images by Welch's t-tests with a bound for the worst (Bonferroni).
+
+    Light that does not diffract would be seen, at 7.8 sigma; by single pixels, known to 6 %, it would not.
+    """
+    variance = sums(first.error[..., 0] ** 2) + sums(second.error[..., 0] ** 2)
+    both = variance > 0.0
+    t = np.abs(sums(first.mean[..., 0]) - sums(second.mean[..., 0]))[both] / np.sqrt(variance[both])
     freedom = min(first.replicates, second.replicates) - 1
     return bool(2.0 * stats.t.sf(t.max(), freedom) * t.size > LEVEL)
 
 
-@pytest.mark.parametrize("engine", ["sequential", "mesh"])
-@pytest.mark.parametrize("case", CASES)
-def test_a_white_picture_is_the_pupil_blurred_by_the_apertures_pattern(case: str, engine: str) -> None:
+BY_ENGINE = [("A", "sequential"), ("A", "mesh"), ("D", "sequential"), ("D", "mesh")]
+
+
+@pytest.mark.parametrize("case_by_engine", instances(BY_ENGINE, long=[("A", "sequential"), ("D", "mesh")]))
+def test_a_white_picture_is_the_pupil_blurred_by_the_apertures_pattern(case_by_engine: tuple[str, str]) -> None:
+    case, engine = case_by_engine
     given, printed, corner = CASES[case]
     scene = camera(**given, engine=engine, samples=12_800, replicates=64)
     image = lf.render(scene)
@@ -143,7 +156,7 @@ def test_between_small_micro_images_lies_what_lenslets_throw_there(engine: str) 
     assert proof.holds
 
 
-@pytest.mark.parametrize("engine", ["sequential", "mesh"])
+@pytest.mark.parametrize("engine", instances(["sequential", "mesh"], long=["mesh"]))
 def test_round_apertures_show_the_pupil_blurred_by_airys_pattern(engine: str) -> None:
     given, _, _ = CASES["D"]
     mla = {"clear_diameter_mm": 0.126}
@@ -182,7 +195,7 @@ MATCHED = [("A", 20.0), ("D", 40.0)]
 SLOWER = [("A", 60.0), ("D", 80.0)]
 
 
-@pytest.mark.parametrize("camera_of", instances(MATCHED + SLOWER, long=MATCHED))
+@pytest.mark.parametrize("camera_of", instances(MATCHED + SLOWER, long=[*MATCHED, ("A", 60.0)]))
 def test_a_white_picture_is_the_sum_of_point_spreads(camera_of: tuple[str, float]) -> None:
     """Of points in focus, evenly over what a lenslet of glass shows of them, by waves that interfere between lenslets.
 
@@ -255,7 +268,10 @@ def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, "two faces"]))
+TWO = ["two faces", "two faces, the second one round"]
+
+
+@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, *TWO]))
 def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
     adjoint = lf.render(real_size(SMALL[kind], samples=512))
     forward = lf.render(real_size(SMALL[kind], samples=3000, method="forward"))
@@ -265,13 +281,13 @@ def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
         assert abs(image.ledger.imbalance) < 1e-12
 
 
-@pytest.mark.parametrize("kind", instances(SMALL, long=PLAIN))
+@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, "cylinders", "two faces"]))
 def test_the_mesh_engine_equals_the_sequential_one(kind: str) -> None:
-    """Both draw the same changes from a packet's key."""
+    """Both draw the same changes from a packet's key, which another wavelength makes other ones."""
     images = [lf.render(real_size(SMALL[kind], samples=64, engine=engine)) for engine in ("mesh", "sequential")]
     assert images[0].mean == pytest.approx(images[1].mean, rel=1e-9, abs=1e-9 * images[1].mean.max())
-    none = lf.render(real_size(SMALL[kind], samples=64, diffraction="none"))
-    assert not np.allclose(none.mean, images[1].mean, rtol=1e-3, atol=0.0)
+    other = lf.render(real_size(SMALL[kind], samples=64, wavelengths_nm=(0.9 * NM,)))
+    assert not np.allclose(other.mean, images[1].mean, rtol=1e-3, atol=0.0)
 
 
 @pytest.mark.long

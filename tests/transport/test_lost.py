@@ -32,8 +32,9 @@ def ball_with_normals(path: Path, noise: float) -> dict[str, Any]:
 
 
 def scene_of(ball: dict[str, Any]) -> lf.Scene:
-    """A singlet that looks at a painted wall through the ball."""
-    wall = {"shape": {"kind": "plane", "width_mm": 80.0, "height_mm": 80.0}, "position_mm": (0.0, 0.0, -130.0)}
+    """A singlet that looks at a glowing wall through the ball."""
+    wall = {"shape": {"kind": "plane", "width_mm": 80.0, "height_mm": 80.0}, "position_mm": (0.0, 0.0, -130.0),
+            "material": {"radiance_w_m2_sr": 1.0}}  # fmt: skip
     front = {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 6.0, "stop": True}
     return lf.Scene(
         camera={
@@ -42,7 +43,6 @@ def scene_of(ball: dict[str, Any]) -> lf.Scene:
             "sensor": {"pixels": [16, 16], "pixel_mm": 0.5},
         },
         targets=[wall, ball],
-        lights=[{"kind": "point", "position_mm": [40.0, 40.0, -40.0], "power_w": 1.0}],
         transport={"samples": 32, "replicates": 2, "engine": "mesh"},
     )
 

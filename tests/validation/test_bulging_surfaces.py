@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.geometry import frame
 from tests.frames import motion
+from tests.instances import instances
 
 Array = NDArray[np.float64]
 
@@ -62,13 +63,13 @@ def sequential_against_mesh(seed: int) -> None:
     np.testing.assert_allclose(arrives[~turned], weight, rtol=1e-7)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_sequential_and_mesh_engine_agree_ray_by_ray_at_bulging_aspheres(seed: int) -> None:
     sequential_against_mesh(seed)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(4, 44))
+@pytest.mark.parametrize("seed", range(2, 42))
 def test_sequential_and_mesh_engine_agree_at_forty_more(seed: int) -> None:
     sequential_against_mesh(seed)
 
@@ -102,7 +103,7 @@ def bulging(kind: str, draw: np.random.Generator) -> tuple[dict[str, Any], Any]:
 
 
 @pytest.mark.parametrize("kind", ["even", "odd", "biconic", "toroid"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", instances(range(2), long=[1]))
 def test_rays_that_all_but_touch_a_bulge_meet_it_or_pass_it(kind: str, seed: int) -> None:
     """Rays near a tangent, within some micrometres, against the crossings of a dense scan of each ray."""
     draw = np.random.default_rng(seed)

@@ -297,11 +297,14 @@ def assert_same_watts(scene: lf.Scene, samples: tuple[int, int], visible: float)
 
 
 LONG = [
-    "glow", "point lamp", "directional lamp", "cylindrical lenslets", "lenslets on both faces",
-    "targets that light each other", "tilted and decentred lens and stop",
+    "glow", "glow of one side", "point lamp", "directional lamp", "disk lamp", "a box and its shadow",
+    "cylindrical lenslets", "lenslets on both faces", "hexagonal multi-focus array, curved towards the sensor",
+    "coated lens and array", "a smooth ball that is lit by a glowing wall", "targets that light each other",
+    "tilted and decentred lens and stop",
 ]  # fmt: skip
-"""Others have the same and more: ghosts, a spot, a lamp in the camera's shadow, crossed cylinders on both faces, gloss,
-everything tilted.
+"""Others have the same and more: ghosts, a spot, a lamp in the camera's shadow, metal under a disk lamp, the shadow of
+a sheet with holes, crossed cylinders on both faces, aspheres on that array, coatings that absorb, a ball with normals,
+gloss, everything tilted; walls of one side are in test_kirchhoff, by both methods.
 """
 
 

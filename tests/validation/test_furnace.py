@@ -16,6 +16,7 @@ import trimesh
 
 import lfmesh as lf
 from lfmesh.transport.render.render import Renderer
+from tests.renders import unchecked
 
 SIDE, DEPTH = 6.0, 5.0
 SIGMA = 1e-3
@@ -107,7 +108,7 @@ def test_both_methods_show_the_light_of_a_furnace(
     tmp_path: Path, body: dict[str, Any], aimed: bool, sigma: float, packets: int
 ) -> None:
     """Three standard errors of the difference; `packets` are those of the forward method over the 16 pixels."""
-    adjoint = lf.render(furnace(tmp_path, body, samples=int(2**12 * (QUICK / sigma) ** 2)))
+    adjoint = unchecked(furnace(tmp_path, body, samples=int(2**12 * (QUICK / sigma) ** 2)))
     there = furnace(tmp_path, body, method="forward", samples=packets)
     forward = Renderer(lf.build(there), aimed=aimed).image()
     (one, its_error), (other, other_error) = light(adjoint), light(forward)
@@ -118,9 +119,9 @@ def test_both_methods_show_the_light_of_a_furnace(
 @pytest.mark.parametrize("finish", [POLISHED, DIFFUSE, ground(0.1), ground(0.5), ground(1.0)], ids=str)
 def test_paths_that_end_on_walls_have_the_walls_radiance(tmp_path: Path, finish: Any) -> None:
     """To rounding: a picture over that of no glass at all is the share of paths that reach walls."""
-    held = lf.render(furnace(tmp_path, plate(finish), samples=512))
+    held = unchecked(furnace(tmp_path, plate(finish), samples=512))
     none = furnace(tmp_path, plate(POLISHED), samples=512)
-    empty = lf.render(none.changed({"targets[5].refractor.index": 1.0}))
+    empty = unchecked(none.changed({"targets[5].refractor.index": 1.0}))
     assert held.mean.sum() / empty.mean.sum() == pytest.approx(
         held.ledger.reached_target / empty.ledger.reached_target, rel=1e-9
     )

@@ -20,6 +20,7 @@ from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.tables.emitting_facets import no_emitters
 from tests.cameras import camera_without_array
 from tests.instances import instances
+from tests.renders import unchecked
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def by_chance(world: lf.World) -> lf.World:
 def of_one() -> float:
     """The power of a pixel that sees 1 W/(m² sr), W."""
     seen = lens_scene(SURFACES).changed({"targets": [plate(reflectance=0.0, radiance_w_m2_sr=1.0)], **ONE_LINE})
-    return float(lf.render(seen).mean.mean())
+    return float(unchecked(seen).mean.mean())
 
 
 @pytest.mark.parametrize("depth", [0.0, 2.0])
@@ -57,7 +58,7 @@ def test_a_glowing_ball_lights_a_plate(radius: float, distance: float, depth: fl
     place = [distance * np.sqrt(1.0 - COSINE**2), 0.0, PLATE_AT + distance * COSINE]
     ball = {"bounds": {"kind": "sphere", "radius_mm": radius}, "position_mm": place, "emission_w_mm3_sr": 1e-3,
             "absorption_per_mm": 0.5 * depth / radius}  # fmt: skip
-    image = lf.render(
+    image = unchecked(
         lens_scene(SURFACES).changed({"targets": [plate(reflectance=REFLECTANCE)], "media": [ball], **ONE_LINE})
     )
     power = 4.0 * np.pi * 1e-3 * 4.0 / 3.0 * np.pi * radius**3
@@ -92,7 +93,7 @@ def test_thin_fog_beside_a_glowing_sheet_is_its_integral_along_the_line() -> Non
     surfaces = surfaces_of(((50.0, 4.0, 1.5168), (-50.0, 0.0, 1.0)), aperture=5e-3)
     changes = ONE_LINE | {"camera.sensor.pixel_mm": 1e-3}
     wall = lens_scene(surfaces).changed({"targets": [plate(reflectance=0.0, radiance_w_m2_sr=1.0)], **changes})
-    of_one = lf.render(wall).mean.mean()
+    of_one = unchecked(wall).mean.mean()
     random = np.random.default_rng(12)
     fog = {"bounds": {"kind": "box", "size_mm": [1e3, 1e3, far - near]}, "position_mm": [0.0, 0.0, -200.0],
            "scattering_per_mm": ks}  # fmt: skip
@@ -110,7 +111,7 @@ def test_thin_fog_beside_a_glowing_sheet_is_its_integral_along_the_line() -> Non
                  "position_mm": place.tolist(), "rotation_deg": turn.as_euler("xyz", degrees=True).tolist(),
                  "material": material}  # fmt: skip
         scene = lens_scene(surfaces).changed({"targets": [sheet], "media": [fog], "transport.seed": number, **changes})
-        image = lf.render(scene)
+        image = unchecked(scene)
         seen = solid_angle(corners, line)
         if number % 2:
             seen = np.where((line - place) @ turn.apply([0.0, 0.0, 1.0]) > 0.0, seen, 0.0)
@@ -167,7 +168,7 @@ def test_a_flame_lights_a_chart_beside_it_by_both_methods() -> None:
     for method, samples in (("adjoint", 64), ("forward", 512)):
         transport = {"replicates": 16, "seed": 7, "wavelengths_nm": [589.0], "method": method, "samples": samples}
         scene = lf.Scene(camera=camera_without_array(pixels=8), media=[flame], targets=[WALL], transport=transport)  # type: ignore[arg-type, list-item]
-        images.append(lf.render(scene.in_folder(asset_path("scenes"))))
+        images.append(unchecked(scene.in_folder(asset_path("scenes"))))
     adjoint, forward = images
     assert (np.median(adjoint.stderr / adjoint.mean)) < 0.1
     difference, variance = adjoint.mean - forward.mean, adjoint.stderr**2 + forward.stderr**2

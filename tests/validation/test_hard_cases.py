@@ -6,7 +6,19 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from lfmesh.accuracy.hard import aim, bright_sensors, covers, media, meshes, pictures, tanks, truth, waves
+from lfmesh.accuracy.hard import (
+    aim,
+    bright_sensors,
+    covers,
+    diffraction,
+    media,
+    meshes,
+    openings,
+    pictures,
+    tanks,
+    truth,
+    waves,
+)
 from lfmesh.accuracy.hard.outcome import Outcome
 from lfmesh.accuracy.hard_cases import ALLOWED_LOSS, CASES, line, lost_share
 from tests.instances import instances
@@ -21,6 +33,10 @@ LONG = [
     pictures.wall_behind_a_block,  # blocks before walls in transport/render/test_glass_aim
     pictures.sums_of_a_red_band,  # test_bands
     waves.lens_of_fresnel_number_one,  # focal shift in waves/test_point_spread
+    diffraction.lenslets_10_um_and_pixels_1_um,  # the same closed form in transport/test_diffraction
+    openings.hemispheres_to_the_lens,  # hemispheres_to_the_sensor
+    pictures.room_of_one_temperature,  # test_kirchhoff
+    pictures.caustic_of_a_ball,  # bounds of caustics in test_certainty
 ]
 """Cases of several seconds, each with the quicker ones that show a fault of its kind."""
 

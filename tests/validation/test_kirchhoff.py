@@ -16,6 +16,7 @@ from PIL import Image
 
 import lfmesh as lf
 from tests.instances import instances
+from tests.renders import unchecked
 
 HALF, DEPTH, HOLE, FRONT = 60.0, 100.0, 0.3, -0.1
 """Half the room's width, its depth, half the hole's width, and where the front wall stands, mm."""
@@ -107,7 +108,7 @@ def room(bodies: list[Body], folder: Path, *, wall: Body = BLACK, media: Any = (
 
 def light(scene: lf.Scene) -> tuple[float, float]:
     """Return the light on the sensor and its standard error, W."""
-    image = lf.render(scene)
+    image = unchecked(scene)
     assert abs(image.ledger.imbalance) < 1e-12
     return float(image.mean.sum()), float(np.sqrt((image.stderr**2).sum()))
 
@@ -154,9 +155,9 @@ CASES: dict[str, tuple[list[Body], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", instances(CASES, long=["silver", "gloss", "rough glass"]))
 def test_all_looks_black_in_a_room_of_its_own_temperature(case: str, folder: Path) -> None:
-    """By the adjoint method."""
+    """By the adjoint method; below, silver, gloss and rough glass are in one room."""
     bodies, more = CASES[case]
     assert_black(room(bodies, folder, **{"samples": 2**11, **more}), folder, 0.01)
 
@@ -165,7 +166,7 @@ FORWARD = ["silver ball, half opaque", "gloss with colours below", "black side o
            "matt sheet with colours and holes", "silver, with normals at vertices", "matt room"]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", instances(FORWARD, long=["gloss with colours below"]))
+@pytest.mark.parametrize("case", instances(FORWARD, long=["gloss with colours below", "rough glass"]))
 def test_all_looks_black_to_packets_from_its_own_walls(case: str, folder: Path) -> None:
     """By the forward method, with scattering bodies: it cannot aim through polished ones."""
     bodies, more = CASES[case]
@@ -175,7 +176,7 @@ def test_all_looks_black_to_packets_from_its_own_walls(case: str, folder: Path) 
 @pytest.mark.parametrize(
     ("method", "engine", "samples", "sigma"),
     [
-        pytest.param("adjoint", "mesh", 2**14, 0.002, id="adjoint, mesh"),
+        pytest.param("adjoint", "mesh", 2**14, 0.002, id="adjoint, mesh", marks=pytest.mark.long),
         pytest.param("adjoint", "sequential", 2**14, 0.002, id="adjoint, sequential"),
         pytest.param("forward", "auto", 2**18, 0.015, id="forward"),
         pytest.param("adjoint", "auto", 2**16, 0.0006, id="adjoint, exact", marks=pytest.mark.long),

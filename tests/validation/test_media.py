@@ -19,6 +19,7 @@ import lfmesh as lf
 from lfmesh.accuracy.hard.outcome import lens_scene, surfaces_of
 from tests.cameras import camera_without_array
 from tests.instances import instances
+from tests.renders import unchecked
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ def power_of_one(small_stop: bool) -> float:
                   "position_mm": [0.0, 0.0, -150.0], "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}],
         transport={"split": "transmit", "samples": 1 << 16, "seed": 5},  # type: ignore[arg-type]
     )  # fmt: skip
-    return float(lf.render(scene).mean.sum())
+    return float(unchecked(scene).mean.sum())
 
 
 def mean_radiance(
@@ -56,7 +57,7 @@ def mean_radiance(
     """Return the mean radiance that the pixels see, W/(m² sr), and its standard error."""
     settings = {"split": "transmit", "replicates": 16, "seed": 5} | transport
     scene = lf.Scene(camera=camera(small_stop), media=media, lights=lights, transport=settings)  # type: ignore[arg-type]
-    image = lf.render(scene)
+    image = unchecked(scene)
     whole = power_of_one(small_stop)
     return float(image.mean.sum() / whole), float(np.sqrt((image.stderr**2).sum()) / whole)
 
@@ -371,7 +372,7 @@ def test_fog_past_disk_lamps_is_its_integral_along_the_line_and_errors_are_as_st
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip
     fog = {"bounds": {"kind": "box", "size_mm": [1e3, 1e3, far - near]}, "position_mm": [0.0, 0.0, -200.0],
            "scattering_per_mm": ks}  # fmt: skip
-    one = lf.render(lens_scene(surfaces).changed({"targets": [wall], **changes})).mean.mean()
+    one = unchecked(lens_scene(surfaces).changed({"targets": [wall], **changes})).mean.mean()
     pixels, sums = [], []
     for number in range(20):
         radius = 10.0 ** random.uniform(-0.5, 1.3)
@@ -382,7 +383,7 @@ def test_fog_past_disk_lamps_is_its_integral_along_the_line_and_errors_are_as_st
         lamp = {"kind": "disk", "position_mm": place.tolist(), "direction": normal.tolist(), "radius_mm": radius,
                 "power_w": power}  # fmt: skip
         scene = lens_scene(surfaces).changed({"media": [fog], "lights": [lamp], "transport.seed": number, **changes})
-        image = lf.render(scene)
+        image = unchecked(scene)
         radiance = power / (np.pi * np.pi * radius**2) * 1e6
         expected = ks / (4.0 * np.pi) * radiance * lines_past_a_disk(place, normal, radius, near, far) * one
         pixels += ((image.mean - expected) / image.stderr).ravel().tolist()
@@ -411,7 +412,7 @@ def test_a_thin_flame_is_its_abel_integral_seen_through_a_thin_lens(tmp_path: Pa
     sums = []
     for what in ({"media": [flame]}, {"targets": [even]}):
         transport = {"split": "transmit", "samples": 512, "seed": 2}
-        image = lf.render(lf.Scene(camera=camera, transport=transport, **what).in_folder(tmp_path))
+        image = unchecked(lf.Scene(camera=camera, transport=transport, **what).in_folder(tmp_path))
         sums.append((image.mean.sum(axis=(0, 2)), np.sqrt((image.stderr**2).sum(axis=(0, 2)))))
     (seen, seen_error), (flat, flat_error) = sums
     report = lf.first_order(lf.Scene(camera=camera))
@@ -464,7 +465,7 @@ def by_both_methods(camera: dict[str, Any], samples: tuple[int, int], **tables: 
     images = []
     for method, count in zip(("adjoint", "forward"), samples, strict=True):
         transport = {"method": method, "samples": count, "replicates": 16, "seed": 3}
-        images.append(lf.render(lf.Scene(camera=camera, transport=transport, **tables)))  # type: ignore[arg-type]
+        images.append(unchecked(lf.Scene(camera=camera, transport=transport, **tables)))  # type: ignore[arg-type]
         assert abs(images[-1].ledger.imbalance) < 1e-11
     a, f = (image.mean.sum() for image in images)
     return float((a - f) / np.sqrt(sum((image.stderr**2).sum() for image in images))), images
@@ -541,8 +542,12 @@ def test_forward_equals_adjoint_wherever_media_are(case: str) -> None:
     assert abs(z) < 3.3, (z, images)
 
 
+@pytest.mark.long
 def test_forward_equals_adjoint_in_a_ring_by_its_mesh(tmp_path: Path) -> None:
-    """A torus that glows, absorbs and scatters before a lit wall: a z-test of the whole light at 3.3 sigma."""
+    """A torus that glows, absorbs and scatters before a lit wall: a z-test of the whole light at 3.3 sigma.
+
+    Media in meshes compile kernels of their own; chords through them are in transport/events/test_volume_in_mesh.
+    """
     trimesh.creation.torus(14.0, 6.0).export(tmp_path / "ring.stl")
     ring = CLOUD | {"bounds": {"file": str(tmp_path / "ring.stl"), "units": "mm"}, "rotation_deg": [30.0, 20.0, 0.0],
                     "emission_w_mm3_sr": 1e-8}  # fmt: skip

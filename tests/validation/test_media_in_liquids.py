@@ -19,6 +19,7 @@ from lfmesh.geometry.frame import rotation
 from lfmesh.optics.cie import planck_radiance
 from tests.cameras import camera_without_array
 from tests.instances import instances
+from tests.renders import unchecked
 from tests.validation.test_particles_in_water import bent
 
 Array = NDArray[np.float64]
@@ -105,8 +106,8 @@ def test_hot_water_shines_as_a_black_body_through_its_window() -> None:
     settings = {"split": "transmit", "samples": 256, "seed": 2}
     black = {"shape": {"kind": "plane", "width_mm": 60.0, "height_mm": 60.0}, "position_mm": (0.0, 0.0, -130.0),
              "material": {"reflectance": 0.0, "temperature_k": kelvin}}  # fmt: skip
-    water = lf.render(lf.Scene(camera=camera, tanks=[tank()], media=[soot], transport=settings)).mean.sum()  # type: ignore[arg-type]
-    plate = lf.render(lf.Scene(camera=camera, targets=[black], transport=settings)).mean.sum()  # type: ignore[arg-type]
+    water = unchecked(lf.Scene(camera=camera, tanks=[tank()], media=[soot], transport=settings)).mean.sum()  # type: ignore[arg-type]
+    plate = unchecked(lf.Scene(camera=camera, targets=[black], transport=settings)).mean.sum()  # type: ignore[arg-type]
     normal = np.array([[0.0, 0.0, 1.0]])
     share = bent(normal, normal[0], 1.333, 1.5)[1] * bent(normal, normal[0], 1.5, 1.0)[1]
     assert planck_radiance(np.array([center]), kelvin)[0] > 0.0
@@ -130,7 +131,7 @@ def test_forward_equals_adjoint_in_a_tank(case: str) -> None:
     images = []
     for method, samples in (("adjoint", 2048), ("forward", 8192)):
         settings = {"samples": samples, "replicates": 16, "method": method, "seed": 3, "split": "transmit"}
-        images.append(lf.render(scene(media, tanks=[water], lights=lights, transport=settings)))
+        images.append(unchecked(scene(media, tanks=[water], lights=lights, transport=settings)))
     sums = [
         np.append(each.sum(axis=(1, 3)).ravel(), each.sum())
         for image in images
@@ -146,7 +147,7 @@ def test_forward_passes_walls_of_the_index_of_the_water() -> None:
     """Light of a medium behind walls of the liquid's own index: as by the adjoint method, by a z-test of the whole."""
     water = tank(wall={"index": 1.333})
     images = [
-        lf.render(scene(CASES["glow"][0], tanks=[water], transport=settings))
+        unchecked(scene(CASES["glow"][0], tanks=[water], transport=settings))
         for settings in (
             {"samples": samples, "replicates": 16, "method": method, "seed": 5, "split": "transmit"}
             for method, samples in (("adjoint", 512), ("forward", 4096))

@@ -3,6 +3,7 @@
 Every scene has one pixel, and is rendered in REPLICATES replicates each way; means are compared by Welch's t-test.
 """
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from scipy import stats
 import lfmesh as lf
 from tests.cameras import biconvex
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 """Chance that this file fails though all is right; shared by its COMPARISONS (Bonferroni)."""
@@ -86,7 +88,7 @@ def scene(folder: Path, targets: list[Any], lights: list[Any], **transport: Any)
 
 def watts(given: lf.Scene) -> tuple[float, float]:
     """Return a one-pixel image's power and its standard error, W."""
-    image = lf.render(given)
+    image = unchecked(given)
     assert abs(image.ledger.imbalance) < 1e-12
     return float(image.mean[0, 0, 0]), float(image.stderr[0, 0, 0])
 
@@ -138,6 +140,11 @@ def furnace(folder: Path, body: list[Any]) -> lf.Scene:
     return given.changed({"camera.sensor.pixels": (3, 3), "camera.sensor.pixel_mm": 0.5})
 
 
+@cache
+def empty_furnace(folder: Path) -> lf.Image:
+    return unchecked(furnace(folder, []))
+
+
 @pytest.mark.parametrize("file", ["block.stl", "ball.stl"])
 @pytest.mark.parametrize("index", instances([1.0, 1.01, 1.5, 4.0], long=[1.01]))
 @pytest.mark.parametrize(
@@ -150,7 +157,7 @@ def test_a_furnace_shows_no_rough_glass(folder: Path, finish: Any, index: float,
     seen from the body under some 1e-2 of all directions.
     """
     body = glass(file, -50.0, finish, index)
-    image, empty = lf.render(furnace(folder, [body])), lf.render(furnace(folder, []))
+    image, empty = unchecked(furnace(folder, [body])), empty_furnace(folder)
     assert abs(image.ledger.imbalance) < 1e-12
     assert sum(image.ledger.lost.values()) == 0.0
     reached, all_of_it = image.ledger.reached_target, empty.ledger.reached_target

@@ -14,6 +14,7 @@ from scipy import stats
 
 import lfmesh as lf
 from tests.instances import instances
+from tests.renders import unchecked
 
 LEVEL = 1e-3
 CAMERAS = range(8)
@@ -74,14 +75,14 @@ def z_of(one: lf.Image, other: lf.Image, area: tuple[slice, slice] = (slice(None
 @pytest.mark.parametrize("number", instances(CAMERAS, long=[0, 1, 2, 3, 5, 6, 7]))
 def test_the_parts_of_an_image_find_what_the_mesh_engine_finds(number: int) -> None:
     scene = drawn(number)
-    parts, mesh = lf.render(scene), lf.render(scene.changed({"transport.engine": "mesh", "transport.seed": 1}))
+    parts, mesh = unchecked(scene), unchecked(scene.changed({"transport.engine": "mesh", "transport.seed": 1}))
     half = slice(None, 3)
     bound = float(stats.t.isf(0.5 * LEVEL / COMPARISONS, REPLICATES - 1))
     whole = slice(None)
     for area in ((whole, whole), (half, whole), (whole, half), (slice(3, None), slice(3, None))):
         assert abs(z_of(parts, mesh, area)) < bound
     # What a part left out would change shows: the image path alone is darker by many errors.
-    path = lf.render(scene.changed({"transport.split": "transmit"}))
+    path = unchecked(scene.changed({"transport.split": "transmit"}))
     assert z_of(mesh, path) > 2.0 * bound
     assert abs(parts.ledger.imbalance) < 1e-12
 
@@ -123,7 +124,7 @@ def test_plates_and_a_sensor_that_reflects_are_a_geometric_series() -> None:
     away = 2000.0 - (1.0 - 1.0 / plate) - (1.0 - 1.0 / cover)
     unreflected = 1000.0 * 1e-6 * 4 * pixel**2 * np.pi * 10.0**2 / (away**2 + 10.0**2)
     for changes in ({}, {"transport.engine": "mesh"}):
-        image = lf.render(scene.changed(changes))
+        image = unchecked(scene.changed(changes))
         error = float(np.sqrt(np.square(image.stderr).sum()))
         bound = float(stats.t.isf(0.5 * LEVEL / COMPARISONS, REPLICATES - 1))
         assert abs(image.mean.sum() - share * unreflected) < bound * error + 2e-3 * unreflected
@@ -149,7 +150,7 @@ def test_a_small_opening_in_wide_glass_is_not_missed(distance: float) -> None:
         ],
         transport={"samples": 4096, "replicates": 16, "wavelengths_nm": [587.6], "threads": 2},
     )  # fmt: skip
-    mesh = lf.render(scene.changed({"transport.engine": "mesh", "transport.samples": 65536}))
+    mesh = unchecked(scene.changed({"transport.engine": "mesh", "transport.samples": 65536}))
     bound = float(stats.t.isf(0.5 * LEVEL / COMPARISONS, 15))
     for seed in SEEDS:
-        assert abs(z_of(lf.render(scene.changed({"transport.seed": 1 + seed})), mesh)) < bound
+        assert abs(z_of(unchecked(scene.changed({"transport.seed": 1 + seed})), mesh)) < bound

@@ -18,6 +18,7 @@ from lfmesh.transport.sequences.ray_tables import etendue_factors, follow_sequen
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.view.layout.content import layout
 from lfmesh.view.rays.exact_ghosts import exact_ghosts
+from tests.renders import unchecked
 
 Array = NDArray[np.float64]
 ENGINES = ("mesh", "sequential")
@@ -175,8 +176,13 @@ def fast_scene(method: str, engine: str, elements: Any = ()) -> Scene:
     return made.changed({"camera.sensor.pixels": [8, 8], "camera.sensor.pixel_mm": 20.0})
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("posed", [False, True])
+@pytest.mark.parametrize(
+    ("engine", "posed"),
+    [
+        *(("mesh", False), ("sequential", True)),
+        *(pytest.param(*values, marks=pytest.mark.long) for values in (("mesh", True), ("sequential", False))),
+    ],
+)
 def test_forward_equals_adjoint_through_a_fast_thin_lens(engine: str, posed: bool) -> None:
     """Power sums of the whole image, by Welch's z at 1e-3 for both comparisons of a case.
 
@@ -188,7 +194,7 @@ def test_forward_equals_adjoint_through_a_fast_thin_lens(engine: str, posed: boo
         made = fast_scene(method, engine, elements).changed(
             {"transport.samples": 512 if method == "adjoint" else 16384}
         )
-        image = lf.render(made)
+        image = unchecked(made)
         assert abs(image.ledger.imbalance) < 1e-9
         total.append(float(image.mean.sum()))
         error.append(float(np.sqrt(np.square(image.stderr).sum())))
@@ -211,7 +217,7 @@ def test_far_away_a_thin_lens_gives_the_textbook_irradiance() -> None:
             "material": {"reflectance": 0.0, "radiance_w_m2_sr": 1.0}}  # fmt: skip
     transport = {"split": "transmit", "samples": 1024, "replicates": 16}
     made = scene([thin(50.0, radius=50.0, stop=True)], 50.0, targets=[glow], transport=transport)
-    image = lf.render(made.changed({"camera.sensor.pixels": [1, 1], "camera.sensor.pixel_mm": 0.01}))
+    image = unchecked(made.changed({"camera.sensor.pixels": [1, 1], "camera.sensor.pixel_mm": 0.01}))
     expected = np.pi / (4 * 0.5**2) * 1e-4 * 1e-6
     assert image.mean[0, 0, 0] == pytest.approx(expected, abs=float(stats.t.ppf(0.9995, 15) * image.stderr[0, 0, 0]))
     assert image.stderr[0, 0, 0] < 0.01 * expected
@@ -267,7 +273,7 @@ def test_the_camera_model_weighs_pixels_by_the_power_that_they_gather() -> None:
             targets=[glow],
             transport={"split": "transmit", "samples": 512, "replicates": 16},
         )  # fmt: skip
-        image = lf.render(made)
+        image = unchecked(made)
         shares.append(image.mean.sum() / lf.camera_model(made).weight.sum())
         assert np.sqrt(np.square(image.stderr).sum()) < 0.005 * image.mean.sum()
     assert shares[1] / shares[0] == pytest.approx(1.0, abs=0.02)

@@ -13,6 +13,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.accuracy.analytic import Camera
+from tests.instances import instances
 from tests.validation.test_lenslet_profiles import PITCH_MM, SENSOR_MM, Face, bent, cell_samples, scene_of
 
 POSITION_MM = 1e-9
@@ -116,6 +117,10 @@ def random_plate(number: int) -> tuple[lf.Scene, Plate]:
     return scene, Plate(sides[1], sides[0], -shift, thickness, index)
 
 
+MIXED = [3, 6, 7, 10]
+"""Plates with spheres on one face alone, which compile kernels of their own; others have spheres on both or on none."""
+
+
 def starts(
     plate: Plate, draw: np.random.Generator, to_sensor: bool, angles_deg: tuple[float, float] = (0.0, 30.0)
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +140,7 @@ def origin_of(scene: lf.Scene, plate: Plate) -> np.ndarray:
     return np.array([*shift, z])
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", instances(range(12), long=MIXED))
 def test_rays_land_where_an_independent_trace_lands_them(number):
     scene, plate = random_plate(number)
     world = lf.build(scene, aimed=False)
@@ -186,7 +191,7 @@ def test_steep_faces_that_nearly_touch_at_their_corners(layout, steep):
         np.testing.assert_allclose(found[arrives], truth, rtol=0, atol=POSITION_MM)
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", instances(range(12), long=MIXED))
 def test_rays_from_the_sensor_leave_the_plate_as_an_independent_trace_lets_them(number):
     scene, plate = random_plate(number)
     world = lf.build(scene, aimed=False)

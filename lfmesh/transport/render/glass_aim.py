@@ -77,6 +77,7 @@ class Bundle(NamedTuple):
     size: float  # area of its ellipse, in slopes
     way: int = 0
     chance: float = 0.0  # share of light that goes its way
+    share: float = 0.0  # of the rays of a cell
 
 
 _Known = dict[int, tuple[Bundle, int]]
@@ -259,6 +260,7 @@ def fitted(world: World, sights: Sights) -> Fit:
     typical = np.zeros(len(cells))
     _written(root, cells, 0, bundles, typical)
     rows = np.array([bundle.row for bundle in bundles], BUNDLE)
+    rows["share"] = [bundle.share for bundle in bundles]
     aim = GlassAim(cells, rows, world.aim.entrance.wide_share, max(wide / radius, 1.0))
     way, chance = np.array([each.way for each in bundles], np.uint64), np.array([each.chance for each in bundles])
     return Fit(aim, way, chance, typical)
@@ -341,18 +343,23 @@ class _Division:
         straight = float((sights.way == 0).sum())
         weight = (math.sqrt(straight * self.opening) + sum(self._rate(known, way) for way in known)) ** 2
         weight /= len(sights.way)
-        whole = Cell(-1, 0.0, (), *self._mixed(straight, known, around), len(sights.way), weight)
+
+        def whole() -> Cell:
+            return Cell(-1, 0.0, (), *self._mixed(straight, known, around), len(sights.way), weight)
+
         idle = idle + 1 if LOSS * weight >= before else 0
         if len(sights.way) < 2 * FEWEST_IN_CELL or not known or idle > IDLE:
-            return whole
+            return whole()
         axis = int(np.argmax(np.ptp(sights.point, axis=0)))
         border = float(np.median(sights.point[:, axis]))
         low = sights.point[:, axis] < border
         if min(low.sum(), (~low).sum()) < FEWEST_IN_CELL:
-            return whole
+            return whole()
         halves = tuple(self.cell(sights.some(half), (*around, known), weight, idle) for half in (low, ~low))
         mean = sum(half.count * half.weight for half in halves) / len(sights.way)
-        return whole if weight <= LOSS * mean else Cell(axis, border, halves, (), 1.0, whole.count, mean)
+        if weight <= LOSS * mean:
+            return whole()
+        return Cell(axis, border, halves, (), 1.0, len(sights.way), mean)
 
     def _rate(self, known: _Known, way: int) -> float:
         """Return √(f t s) of a way, f being a number of sights."""
@@ -371,10 +378,10 @@ class _Division:
         unbent = max(STRAIGHT, unbent / (unbent + sum(rates[0].values()))) if known or not straight else 1.0 - AROUND
         found = []
         for (share, level), rate in zip(levels, rates, strict=True):
+            whole = sum(rate.values())
             for way, (bundle, _) in level.items():
-                row = bundle.row.copy()
-                row["share"] = (1.0 - unbent) * share * rate[way] / sum(rate.values())
-                found.append(Bundle(row, bundle.size, way, self.chance[way]))
+                own = (1.0 - unbent) * share * rate[way] / whole
+                found.append(Bundle(bundle.row, bundle.size, way, self.chance[way], own))
         return tuple(found), unbent
 
 

@@ -112,7 +112,7 @@ DRAWN = [("square", 2), *(pytest.param(n, 16, marks=[pytest.mark.long] if n in P
 def test_directions_have_the_density_that_their_weights_say(name: str, samples: int) -> None:
     """Weights cos θ / density in bins of (dx, dy) bring the bins' areas, whatever the aim: t-tests of all bins.
 
-    With 2 samples chance says of each whose directions it estimates.
+    With 2 samples chance says of each whose directions it estimates; fewer rays tell that.
     """
     world = world_of(ARRAYS[name])
     pixels = lit_pixels(world, 3)
@@ -124,7 +124,7 @@ def test_directions_have_the_density_that_their_weights_say(name: str, samples: 
         edges = [np.r_[-1.0, np.linspace(*np.quantile(d[:, axis], [0.02, 0.98]), 9), 1.0] for axis in (0, 1)]
         sums = []
         for seed in range(1, REPLICATES + 1):
-            d, w = starts.drawn(pixel, seed, RAYS // samples)
+            d, w = starts.drawn(pixel, seed, min(RAYS // samples, 200))
             sums.append(np.histogram2d(d[:, 0], d[:, 1], edges, weights=w)[0])
         # But for the outermost, which reach beyond the unit circle, as others may.
         area = np.diff(edges[0])[1:-1, None] * np.diff(edges[1])[None, 1:-1]
@@ -184,7 +184,7 @@ def test_lenslets_that_see_half_of_space_are_aimed_at_no_worse_than_by_chance(em
         targets=[emitting_plane],
         transport={"split": "transmit", "replicates": 1},
     )
-    aimed = lf.build(scene.changed({"transport.samples": 8}))
+    aimed = lf.build(scene.changed({"transport.samples": 2}))
     anywhere = copy(aimed)
     anywhere.aim = without_aim(aimed.aim)
     variance = [

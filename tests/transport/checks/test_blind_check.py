@@ -104,7 +104,7 @@ def half_a_pupil(aim: AimTables) -> AimTables:
 
 
 FORWARD = {"camera.mla": None, "camera.sensor.distance_mm": None, "camera.sensor.pixels": [40, 40],
-           "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 1280}  # fmt: skip
+           "camera.sensor.pixel_mm": 0.05, "transport.method": "forward", "transport.samples": 640}  # fmt: skip
 
 
 @pytest.mark.parametrize("changes", [{"transport.split": "transmit"}, FORWARD])

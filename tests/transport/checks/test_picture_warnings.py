@@ -25,6 +25,7 @@ from lfmesh.transport.checks.found import found
 from lfmesh.transport.render import render as renders
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sequences import stop_rays
+from tests.instances import instances
 from tests.study.studies import small_scene
 from tests.transport.test_lost import ball_with_normals
 from tests.validation.test_order_of_surfaces import spoil_place
@@ -74,7 +75,7 @@ def blind(patch: Patch, _: Path) -> lf.Scene:
 
 def lost(_: Patch, folder: Path) -> lf.Scene:
     ball = ball_with_normals(folder / "ball.obj", 0.07) | {"position_mm": (0.0, 0.0, -60.0)}
-    return with_more(ball).changed({"camera.sensor.pixel_mm": 0.5, "transport.samples": 4096})
+    return with_more(ball).changed({"camera.sensor.pixel_mm": 0.5, "transport.samples": 1024})
 
 
 def opened(patch: Patch, _: Path) -> lf.Scene:
@@ -207,13 +208,14 @@ def test_every_kind_of_warning_has_a_case() -> None:
     assert all(getattr(lf, kind.__name__) is kind for kind in (PictureWarning, *PictureWarning.__subclasses__()))
 
 
-@pytest.mark.parametrize("kind", CASES, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", instances(CASES, long=[lf.FoldedPatchesWarning]), ids=lambda kind: kind.__name__)
 def test_python_the_command_line_and_the_report_say_the_same(
     kind: type[PictureWarning], home: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = CASES[kind](monkeypatch, home)
     image, said = warned(lambda: lf.render(given))
     assert kind in map(type, image.warnings)
+    assert (lf.LostEnergyWarning in map(type, image.warnings)) == (lf.FoldedPatchesWarning in map(type, image.warnings))
     # Each once, and kept most important first, as it is written.
     assert sorted(map(str, said)) == sorted(map(str, image.warnings))
     ranks = [PictureWarning.__subclasses__().index(type(each)) for each in image.warnings]

@@ -72,7 +72,7 @@ def test_directions_have_their_density(case):
     np.testing.assert_allclose((found**2).sum(axis=1), 1.0, rtol=1e-12)
     rng = np.random.default_rng(7)
     counts = _in_cells(found)
-    each, z2 = 20_000, []
+    each, z2 = 10_000, []
     for cell in range(60):
         row, column = divmod(cell, 6)
         polar = np.pi / 10.0 * (row + rng.random(each))

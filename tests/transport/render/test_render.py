@@ -114,31 +114,31 @@ def test_stderr_is_the_spread_of_means(method: str) -> None:
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
 def test_stderr_falls_with_the_root_of_samples_or_faster(method: str) -> None:
-    """Sixteen times the samples: 1/16 of the variance; log ratio of image means over 12 seeds, one-sample t-test.
+    """Eight times the samples: 1/8 of the variance; log ratio of image means over 12 seeds, one-sample t-test.
 
     Forward, whose samples are independent, exactly so; adjoint starts from Sobol' points, whose strata make the
     variance fall faster, and from random ones exactly so again. Without the array, whose rare heavy samples would drown
     a sum of squares.
     """
 
-    worlds = [lf.build(scene(method=method, samples=n).changed({"camera.mla": None})) for n in (16, 256)]
+    worlds = [lf.build(scene(method=method, samples=n).changed({"camera.mla": None})) for n in (16, 128)]
     for world in worlds:
         # Found before the seeds are changed, the sequences of ghosts are there for all of them.
         _ = world.ghosts
 
     def ratio(stratified: bool, k: int) -> float:
         few, many = (
-            Renderer(world.reseeded(2 * k + number), stratified=stratified).image()
+            Renderer(world.reseeded(2 * k + number), check=False, stratified=stratified).image()
             for number, world in enumerate(worlds)
         )
         return float(np.log((few.stderr**2).sum() / (many.stderr**2).sum()))
 
     independent = [ratio(False, k) for k in range(12)]
     assert stats.sem(independent) < 0.1
-    assert stats.ttest_1samp(independent, np.log(16.0)).pvalue > LEVEL
+    assert stats.ttest_1samp(independent, np.log(8.0)).pvalue > LEVEL
     if method == "adjoint":
         stratified = [ratio(True, k) for k in range(12)]
-        assert stats.ttest_1samp(stratified, np.log(16.0), alternative="greater").pvalue < LEVEL
+        assert stats.ttest_1samp(stratified, np.log(8.0), alternative="greater").pvalue < LEVEL
 
 
 def test_one_replicate_has_no_stderr() -> None:

@@ -91,7 +91,7 @@ def posted(do: Callable[[Job], Piece], jobs: Iterable[Job]) -> Iterator[Piece]:
     yield from (pickle.loads(piece) for piece in reversed(done))
 
 
-@pytest.mark.parametrize("blocks", instances([1, 3, 7], long=[3]))
+@pytest.mark.parametrize("blocks", instances([1, 3, 7], long=[1, 3]))
 @pytest.mark.parametrize("way", WAYS)
 def test_any_cut_has_the_bits_of_the_whole(
     way: str, blocks: int, scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image],

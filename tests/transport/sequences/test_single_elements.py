@@ -204,7 +204,9 @@ STEEP = {
 ELEMENTS = {f"drawn {number}": drawn(number) for number in (0, 1, 4, 7)} | STEEP
 
 
-@pytest.mark.parametrize("name", instances(ELEMENTS, long=["drawn 0", "drawn 1", "drawn 4", "drawn 7"]))
+@pytest.mark.parametrize(
+    "name", instances(ELEMENTS, long=["drawn 0", "drawn 1", "drawn 4", "drawn 7", "hollow behind"])
+)
 def test_dark_parts_of_the_image_have_the_light_of_all_paths_with_reflections(name: str) -> None:
     """The lens's ghosts and all other paths, each by a z-test; light on a steep hollow side counts among the others."""
     element = ELEMENTS[name]

@@ -132,6 +132,10 @@ class HeavyPathsWarning(PictureWarning):
     """
 
 
+class InterruptedRenderWarning(PictureWarning):
+    """A render was cut short: the picture has fewer samples than were asked for."""
+
+
 class TooFewSamplesWarning(PictureWarning):
     """Many pixels have so few samples with light that their errors are not known well."""
 

@@ -270,18 +270,9 @@ def _work(image: Image) -> str:
 
 
 def _noise_lines(image: Image, measured: Noise) -> list[str]:
-    transport = image.scene.transport
     lines = []
-    if not image.complete:
-        lines.append(
-            f"Interrupted: {image.replicates} of {transport.replicates} replicates were finished,"
-            f" {image.samples:g} samples a pixel."
-            if image.refinement is None
-            else f"Interrupted: {image.refinement.replicates} of {transport.replicates} replicates of the second stage"
-            f" were finished, {image.samples:.3g} samples a pixel in all."
-        )
     if measured.received_share == 0.0:
-        return [*lines, "The picture is black: no light reached the sensor."]
+        return ["The picture is black: no light reached the sensor."]
     if measured.received_share < DARK_SHARE:
         lines.append(f"The picture is dark: only {percent(measured.received_share)} of the pixels got any light.")
     if measured.without_hits:

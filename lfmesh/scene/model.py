@@ -77,7 +77,7 @@ class Model(BaseModel, metaclass=_ModelClass):
     """A part of the scene: immutable, no unknown keys, no NaN, no infinity unless a field allows it."""
 
     elsewhere: ClassVar[Mapping[str, str]] = {}
-    """Where to give what is looked for in this part and belongs to another one, by the key that is tried."""
+    """Hints on keys that belong to another part and are looked for in this one, by the key."""
 
     model_config = ConfigDict(
         extra="forbid",

@@ -337,3 +337,13 @@ def test_a_process_says_it_the_same_way(folder: Path, name: str) -> None:
     assert done.stderr.count("\n") == 1
     assert reason in done.stderr
     assert files(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("share", "reason"), [("3/2", "there is no share 3 of 2"), ("0/2", "give the number"), ("2", "give the number")]
+)
+def test_a_share_that_there_is_not_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], share: str, reason: str
+) -> None:
+    assert main(["render", "scene.toml", "-o", "run", "--shard", share]) == 2
+    assert f"--shard {share}: {reason}" in complaint(capsys)

@@ -102,7 +102,7 @@ def ranked_by(rows: list[Row], column: Column) -> list[Row]:
     return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
 
 
-def told_apart(one: Row, other: Row, column: Column) -> bool:
+def _told_apart(one: Row, other: Row, column: Column) -> bool:
     """Tell whether two points differ in a column by more than their standard errors may, taken as independent."""
     (a, error_a), (b, error_b) = one.means[column.name], other.means[column.name]
     errors = [error for error in (error_a, error_b) if not math.isnan(error)]
@@ -379,7 +379,7 @@ def _ends(table: Table) -> Iterator[str]:
         return
     for which, row in (("Best", ranked[0]), ("Worst", ranked[-1])):
         value = column_value(row, column)
-        near = sum(not told_apart(row, other, column) for other in ranked if other is not row)
+        near = sum(not _told_apart(row, other, column) for other in ranked if other is not row)
         words = f"{which} by {column.noun}: {words_of(table, row)}, {value}{column.unit if value[0].isdigit() else ''}"
         others = f"{near} of {len(ranked) - 1} others {'is' if near == 1 else 'are'}"
         yield f"{words}; {others} not told from it by errors." if near else f"{words}."

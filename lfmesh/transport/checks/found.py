@@ -15,6 +15,7 @@ from lfmesh.errors import (
     BlindCheckWarning,
     CutPathsWarning,
     HeavyPathsWarning,
+    InterruptedRenderWarning,
     LightOutsideAimWarning,
     LostEnergyWarning,
     OpenLedgerWarning,
@@ -76,6 +77,7 @@ def found(image: "Image") -> list[PictureWarning]:
         *_no_numbers(image),
         *_heavy_paths(image),
         *_unmet_paths(image),
+        *_interrupted(image),
         *_few_samples(image),
     ]
 
@@ -268,6 +270,19 @@ def lit_pixels(mean: NDArray[np.float64]) -> NDArray[np.bool_]:
 def few_hits_share(image: "Image", lit: NDArray[np.bool_]) -> float | None:
     """Return the share of the lit pixels with less than `FEW_HITS` hits; None where hits were not counted."""
     return None if image.hits is None or not lit.any() else float((image.hits[lit] < FEW_HITS).mean())
+
+
+def _interrupted(image: "Image") -> Iterator[PictureWarning]:
+    if image.complete:
+        return
+    whole, refined = image.scene.transport.replicates, image.refinement
+    done = image.replicates if refined is None else refined.replicates
+    stage = "replicates" if refined is None else "replicates of the second stage"
+    unknown = ", and the errors of its pixels are not known" if image.replicates < 2 else ""
+    yield InterruptedRenderWarning(
+        f"the render was cut short: {done} of {whole} {stage} were finished, {image.samples:.3g} samples a pixel. The "
+        f"picture is noisier than was asked for{unknown}; lfmesh render --resume goes on with a run folder"
+    )
 
 
 def _few_samples(image: "Image") -> Iterator[PictureWarning]:

@@ -201,10 +201,9 @@ def warned(make: Callable[[], lf.Image]) -> tuple[lf.Image, list[PictureWarning]
 
 
 def test_every_kind_of_warning_has_a_case() -> None:
-    """Of a matrix, which has no report, the case stands below; of volumes in tests of their own."""
-    assert {*CASES, lf.ClearAirWarning, lf.FineVoxelsWarning, lf.UnknownErrorWarning} == set(
-        PictureWarning.__subclasses__()
-    )
+    """Of a matrix, which has no report, the case stands below; of volumes and interruptions in tests of their own."""
+    elsewhere = {lf.ClearAirWarning, lf.FineVoxelsWarning, lf.InterruptedRenderWarning, lf.UnknownErrorWarning}
+    assert {*CASES} | elsewhere == set(PictureWarning.__subclasses__())
     assert all(getattr(lf, kind.__name__) is kind for kind in (PictureWarning, *PictureWarning.__subclasses__()))
 
 

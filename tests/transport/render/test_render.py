@@ -157,6 +157,7 @@ def test_ctrl_c_keeps_the_finished_replicates(monkeypatch: pytest.MonkeyPatch) -
 
     image = lf.render(scene(), interrupt)
     assert not image.complete
+    assert lf.InterruptedRenderWarning in map(type, image.warnings)
     assert image.replicates == 3
     assert image.samples == 3 * 64 / 8
     # Eight samples each, so three of eight replicates are the three of a run of 24 samples.

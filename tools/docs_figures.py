@@ -7,6 +7,7 @@ Comparisons are `assert measured < limit` with a number on either side, `==` wit
 """
 
 import ast
+import inspect
 import json
 import linecache
 import re
@@ -22,6 +23,14 @@ import pytest
 NUMBER = r"(?:np\.float\d+\()?([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\)?"
 BELOW = re.compile(rf"{NUMBER} <=? {NUMBER}")
 NEAR = re.compile(rf"{NUMBER} == {NUMBER} ± {NUMBER}")
+
+
+def source_of(call: inspect.Traceback) -> str:
+    """Return the source of a call, of one line or of several."""
+    at = call.positions
+    assert at is not None
+    assert at.lineno is not None
+    return " ".join(linecache.getlines(call.filename)[at.lineno - 1 : at.end_lineno])
 
 
 class Figures:
@@ -43,8 +52,7 @@ class Figures:
         away, allowed = np.abs(found - truth)[known], (atol + rtol * np.abs(truth))[known]
         if (allowed > 0.0).any():
             nearest = int(np.argmax(np.divide(away, allowed, out=np.zeros_like(away), where=allowed > 0.0)))
-            frame = sys._getframe(1)
-            self._add(linecache.getline(frame.f_code.co_filename, frame.f_lineno), away[nearest], allowed[nearest])
+            self._add(source_of(inspect.getframeinfo(sys._getframe(1), 0)), away[nearest], allowed[nearest])
 
     def _add(self, what: str, value: float, limit: float) -> None:
         words = " ".join(what.split())

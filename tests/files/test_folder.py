@@ -240,6 +240,7 @@ def test_an_export_killed_at_any_step_is_there_entirely_or_not(tmp_path: Path, m
 
     monkeypatch.setitem(export._FIELD_WRITERS, "views", write)
     field = object.__new__(lf.LightField)
+    object.__setattr__(field, "data", np.zeros((1, 1, 2, 2, 1)))
     for _ in kill_at_every_step(home, lambda: export.export_field(field, home / "out", "views"), least=5):
         assert not (home / "out").exists() or files_in(home / "out") == {"view.png", export.NOTE}
         export.export_field(field, home / "next", "views")

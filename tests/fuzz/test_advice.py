@@ -11,7 +11,7 @@ from lfmesh.scene import Scene, solved
 from tests.cameras import biconvex
 
 ADVICE = re.compile(
-    r"(?:give|must be|plate of) (?P<least>-?[0-9.e+-]+)(?: mm)? or (?:more|less)(?! in magnitude)"
+    r"(?:give|here|must be|plate of) (?P<least>-?[0-9.e+-]+)(?: mm)? or (?:more|less)(?! in magnitude)"
     r"|give (?P<most>[0-9.e+-]+) at most|thickness_mm at most (?P<below>[0-9.e+-]+)"
 )
 

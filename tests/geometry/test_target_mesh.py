@@ -30,7 +30,9 @@ PICTURE = np.random.default_rng(31).integers(0, 256, size=(6, 8, 3)).astype(np.u
 
 
 class Folder:
-    """All that a target asks of its scene: where relative paths start."""
+    """All that a target asks of its scene: where relative paths start, and its own number there."""
+
+    targets = ()
 
     def __init__(self, path):
         self.path = path

@@ -117,7 +117,7 @@ UNITS = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "pixels", "w": "W", "um": "
 
 
 def titled(path: str, label: str | None) -> str:
-    """Return what reports call a field: its label, or its path, with the unit that its name ends in set apart.
+    """Return what reports call a field: its label, or its path with the unit that its name ends in.
 
     Parameters
     ----------
@@ -126,12 +126,9 @@ def titled(path: str, label: str | None) -> str:
     """
     if label is not None:
         return label
-    table, dot, field = path.rpartition(".")
-    name, bracket, places = field.partition("[")
-    quantity, line, suffix = name.rpartition("_")
-    if not line or suffix not in UNITS:
-        return path
-    return f"{table}{dot}{quantity}{bracket}{places} / {UNITS[suffix]}"
+    field = path.rsplit(".", 1)[-1].split("[")[0]
+    unit = UNITS.get(field.rsplit("_", 1)[-1]) if "_" in field else None
+    return f"{path} / {unit}" if unit else path
 
 
 def name_and_unit(title: str) -> tuple[str, str]:

@@ -141,7 +141,6 @@ class Plan:
                 continue
             is_searched = i == point.searched
             name, unit = name_and_unit(axis.title)
-            name = axis.path if axis.label is None else name
             sign = "up to" if is_searched and found is None else "="
             shown = found if is_searched and found is not None else value
             digits = f"{shown:.6g}" if isinstance(shown, float) else literal(shown)

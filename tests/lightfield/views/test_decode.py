@@ -85,7 +85,7 @@ def test_what_is_nearer_to_another_micro_image_is_in_no_view(
     field = decode(image_of(scene, ramp(scene, 2.0, 3.0)), calibration=calibration, views=views)
     rows, columns = calibration.known.shape
     row, column = rows // 2, columns // 2
-    across = np.arange(len(field.views[0])) - 0.5 * (len(field.views[0]) - 1)
+    across = np.arange(field.views[0]) - 0.5 * (field.views[0] - 1)
     # An inverting lens: columns of the picture run against those of the sensor.
     places = calibration.centres_px[row, column] + np.stack(np.meshgrid(-across, across), axis=-1)
     near, which = cKDTree(calibration.centres_px.reshape(-1, 2)).query(places, 2)

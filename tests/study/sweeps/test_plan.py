@@ -9,7 +9,6 @@ import pytest
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.study.sweeps import probe
-from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.plan import DISTANCES, seed_of
 from lfmesh.study.sweeps.pool import Result, here
@@ -117,18 +116,6 @@ def test_a_limit_of_a_misspelt_metric_is_one_fault_and_not_two() -> None:
         shifted(metrics=("psnrr",), limits={"psnr_db": 30.0})
     assert "psnrr" in str(told.value)
     assert "can be limited" not in str(told.value)
-
-
-@pytest.mark.parametrize(
-    ("path", "title"),
-    [
-        ("camera.mla.radius_mm[0]", "camera.mla.radius[0] / mm"),
-        ("camera.lens.f_number", "camera.lens.f_number"),
-        ("transport.samples", "transport.samples"),
-    ],
-)
-def test_the_unit_of_a_field_is_said_once(path: str, title: str) -> None:
-    assert titled(path, None) == title
 
 
 def test_python_names_a_fault_of_a_study_by_the_public_class() -> None:

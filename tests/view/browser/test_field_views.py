@@ -35,8 +35,12 @@ def test_a_pixel_is_the_sample_that_it_is_said_to_be(views: FieldViews) -> None:
     known = 0
     for row, column in np.random.default_rng(5).integers((20, 20), (110, 130), (300, 2)):
         if place := views.place(int(row), int(column)):
-            known += 1
             down, across = views.field.data[place.v, place.u, place.t, place.s].astype(float)
+            if np.isnan(down):
+                # The next half pixel is another lenslet's.
+                assert views.calibration.layout == "hexagonal"
+                continue
+            known += 1
             assert abs(down - row) <= 0.5 + 1e-4
             assert abs(across - column) <= along_rows + 1e-4
     assert known > 200, "most pixels belong to a lenslet"

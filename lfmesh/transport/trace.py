@@ -1,8 +1,7 @@
 """Tracing of given rays through a built scene, with every vertex recorded on request."""
 
 from collections.abc import Iterable
-from functools import lru_cache, partial
-from typing import Any, NamedTuple, TypedDict, Unpack, cast
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +11,7 @@ from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
 from lfmesh.scene.literals import literal
 from lfmesh.scene.settings.transport import MOST_EVENTS, MOST_THREADS
 from lfmesh.signatures import with_keywords
+from lfmesh.transport.aims.kept import Kept
 from lfmesh.transport.choice import obstacle_of
 from lfmesh.transport.engine import CHUNK, Workspace
 from lfmesh.transport.events.polarisation import across
@@ -40,9 +40,6 @@ X_AXIS = (1.0, 0.0, 0.0)
 
 ROUNDING = 1e-12
 """Share of I by which the polarised part of a given Stokes vector may exceed it."""
-
-WAVELENGTHS_KEPT = 8
-"""Wavelengths whose tables a world keeps."""
 
 
 class Settings(TypedDict, total=False):
@@ -279,8 +276,8 @@ def at_wavelength(world: World, wavelength_nm: float) -> Tables:
 
     Those of some wavelengths are kept: many short calls of `trace` would spend much of their time on them.
     """
-    kept = world.kept.setdefault("tables at a wavelength", lru_cache(WAVELENGTHS_KEPT)(partial(_at_wavelength, world)))
-    return cast(Tables, kept(wavelength_nm))
+    kept: Kept[Tables] = world.kept.setdefault("tables at a wavelength", Kept())
+    return kept.of(wavelength_nm, lambda: _at_wavelength(world, wavelength_nm))
 
 
 def _at_wavelength(world: World, wavelength_nm: float) -> Tables:

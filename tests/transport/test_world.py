@@ -1,7 +1,9 @@
 """What `build` makes: closed solids under their names, shared interfaces, and a place in the world for each."""
 
 import copy
+import gc
 import pickle
+import weakref
 from itertools import product
 
 import numpy as np
@@ -13,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
+from tests.cameras import camera_without_array
 from tests.renders import of_world
 
 LENSES = sorted(path.stem for path in asset_path("lenses").glob("*.toml"))
@@ -281,3 +284,16 @@ def test_a_large_picture_on_many_facets_that_emit_is_read_once():
     emitters = world_of(targets=(ball,)).tables.objects.emitters
     assert len(emitters.facet) > 1000
     assert emitters.until[-1] == pytest.approx(1.0)
+
+
+def test_a_world_that_was_traced_through_is_freed_as_soon_as_nobody_has_it() -> None:
+    """Its meshes in Embree are large, and the collector of cycles does not see their memory."""
+    world = lf.build(lf.Scene(camera=camera_without_array(pixels=8)), aimed=False)
+    lf.trace(world, [0.0, 0.0, -100.0], [0.0, 0.0, 1.0], split="transmit")
+    seen = weakref.ref(world)
+    gc.disable()
+    try:
+        del world
+        assert seen() is None
+    finally:
+        gc.enable()

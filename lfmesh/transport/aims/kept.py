@@ -1,9 +1,9 @@
-"""Cache of findings about a camera: renders with other lamps, a white image or a study ask for the same again."""
+"""Cache of findings, as about a camera: renders with other lamps, a white image or a study ask for the same again."""
 
 import hashlib
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,23 +11,23 @@ import numpy as np
 T = TypeVar("T")
 
 KEPT = 8
-"""Number of cameras whose findings are cached, the latest ones asked for."""
+"""Number of findings that are cached, the latest ones asked for."""
 
 
 class Kept(Generic[T]):
-    """Cache of one kind of finding, by digests of what it follows from."""
+    """Cache of one kind of finding, by what it follows from, or by a digest of that."""
 
     def __init__(self) -> None:
-        self._found: OrderedDict[bytes, T] = OrderedDict()
+        self._found: OrderedDict[Hashable, T] = OrderedDict()
         self._access = threading.Lock()
 
-    def of(self, key: bytes, find: Callable[[], T]) -> T:
+    def of(self, key: Hashable, find: Callable[[], T]) -> T:
         """Return what was found under a key, or find it.
 
         Parameters
         ----------
-        key : bytes
-            See `digest_of`.
+        key : hashable
+            Of what is large: see `digest_of`.
         find : callable
             Returns the finding; called without arguments.
         """

@@ -26,9 +26,6 @@ DARK = 0.1
 
 BRIGHT_PERCENTILE = 99.0
 
-WIDEST = 2.0
-"""Views reach over this many micro-images at most; what lies beyond the next one is not this lenslet's at all."""
-
 
 class Sampling(NamedTuple):
     """Samples of upright views from lenslets: each from a row, as a mean of two neighbours of it.
@@ -80,7 +77,8 @@ def decode(
     calibration : Calibration, optional
         Centres of the micro-images; traced (`lf.calibrate`) if omitted.
     views : int, optional
-        Along each axis; as many whole pixels as a micro-image is wide, if omitted.
+        Along each axis; as many whole pixels as a micro-image is wide, if omitted. At most as many as have samples
+        that are nearer to their own micro-image's centre than to another's.
 
     Returns
     -------
@@ -148,12 +146,18 @@ def view_count(calibration: Calibration, views: int | None) -> int:
     whole = max(1, math.floor(calibration.pitch_px * (1.0 + 1e-6)))
     if views is None:
         return whole
-    most = max(whole, math.floor(WIDEST * calibration.pitch_px))
+    # The outermost row or column of views has samples of its own.
+    most = max(count for count in range(whole, 2 * whole + 2) if count == whole or _reaches(calibration, count))
     if not 1 <= views <= most:
         raise LfmeshError(
             f"views = {views}: must be from 1 to {most}; the micro-images are {calibration.pitch_px:.4g} pixels wide"
         )
     return views
+
+
+def _reaches(calibration: Calibration, count: int) -> bool:
+    own = _are_own(calibration, count, (1.0, 1.0))
+    return bool(own[0].any() or own[:, 0].any())
 
 
 def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
@@ -200,14 +204,14 @@ def _as_views(
     data, stderr = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     _sort_pixels(
         mean, spread, calibration.centres_px, sampling.rows, sampling.columns, sampling.share, *upright.senses,
-        _are_own(calibration, count, upright), data, stderr,
+        _are_own(calibration, count, upright.senses), data, stderr,
     )  # fmt: skip
     return data, stderr
 
 
-def _are_own(calibration: Calibration, count: int, upright: Upright) -> NDArray[np.bool_]:
+def _are_own(calibration: Calibration, count: int, senses: tuple[float, float]) -> NDArray[np.bool_]:
     """Tell of which views, (v, u), a lenslet has samples: no other micro-image's centre is nearer to them."""
-    sense_u, sense_v = upright.senses
+    sense_u, sense_v = senses
     u, v = np.meshgrid(sense_u * _centred(count, 1.0), sense_v * _centred(count, 1.0))
     neighbours = 6 if calibration.layout == "hexagonal" else 4
     turns = calibration.rotation_rad + 2.0 * np.pi / neighbours * np.arange(neighbours)

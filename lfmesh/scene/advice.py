@@ -24,6 +24,8 @@ _F_NUMBER_TOLERANCE = 0.1
 _TOUCHING_TOLERANCE = 0.02
 # Of a polynomial over its norm radius, where 1 is its largest.
 _GROWTH = 1.5
+# An atom is about that wide, in nm.
+_THINNEST_LAYER_NM = 0.2
 # Of the distance in focus, or of a hundred focal lengths where it is farther.
 _FOCUS_TOLERANCE = 1e-3
 
@@ -38,6 +40,7 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
         *_sections(facts),
         *_apertures(scene, facts),
         *_beyond_norm(scene),
+        *_thin_layers(scene),
         *_micro_images(scene, facts),
         *_coverage(scene),
         *_targets(scene, facts),
@@ -242,6 +245,17 @@ def _beyond_norm(scene: Scene) -> Iterator[str]:
                 f"{surface.qcon.norm_radius_mm:g}: beyond that its polynomials grow, at the rim to {growth:.3g} times "
                 "what they are there"
             )
+
+
+def _thin_layers(scene: Scene) -> Iterator[str]:
+    """Name layers that nobody can make, as of thicknesses in micrometres."""
+    for name, coating in scene.all_coatings.items():
+        for number, layer in enumerate(coating.layers or ()):
+            if layer.thickness_nm < _THINNEST_LAYER_NM:
+                yield (
+                    f"coatings.{name}.layers[{number}].thickness_nm = {layer.thickness_nm:g}: thinner than an atom; if "
+                    f"that is in µm, give {1e3 * layer.thickness_nm:g}"
+                )
 
 
 def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

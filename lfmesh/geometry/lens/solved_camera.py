@@ -138,7 +138,7 @@ def mesh_lines(scene: Scene) -> list[str]:
     lines.append(f'{"all surfaces":<23}surface = "{level}": {1e3 * total:.3g} µm, {pixels:.3g} pixels')
     if level != "exact" and scene.transport.tessellation == Tessellation() and pixels > PIXEL_SHARE:
         lines.append(
-            f'warning: at {shape.rings} rings, the finest, surface = "{level}" is {pixels:.2g} pixels off; '
+            f'Note: at {shape.rings} rings, the finest, surface = "{level}" is {pixels:.2g} pixels off; '
             'use "patch" or "exact"'
         )
     return lines

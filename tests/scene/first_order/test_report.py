@@ -253,6 +253,10 @@ WARNED = [
         "smoke scatters light: what it scatters of the light of particles",
     ),
     ({"transport.samples": 12}, "samples = 12 cannot be shared by 8 replicates: rounded up to 16"),
+    (
+        {"coatings": {"ar": {"layers": [{"index": 1.38, "thickness_nm": 0.1064}]}}},
+        "coatings.ar.layers[0].thickness_nm = 0.1064: thinner than an atom; if that is in µm, give 106.4",
+    ),
 ]
 
 

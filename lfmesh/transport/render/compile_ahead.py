@@ -2,9 +2,9 @@
 
 On a fresh install nothing is compiled yet, and numba compiles one function at a time. So a second process compiles the
 kernels of the regions, which trace packets that wait at a station, while this one builds the world and compiles those
-that aim packets and take them along the image path and along ghosts: each about half of all. Both write to numba's
-cache on disk, where the render finds what the other has compiled. Where the second process fails, the render compiles
-everything itself. Meanwhile the render reports its progress, step by step.
+that aim packets and take them along the image path and along ghosts. Both write to numba's cache on disk, where the
+render finds what the other has compiled. Where the second process fails, the render compiles everything itself.
+Meanwhile the render reports its progress, step by step.
 """
 
 import os
@@ -44,7 +44,7 @@ from lfmesh.transport.render.tally import Film
 from lfmesh.transport.settings import options_of
 from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
-from lfmesh.transport.sources.pixels import PixelSource, launch_adjoint, starting_kernel
+from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.tables.lines import FIRST
 from lfmesh.transport.world import World, build
 
@@ -59,7 +59,7 @@ import gc, os, sys
 gc.disable()
 sys.path[:] = {path!r}
 from {module} import compile_stations
-compile_stations({stations!r}, starts={starts!r}, glass={glass!r}, done=lambda: os.write(1, b"."))
+compile_stations({stations!r}, glass={glass!r}, done=lambda: os.write(1, b"."))
 os._exit(0)
 """
 
@@ -103,7 +103,6 @@ class Ahead:
 
     def __init__(self, scene: Scene, report: Report | None = None) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._starts = False
         self._steps = self._own = self._others = 0
         self._said = -1
         self._began = time.perf_counter()
@@ -116,16 +115,14 @@ class Ahead:
         usual = not scene.transport.polarisation and scene.transport.diffraction == "none"
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
-            starts = scene.transport.method == "adjoint" and not alone
             glass = len(scene.bodies()) > 0
-            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, starts=starts, glass=glass)
+            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, glass=glass)
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
                     stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0,
                 )  # fmt: skip
-                self._starts = starts
-                self._steps = len(stations) + starts
+                self._steps = len(stations)
             except OSError:
                 self._process = None
 
@@ -139,7 +136,7 @@ class Ahead:
         counting.start()
         listening = private("listening")
         with listening.told_of_kernels(self._say) if listening is not None else nullcontext():
-            compile_launches(world, starts=not self._starts, done=self._step)
+            compile_launches(world, self._step)
         while counting.is_alive():
             counting.join(POLL_SECONDS)
             self._say()
@@ -176,14 +173,12 @@ def processors() -> int:
     return len(available(0)) if available is not None else os.cpu_count() or 1
 
 
-def compile_launches(world: World, *, starts: bool = True, done: Callable[[], object] = object) -> None:
+def compile_launches(world: World, done: Callable[[], object] = object) -> None:
     """Compile what launches the packets of a render, and what follows the image path and ghosts, by launching none.
 
     Parameters
     ----------
     world : World
-    starts : bool
-        Whether to compile `launch_adjoint`, too.
     done : callable
         Called after each part of the image.
     """
@@ -192,8 +187,7 @@ def compile_launches(world: World, *, starts: bool = True, done: Callable[[], ob
         work = Workspace(world, part.options, 1, part.tables)
         work.begin(Film.empty(0, 1), 0)
         if part.options.adjoint:
-            if starts or starting_kernel(part.tables, part.options) is not launch_adjoint:
-                PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
+            PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
         elif part.particles is not None:
             ParticleSource(part.particles, 0, 0, 1, np.uint64(0), FIRST).launch(work, range(0))
         else:
@@ -206,7 +200,6 @@ def compile_launches(world: World, *, starts: bool = True, done: Callable[[], ob
 def compile_stations(
     stations: tuple[tuple[int, bool], ...],
     *,
-    starts: bool = False,
     glass: bool = False,
     done: Callable[[], object] = object,
 ) -> None:
@@ -216,12 +209,10 @@ def compile_stations(
     ----------
     stations : tuple of (int, bool)
         As `EVERYWHERE`.
-    starts : bool
-        Whether to compile `launch_adjoint`, too.
     glass : bool
         Whether the scene has bodies of glass.
     done : callable
-        Called after each station, and after `launch_adjoint`.
+        Called after each station.
     """
     world = build(Scene.model_validate(BARE | {"targets": [GLASS if glass else WALL]}), aimed=False)
     options = options_of(world)
@@ -231,10 +222,6 @@ def compile_stations(
         by_mesh = BY_ORDER_OR_MESH if station == LENS else BY_MESH
         work.options = options._replace(faces=BY_ORDER if sequential else by_mesh)
         work.advance(station)
-        done()
-    if starts:
-        work.options = options._replace(faces=BY_MESH)
-        PixelSource(np.zeros(0, np.int64), 1, np.uint64(0)).launch(work, range(0))
         done()
 
 

@@ -6,7 +6,6 @@ importance would gain (n_i/n_t)² at every crossing. The pixel lies in air, so a
 the medium that the light starts in: they are left out, and what light brings is divided by n² instead.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,7 +81,7 @@ from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
 from lfmesh.transport.tables.lines import FIRST, Nodes
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
-from lfmesh.transport.tables.tables import AimTables, Apertures, Camera, MlaTables, SensorTables, Tables
+from lfmesh.transport.tables.tables import AimTables, Apertures, Camera, MlaTables, SensorTables
 
 Array = NDArray[np.float64]
 
@@ -146,10 +145,10 @@ class PixelSource(Source):
             lambda: start_room(tables.aim.lenslets, work.stacks.dtype, diffracts=tables.mla.apertures is not None),
         )
         seen = tables.frames if tables.apparent is None else tables.apparent
-        starts = starting_kernel(tables, options)
+        on_image_path = options.faces == BY_ORDER and options.adjoint and options.paths != GHOSTS
         # Of ghosts behind an array, those samples leave their pixels in new directions.
         unaimed_too = options.paths == GHOSTS and bool(tables.mla.present)
-        if starts is launch_along_image_path:
+        if on_image_path and tables.cover is None:
             launch_along_image_path(
                 entries, self.samples, self.stratified, self.key, colour, tables.camera_of_packets,
                 image_route_of(tables),
@@ -160,13 +159,6 @@ class PixelSource(Source):
                 entries, self.samples, self.stratified, self.key, colour, tables.sensor, clear(tables.mla),
                 tables.aim, seen, len(tables.lens.surfaces), unaimed_too, work.bundle, work.flow(), room,
             )  # fmt: skip
-
-
-def starting_kernel(tables: Tables, options: Options) -> Callable[..., None]:
-    """Return the kernel that starts the packets of pixels."""
-    if options.faces == BY_ORDER and options.adjoint and tables.cover is None and options.paths != GHOSTS:
-        return launch_along_image_path
-    return launch_adjoint
 
 
 @kernel

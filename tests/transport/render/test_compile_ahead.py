@@ -34,8 +34,8 @@ small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.rep
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
 alone = "{split}" == "transmit"
 glass = len(scene.bodies()) > 0
-compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, starts=not alone, glass=glass)
-compile_launches(build(scene), starts=alone)
+compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, glass=glass)
+compile_launches(build(scene))
 before = [len(kernel.signatures) for kernel in regions + launches]
 lf.render(scene)
 print(json.dumps([before, [len(kernel.signatures) for kernel in regions + launches]]))
@@ -127,19 +127,18 @@ def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("changes", "asked"),
     [
-        ({}, (compile_ahead.EVERYWHERE, True, False)),
-        ({"transport.method": "forward"}, (compile_ahead.EVERYWHERE, False, False)),
-        ({"transport.split": "transmit"}, (((2, False), (0, True)), False, False)),
-        ({"targets[0]": compile_ahead.GLASS}, (compile_ahead.EVERYWHERE, True, True)),
+        ({}, (compile_ahead.EVERYWHERE, False)),
+        ({"transport.split": "transmit"}, (((2, False), (0, True)), False)),
+        ({"targets[0]": compile_ahead.GLASS}, (compile_ahead.EVERYWHERE, True)),
     ],
-    ids=["adjoint", "forward", "image path", "glass"],
+    ids=["all paths", "image path", "glass"],
 )
 def test_only_what_the_scene_needs_is_compiled(
-    changes: dict[str, Any], asked: tuple[Any, bool, bool], monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any], asked: tuple[Any, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
     Ahead(scene_of().changed({"transport.split": "both"} | changes))
-    stations, starts, glass = asked
-    assert f"compile_stations({stations!r}, starts={starts}, glass={glass}, " in started[0][-1]
+    stations, glass = asked
+    assert f"compile_stations({stations!r}, glass={glass}, " in started[0][-1]

@@ -20,7 +20,7 @@ from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.aims.aim_table import widest_disk
-from lfmesh.transport.sequences.ray_tables import Arrived, behind_faces, follow_sequence
+from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence, lens_of_faces
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
@@ -290,7 +290,8 @@ class LensRays:
         path = media[0] * path
         heights = np.empty((len(position), len(media) - 1))
         for face, index in enumerate(media[:-1]):
-            arrived = follow_sequence(behind_faces(tables, face), image_path(1), position, direction)
+            alone = tables._replace(lens=lens_of_faces(tables.lens, face, face + 1))
+            arrived = follow_sequence(alone, image_path(1), position, direction)
             path = path + index * np.linalg.norm(arrived.position - position, axis=1)
             position, direction = arrived.position, arrived.direction
             own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)

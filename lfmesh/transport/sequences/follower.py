@@ -6,14 +6,14 @@ neighbouring lenslet, or on a checked leg the surface that it comes from, on its
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.surfaces.tessellation import OVERREACH
 from lfmesh.kernels.by_address import by_address
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.vector import both, select
 from lfmesh.transport.packets.book import HOUSING
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
@@ -27,6 +27,10 @@ from lfmesh.transport.sequences.bundle import (
     DZ,
     ENDED_ON,
     ETENDUE,
+    EVENTS_BEFORE,
+    KICK_AT,
+    KICK_X,
+    KICK_Y,
     LEFT_BEHIND,
     MET,
     WEIGHT,
@@ -207,6 +211,20 @@ def _along_planes(
 RAY_WEIGHT, RAY_MET, RAY_ENDED, RAY_ETENDUE, END_ROWS = 6, 7, 8, 9, 10
 """Rows of tables of rays, see `follow_rays`, after those of position and direction, and their number."""
 
+RAY_KICK_X, RAY_KICK_Y, RAY_KICK_AT = 7, 8, 9
+"""Rows of tables of rays that are to be diffracted at the array: change of direction there, and number of interfaces
+that the ray has met before."""
+
+
+@inlined
+def _give_kick(apertures: Any, rays: Array, n: int, bundle: Array, i: int) -> None:
+    """Enter the change of direction of a ray by diffraction at the array, if there is any."""
+    if apertures is None:
+        return
+    bundle[EVENTS_BEFORE + i] = 0.0
+    bundle[KICK_X + i], bundle[KICK_Y + i] = rays[RAY_KICK_X, n], rays[RAY_KICK_Y, n]
+    bundle[KICK_AT + i] = rays[RAY_KICK_AT, n]
+
 
 @kernel
 def follow_rays(
@@ -218,7 +236,7 @@ def follow_rays(
     Parameters
     ----------
     rays : (7 or more, n) float64
-        Position, mm, unit direction and weight of each, camera frame.
+        Position, mm, unit direction and weight of each, camera frame; where the array diffracts, see `RAY_KICK_X`, too.
     ends : (END_ROWS, n) float64
         Filled for the rays in `order`: as `rays`, but for the length of the direction, to rounding; then the number of
         interfaces that the ray has met, whether it has ended: 0 if not, and by what thin lenses divide its radiance.
@@ -246,6 +264,7 @@ def follow_rays(
                     bundle, i, rays[0, n], rays[1, n], rays[2, n], rays[3, n], rays[4, n], rays[5, n],
                     rays[RAY_WEIGHT, n],
                 )  # fmt: skip
+                _give_kick(camera.mla.apertures, rays, n, bundle, i)
             pad(bundle, count)
             follow_legs(bundle, camera, route, legs[group], legs[group + 1], colour, book)
             for i in range(count):

@@ -74,21 +74,22 @@ def follow_sequence(
     )
 
 
-def behind_faces(tables: Tables, faces: int) -> Tables:
-    """Return the tables of a camera without the first faces of its lens, for rays that have passed them.
+def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
+    """Return the tables of a lens with some of its faces only, for rays that go on from one to the next of them.
 
     Parameters
     ----------
-    tables : Tables
-    faces : int
+    lens : LensTables
+    first, last : int
+        The first of these faces, and the one before which they end.
     """
-    lens = tables.lens
-    rows = lens.interfaces._replace(rows=lens.interfaces.rows[faces:])
-    left = lens._replace(
-        surfaces=lens.surfaces[faces:], medium=lens.medium[faces:], interfaces=rows, ring_slot=lens.ring_slot[faces:],
-        mount_slot=lens.mount_slot[faces:], stop_space=max(lens.stop_space - faces, -1),
+    rows = lens.interfaces._replace(rows=lens.interfaces.rows[first:last])
+    stop_space = lens.stop_space - first
+    return lens._replace(
+        surfaces=lens.surfaces[first:last], medium=lens.medium[first : last + 1], interfaces=rows,
+        ring_slot=lens.ring_slot[first : last + 1], mount_slot=lens.mount_slot[first:last],
+        stop_space=stop_space if 0 <= stop_space <= last - first else -1,
     )  # fmt: skip
-    return tables._replace(lens=left)
 
 
 def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int], colour: int) -> Array:

@@ -5,37 +5,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry import frame
 from lfmesh.geometry.surfaces.tessellation import ALL_ROUND, mesh_heights
 from lfmesh.kernels.by_address import by_address
-from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.kick import kick_by_key
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.packets.random import derived, descendant
-from lfmesh.transport.sequences.bundle import (
-    BLOCK,
-    DROPPED,
-    DX,
-    DY,
-    DZ,
-    ENDED_ON,
-    EVENTS_BEFORE,
-    KICK_AT,
-    KICK_X,
-    KICK_Y,
-    MET,
-    WEIGHT,
-    X,
-    Y,
-    Z,
-    empty_bundle,
-    load,
-    move_bundle,
-    normalise,
-    pad,
+from lfmesh.transport.sequences.follower import (
+    ARRAY_AGAIN,
+    IN_LENS,
+    LENS_AGAIN,
+    RAY_ENDED,
+    RAY_KICK_AT,
+    RAY_KICK_X,
+    RAY_KICK_Y,
+    RAY_WEIGHT,
+    image_route,
 )
-from lfmesh.transport.sequences.follower import ARRAY_AGAIN, IN_ARRAY, Route, follow_legs, image_route
-from lfmesh.transport.sequences.lens_surfaces import at_surface
-from lfmesh.transport.sequences.ray_tables import unread_book
+from lfmesh.transport.sequences.ray_tables import follow_route, lens_of_faces
 from lfmesh.transport.tables.tables import (
     FACES_OF_ARRAY,
     Camera,
@@ -174,27 +162,17 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
-    camera = Camera(lens, through.mla, sensor, through.frames)
-    route, book = image_route(len(lens.surfaces), bool(through.mla.present)), unread_book(lens, through.mla)
     for number, colour in enumerate(colours):
         mine = slice(number, None, len(colours))
-        x_, y_, tx_, ty_ = (np.ascontiguousarray(a[mine]) for a in (x, y, tx, ty))
-        one_way, other_way = np.zeros((len(x_), 6)), np.zeros((len(x_), 7))
-        changes = np.zeros((len(x_), 2))
-        _find_kicks(through.mla.apertures, colour, descendant(key, number), changes)
-        ways = [(tx_, ty_, one_way)]
+        _find_kicks(through.mla.apertures, colour, descendant(key, number), changes := np.zeros((len(x[mine]), 2)))
+        plane, ahead = (x[mine], y[mine], z), (tx[mine], ty[mine])
+        back = ahead
         if through.stop is not None:
             # On the other side of the stop the same rays have another direction.
-            ways.append((*_turned_at_stop(through.stop, lens, space, colour, (tx_, ty_), random), one_way.copy()))
-        for across, up, landed in ways:
-            _follow_both_ways(
-                x_, y_, across, up, z, start, space, pose, colour, camera, route, empty_bundle(), book, changes,
-                landed, other_way,
-            )  # fmt: skip
-        kick[mine] = changes
-        if through.cover is not None:
-            _land_behind(one_way, through.cover, colour)
-        to_sensor[mine], to_objects[mine], of_colour[mine] = one_way, other_way, colour
+            back = _turned_at_stop(through.stop, lens, space, colour, ahead, random)
+        to_sensor[mine] = _sensor_side(through, space, _starts(plane, ahead, start, pose), colour, changes)
+        to_objects[mine] = _object_side(through, space, _starts(plane, back, -start, pose), colour)
+        of_colour[mine], kick[mine] = colour, changes
     half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
     lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
@@ -212,7 +190,75 @@ def _turned_at_stop(
     cosines = given / np.sqrt(1.0 + (given**2).sum(axis=0)) + kicks.T / index
     left = 1.0 - (cosines**2).sum(axis=0)
     turned = np.where(left > 0.0, cosines / np.sqrt(np.where(left > 0.0, left, 1.0)), given)
-    return turned[0].copy(), turned[1].copy()
+    return turned[0], turned[1]
+
+
+def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back: float, pose: Array) -> Array:
+    """Return rays (10, n) of weight 1 through points of the stop's plane, as `follow_rays` takes them.
+
+    Parameters
+    ----------
+    plane : tuple
+        x and y, (n,), and z, in mm.
+    slopes : tuple
+        In x and y, (n,).
+    back : float, mm
+        Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead; negative for
+        rays that run against the axis.
+    pose : (3, 4) float64
+        Rigid motion of that plane, and of the rays, from their place in the prescription.
+    """
+    (x, y, z), (tx, ty) = plane, slopes
+    direction = np.column_stack([tx, ty, np.ones(len(x))]) * (np.sign(back) / np.sqrt(1.0 + tx * tx + ty * ty))[:, None]
+    position = np.column_stack([x - back * tx, y - back * ty, np.full(len(x), z - back)])
+    rays = np.ones((RAY_KICK_AT + 1, len(x)))
+    rays[:3], rays[3:6] = frame.points(pose, position).T, frame.directions(pose, direction).T
+    return rays
+
+
+def _object_side(through: CameraTables, space: int, rays: Array, colour: int) -> Array:
+    """Return point and direction in object space, camera frame, and transmittance, (n, 7), of rays from the stop."""
+    camera = _camera_of_faces(through, 0, space)
+    ends = follow_route(camera, image_route(space, False), rays, (LENS_AGAIN, LENS_AGAIN + 1), colour)
+    d, passes = _unit(ends), (ends[RAY_ENDED] == 0.0) & (ends[5] < 0.0)
+    return np.column_stack([ends[:3].T, d, np.where(passes, ends[RAY_WEIGHT], 0.0)])
+
+
+def _sensor_side(through: CameraTables, space: int, rays: Array, colour: int, kicks: Array) -> Array:
+    """Return place and direction at the sensor, in its frame, and transmittance, (n, 6), of rays from the stop.
+
+    Parameters
+    ----------
+    kicks : (n, 2) float64
+        Changes of direction by diffraction at the array.
+    """
+    last = len(through.lens.surfaces)
+    camera, route = _camera_of_faces(through, space, last), image_route(last - space, bool(through.mla.present))
+    if (apertures := through.mla.apertures) is not None:
+        rays[RAY_KICK_X], rays[RAY_KICK_Y] = kicks.T
+        rays[RAY_KICK_AT] = last - space + (0 if apertures.to_lens else FACES_OF_ARRAY)
+    ends = follow_route(camera, route, rays, (IN_LENS, ARRAY_AGAIN), colour)
+    to_sensor = through.frames[CAMERA_FRAME, SENSOR_FRAME]
+    p, d = frame.points(to_sensor, ends[:3].T), frame.directions(to_sensor, _unit(ends))
+    along = -p[:, 2] / d[:, 2]
+    passes = (ends[RAY_ENDED] == 0.0) & (d[:, 2] > 0.0) & (along > 0.0)
+    places = p[:, :2] + along[:, None] * d[:, :2]
+    landed = np.column_stack([places, d, np.where(passes, ends[RAY_WEIGHT], 0.0)])
+    if through.cover is not None:
+        _land_behind(landed, through.cover, colour)
+    return landed
+
+
+def _camera_of_faces(through: CameraTables, first: int, last: int) -> Camera:
+    """Return the camera with some faces of its lens only, without the stop, within which rays start."""
+    lens = lens_of_faces(through.lens, first, last)._replace(stop_space=-1)
+    return Camera(lens, through.mla, through.sensor, through.frames)
+
+
+def _unit(ends: Array) -> Array:
+    """Return the directions (n, 3) of ends, whose length every interface changes by a rounding error."""
+    d = ends[3:6].T
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:
@@ -254,94 +300,9 @@ def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
 
 
 @kernel
-def _follow_both_ways(
-    x: Array, y: Array, tx: Array, ty: Array, z: float, start: float, space: int, pose: Array, colour: int,
-    camera: Camera, route: Route, bundle: Array, book: Array, kicks: Array, to_sensor: Array, to_objects: Array,
-) -> None:  # fmt: skip
-    """Trace rays through points of a plane in a space of the lens to the sensor and to object space.
-
-    Parameters
-    ----------
-    x, y, tx, ty : (n,) float64
-        Place, mm, and slopes.
-    start : float, mm
-        Distance before the plane at which they start, as straight lines, so that all surfaces lie ahead.
-    kicks : (n, 2) float64
-        Changes of direction by diffraction at the array.
-    pose : (3, 4) float64
-        Rigid motion of that plane and of the rays from their place in the prescription.
-    to_sensor : (n, 6) float64
-        Filled with place and direction in the sensor's frame, and transmittance; 0 for what ends.
-    to_objects : (n, 7) float64
-        Filled with point and direction in the camera's frame, and transmittance.
-    """
-    lens, frames = camera.lens, camera.frames
-    last = len(lens.surfaces)
-    for first in range(0, len(x), BLOCK):
-        count = min(BLOCK, len(x) - first)
-        for sense in (-1.0, 1.0):
-            for i in range(count):
-                sx, sy = tx[first + i], ty[first + i]
-                scale = 1.0 / np.sqrt(1.0 + sx * sx + sy * sy)
-                back = sense * start
-                load(
-                    bundle, i, x[first + i] - back * sx, y[first + i] - back * sy, z - back,
-                    sense * scale * sx, sense * scale * sy, sense * scale, 1.0,
-                )  # fmt: skip
-            pad(bundle, count)
-            move_bundle(bundle, pose)
-            here = space
-            while 0 <= here + (sense > 0.0) - 1 < last:
-                k = here if sense > 0.0 else here - 1
-                into = here + 1 if sense > 0.0 else here - 1
-                fates = (lens.surfaces[k].semi_diameter, DROPPED, DROPPED)
-                at_surface(bundle, lens, k, False, colour, sense, fates, False, book)
-                here = into
-            if sense < 0.0:
-                normalise(bundle)
-                _keep_object_side(bundle, count, first, to_objects)
-                continue
-            _give_kicks(camera.mla.apertures, bundle, kicks, first, count)
-            follow_legs(bundle, camera, route, IN_ARRAY, ARRAY_AGAIN, colour, book)
-            normalise(bundle)
-            move_bundle(bundle, frames[CAMERA_FRAME, SENSOR_FRAME])
-            _keep_sensor_side(bundle, count, first, to_sensor)
-
-
-@inlined
-def _give_kicks(apertures: Any, bundle: Array, kicks: Array, first: int, count: int) -> None:
-    """Enter the changes of direction of rays that go to the array, where there is diffraction."""
-    if apertures is None:
-        return
-    for i in range(count):
-        bundle[KICK_X + i], bundle[KICK_Y + i] = kicks[first + i, 0], kicks[first + i, 1]
-        bundle[EVENTS_BEFORE + i] = 0.0
-        bundle[KICK_AT + i] = bundle[MET + i] + (0.0 if apertures.to_lens else FACES_OF_ARRAY)
-
-
-@kernel
 def _find_kicks(apertures: Any, colour: int, key: np.uint64, kicks: Array) -> None:
     """Draw the rays' changes of direction, (n, 2)."""
     if apertures is None:
         return
     for i in range(len(kicks)):
         kicks[i, 0], kicks[i, 1] = kick_by_key(apertures, colour, derived(key, i), apertures.events)
-
-
-@kernel
-def _keep_object_side(bundle: Array, count: int, first: int, to_objects: Array) -> None:
-    for i in range(count):
-        kept = to_objects[first + i]
-        kept[0], kept[1], kept[2] = bundle[X + i], bundle[Y + i], bundle[Z + i]
-        kept[3], kept[4], kept[5] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        kept[6] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] < 0.0 else 0.0
-
-
-@kernel
-def _keep_sensor_side(bundle: Array, count: int, first: int, to_sensor: Array) -> None:
-    for i in range(count):
-        kept = to_sensor[first + i]
-        t = -bundle[Z + i] / bundle[DZ + i]
-        kept[0], kept[1] = bundle[X + i] + t * bundle[DX + i], bundle[Y + i] + t * bundle[DY + i]
-        kept[2], kept[3], kept[4] = bundle[DX + i], bundle[DY + i], bundle[DZ + i]
-        kept[5] = bundle[WEIGHT + i] if bundle[ENDED_ON + i] == 0.0 and bundle[DZ + i] > 0.0 and t > 0.0 else 0.0

@@ -379,14 +379,31 @@ def on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
     r : (n,) float64, mm
     azimuths : int
     """
-    phi = 2 * np.pi * np.arange(azimuths) / azimuths
-    x, y = np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi))
-    if is_revolved(record):
-        z = np.broadcast_to((record["vertex_z"] + mesh_sag(record, r))[:, None], x.shape)
-    else:
-        z = mesh_heights(record, x, y) + record["vertex_z"]
+    x, y = _circles(r, azimuths)
+    z = np.broadcast_to(record["vertex_z"] + heights_on_circles(record, r, azimuths), x.shape)
     points = np.stack([x, y, z], axis=-1)
     return frame.points(record["pose"], points) if record["posed"] else points
+
+
+def heights_on_circles(record: Any, r: Array, azimuths: int = AZIMUTHS) -> Array:
+    """Return the heights of a surface over its vertex on circles about its axis, (n, azimuths) mm, in its own place.
+
+    Of a surface of revolution (n, 1).
+
+    Parameters
+    ----------
+    record : SURFACE record
+    r : (n,) float64, mm
+    azimuths : int
+    """
+    if is_revolved(record):
+        return np.asarray(mesh_sag(record, r))[:, None]
+    return mesh_heights(record, *_circles(r, azimuths))
+
+
+def _circles(r: Array, azimuths: int) -> tuple[Array, Array]:
+    phi = 2 * np.pi * np.arange(azimuths) / azimuths
+    return np.multiply.outer(r, np.cos(phi)), np.multiply.outer(r, np.sin(phi))
 
 
 def height_above(record: Any, points: Array) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """Tables of lens and array as kernels read them: surfaces, facets, media."""
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, on_circles
+from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, heights_on_circles
 from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
@@ -129,10 +130,11 @@ def lens_tables(
 
 
 def _bulges(shape: LensShape) -> Iterator[Array]:
-    """Yield points, (n, 3) mm, of surfaces that are no conics, which may stand out between the vertices of a mesh."""
+    """Yield corners, (8, 3) mm, of boxes round surfaces that are no conics, which may stand out between vertices."""
     for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
         if surface["terms"] > 0 and surface["level"] == EXACT:
-            yield on_circles(surface, np.linspace(0.0, rim, SLOPE_INTERVALS + 1)).reshape(-1, 3)
+            z = surface["vertex_z"] + heights_on_circles(surface, np.linspace(0.0, rim, SLOPE_INTERVALS + 1))
+            yield frame.points(surface["pose"], list(product((-rim, rim), (-rim, rim), (z.min(), z.max()))))
 
 
 def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -3,11 +3,14 @@ without excuse.
 """
 
 import functools
+import gc
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -32,20 +35,48 @@ if not is_cached(shade_objects):
 """
 
 
+compiling = pytest.StashKey["subprocess.Popen[bytes]"]()
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile what most tests need, once for all workers: each would compile it again."""
+    """Begin to compile what most tests need, once for all workers: each would compile it again."""
     workers = getattr(session.config.option, "numprocesses", None)
     if workers and not hasattr(session.config, "workerinput"):
-        subprocess.run([sys.executable, "-c", COMPILE], check=False)
+        session.config.stash[compiling] = subprocess.Popen([sys.executable, "-c", COMPILE])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Wait until that is compiled, before a worker that has collected the tests is given any."""
+    if compiler := node.config.stash.get(compiling, None):
+        compiler.wait()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collect the tests without a search for garbage: what comes into being by it stays."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if compiler := session.config.stash.get(compiling, None):
+        compiler.kill()
+        compiler.wait()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--long"):
         return
-    long = [item for item in items if item.get_closest_marker("long")]
-    if long:
-        config.hook.pytest_deselected(items=long)
-        items[:] = [item for item in items if item not in long]
+    by_length: dict[bool, list[pytest.Item]] = {True: [], False: []}
+    for item in items:
+        by_length[item.get_closest_marker("long") is not None].append(item)
+    config.hook.pytest_deselected(items=by_length[True])
+    items[:] = by_length[False]
 
 
 @functools.cache

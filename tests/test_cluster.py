@@ -20,7 +20,8 @@ from lfmesh.transport.render.on_cluster import render_on_cluster
 from tests.processor_time import HANGS_S
 from tests.study.studies import PLANE, SHIFT, shifted, small_scene
 
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
+Client = distributed.Client
 
 PACKAGE = Path(lf.__file__).parent
 ITS_FOLDER = Path("/proc/self/cwd")
@@ -60,8 +61,6 @@ def started(*words: str, folder: Path | None = None, sources: Path = PACKAGE.par
 @contextmanager
 def joined(address: str, *workers: dict[str, Any]) -> Iterator[None]:
     """Start workers of one thread each, and wait until all have joined the scheduler."""
-    from distributed import Client
-
     words = "distributed.cli.dask_worker", address, "--nworkers", "1", "--nthreads", "1"
     processes = [started(*words, **each) for each in workers]
     try:
@@ -77,8 +76,6 @@ def joined(address: str, *workers: dict[str, Any]) -> Iterator[None]:
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A scheduler of its own process, without workers, and the address that it listens at."""
-    from distributed import Client
-
     facts = tmp_path / "scheduler.json"
     process = started("distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(facts))
     try:
@@ -107,9 +104,15 @@ def test_a_scheduler_without_workers_is_waited_for_with_words_and_an_end(
         run()
 
 
+def impatient_client(address: str, timeout: str) -> Any:
+    return Client(address, timeout="3s")
+
+
 def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(
-    scheduler: tuple[Any, str], tmp_path: Path
+    scheduler: tuple[Any, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Once the client no longer looks for it, here after 3 s in place of 10."""
+    monkeypatch.setattr(distributed, "Client", impatient_client)
     process, address = scheduler
     worker = started("distributed.cli.dask_worker", address, "--nworkers", "1", "--nthreads", "1")
 

@@ -189,7 +189,7 @@ def ball(side, draw):
 
 
 def test_the_stated_error_holds_for_depth_that_is_not_resolved():
-    side = 9
+    side = 8
     full = blind_to_depth(side)
     given = matrix_of(full, (side,) * 3)
     draw = np.random.default_rng(21)

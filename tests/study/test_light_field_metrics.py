@@ -67,7 +67,7 @@ def test_an_edge_is_refocused_where_first_order_optics_says(
     The shift within 4 standard errors and 4 %, the distance itself within 1 %: beside first order the lens has
     aberrations.
     """
-    scene = camera(24)
+    scene = camera(18)
     value = by + (array_mm(scene) if path == DISTANCE else 0.0)
     own, other = moved(scene, path, value, "refocus", tmp_path, edge_distance_mm=edge_mm)
     assert own.estimates["refocus_mm"].value == pytest.approx(edge_mm, rel=0.01)
@@ -116,7 +116,7 @@ def test_light_of_neighbouring_lenslets_does_not_refocus_an_edge(tmp_path: Path)
 
 def test_the_shift_of_an_edge_between_views_is_found_whatever_the_slant() -> None:
     """Views of ideal edges at x = x₀ − a u + b y: to a thousandth of a sample."""
-    scene = camera(24)
+    scene = camera(18)
     field = lf.decode(lf.white_image(scene.changed({"transport.samples": 4})), scene)
     draw = np.random.default_rng(4)
     for _ in range(5):
@@ -177,7 +177,7 @@ def textured(scene: lf.Scene, at_mm: float) -> lf.Scene:
 @pytest.mark.parametrize("at_mm", instances([470.0, 600.0], long=[600.0]))
 def test_depth_is_wrong_by_what_first_order_optics_says(tmp_path: Path, at_mm: float) -> None:
     """Nothing for the camera to plan; both within 4 standard errors and the 1 % that the lens aberrates."""
-    scene = textured(camera(24), at_mm)
+    scene = textured(camera(18), at_mm)
     value = array_mm(scene) + 0.15
     own, other = moved(scene, DISTANCE, value, "depth", tmp_path)
     expected = shown_mm(scene, DISTANCE, value, at_mm) - at_mm

@@ -85,7 +85,7 @@ def scene(**camera: Any) -> lf.Scene:
             **camera,
         },
         targets=[chart],
-        transport={"split": "transmit", "samples": 8, "replicates": 2, "threads": 2},
+        transport={"split": "transmit", "samples": 4, "replicates": 2, "threads": 2},
     )
 
 

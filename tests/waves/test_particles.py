@@ -223,7 +223,7 @@ def test_many_particles_without_an_array_are_interpolated(monkeypatch: pytest.Mo
 
 def test_cells_are_cut_until_spreads_between_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where depth blurs, a single cell would be wrong by a tenth of the light and more."""
-    grains = POINT | {"count": 60, "bounds": {"kind": "box", "size_mm": (10.0, 10.0, 1200.0)}}
+    grains = POINT | {"count": 40, "bounds": {"kind": "box", "size_mm": (10.0, 10.0, 1200.0)}}
     given = scene(particles=[grains], **{"camera.lens.surfaces[0].semi_diameter_mm": 2.0})
     own = own_pictures(given)
     image = lf.render(given)

@@ -194,14 +194,8 @@ def test_a_recovery_killed_at_any_step_is_finished_by_the_next(image_of: Build, 
             (staging / "exposed.png").write_bytes(b"new")
             (staging / "exposed.json").write_bytes(b"new")
 
-    def decided() -> None:
-        """Kill it just after it is decided."""
-        step = 0
-        while not (folder / JOURNAL).exists():
-            assert killed_at(step, folder, add)
-            step += 1
-
-    decided()
+    # Killed as soon as it is decided.
+    assert in_child(folder, add, lambda _: os._exit(KILLED) if (folder / JOURNAL).exists() else None) == KILLED
     for step in range(100):
         if not killed_at(step, folder, lambda: recover(folder)):
             break

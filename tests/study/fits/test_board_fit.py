@@ -104,7 +104,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> Taken:
 
 @pytest.fixture(scope="module")
 def by_white(taken: Taken) -> tuple[lf.Fit, NDArray[np.float64]]:
-    return white_fit(taken, 1, 16)
+    return white_fit(taken, 1, 8)
 
 
 @pytest.fixture(scope="module")

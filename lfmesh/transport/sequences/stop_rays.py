@@ -162,6 +162,7 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
     count = lens.media.indices.shape[1]
     colours = sorted({0, count // 2, count - 1})
     start = float(lens.box_high[2] - lens.box_low[2]) + depth
+    half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     for number, colour in enumerate(colours):
         mine = slice(number, None, len(colours))
         _find_kicks(through.mla.apertures, colour, descendant(key, number), changes := np.zeros((len(x[mine]), 2)))
@@ -170,13 +171,15 @@ def _trace_from_stop(through: CameraTables, place: Array, random: np.random.Gene
         if through.stop is not None:
             # On the other side of the stop the same rays have another direction.
             back = _turned_at_stop(through.stop, lens, space, colour, ahead, random)
-        to_sensor[mine] = _sensor_side(through, space, _starts(plane, ahead, start, pose), colour, changes)
-        to_objects[mine] = _object_side(through, space, _starts(plane, back, -start, pose), colour)
+        to_sensor[mine] = ends = _sensor_side(through, space, _starts(plane, ahead, start, pose), colour, changes)
+        lands = (ends[:, 5] > 0.0) & (abs(ends[:, 0]) < half_width) & (abs(ends[:, 1]) < half_height)
+        # What does not come to the sensor is not traced the other way.
+        on = np.flatnonzero(lands)
+        plane, back = (plane[0][on], plane[1][on], z), (back[0][on], back[1][on])
+        to_objects[mine][on] = _object_side(through, space, _starts(plane, back, -start, pose), colour)
         of_colour[mine], kick[mine] = colour, changes
-    half_width, half_height = 0.5 * sensor.columns * sensor.pixel, 0.5 * sensor.rows * sensor.pixel
     throughput = to_sensor[:, 5] * to_objects[:, 6] * radius * radius / (1.0 + tx * tx + ty * ty) ** 2
-    lands = (abs(to_sensor[:, 0]) < half_width) & (abs(to_sensor[:, 1]) < half_height)
-    found = np.flatnonzero(lands & (throughput > 0.0))
+    found = np.flatnonzero(throughput > 0.0)
     return Rays(to_sensor[found, :5], to_objects[found, :6], throughput[found], of_colour[found], kick[found]), found
 
 

@@ -105,15 +105,16 @@ def test_a_board_of_known_size_may_lack_few_of_its_corners() -> None:
         (np.ones((1, 1, 20, 20)), (None, None), "0 corners of a checkerboard"),
         (np.full((1, 1, 20, 20), np.nan), (None, None), "no sample that the lens fully lights"),
         (np.random.default_rng(3).normal(size=(1, 1, 24, 24)), (None, None), "corners"),
-        (
-            pictured(28, turned(5.0, 4.6, (13.5, 13.5)))[None, None],
-            (9, 8),
-            "columns = 9, rows = 8.*all must be in view",
-        ),
-        (pictured(40, turned(5.0, 2.1, (20.0, 20.0)))[None, None], (None, None), "corners|squares"),
+        ((28, turned(5.0, 4.6, (13.5, 13.5))), (9, 8), "columns = 9, rows = 8.*all must be in view"),
+        ((40, turned(5.0, 2.1, (20.0, 20.0))), (None, None), "corners|squares"),
     ],
 )
-def test_a_picture_without_the_board_is_refused_in_one_line(views: Array, counts: Any, words: str) -> None:
+def test_a_picture_without_the_board_is_refused_in_one_line(
+    views: Array | tuple[int, Array], counts: Any, words: str
+) -> None:
+    """Of views, or of a board that is pictured."""
+    if isinstance(views, tuple):
+        views = pictured(*views)[None, None]
     with pytest.raises(lf.LfmeshError, match=words) as refused:
         find_corners(views, np.isfinite(views), 5.0, *counts)
     assert len(str(refused.value).splitlines()) == 1

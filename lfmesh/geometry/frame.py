@@ -48,13 +48,12 @@ def inverse(through: Frame) -> Frame:
 
 def points(through: Frame, p: ArrayLike) -> NDArray[np.float64]:
     """Return the (n, 3) points `p` seen through a frame."""
-    return directions(through, p) + through[:, 3]
+    return np.asarray(p, dtype=np.float64) @ through[:, :3].T + through[:, 3]
 
 
 def directions(through: Frame, d: ArrayLike) -> NDArray[np.float64]:
     """Return the (n, 3) directions `d` seen through a frame."""
-    # Without BLAS, whose threads cost more than they bring at three columns.
-    return np.einsum("ij,...j->...i", through[:, :3], np.asarray(d, dtype=np.float64))
+    return np.asarray(d, dtype=np.float64) @ through[:, :3].T
 
 
 @inlined

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame
 from lfmesh.geometry.surfaces.tessellation import ALL_ROUND, mesh_heights
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
@@ -212,10 +211,10 @@ def _starts(plane: tuple[Array, Array, float], slopes: tuple[Array, Array], back
         Rigid motion of that plane, and of the rays, from their place in the prescription.
     """
     (x, y, z), (tx, ty) = plane, slopes
-    direction = np.column_stack([tx, ty, np.ones(len(x))]) * (np.sign(back) / np.sqrt(1.0 + tx * tx + ty * ty))[:, None]
-    position = np.column_stack([x - back * tx, y - back * ty, np.full(len(x), z - back)])
     rays = np.ones((RAY_KICK_AT + 1, len(x)))
-    rays[:3], rays[3:6] = frame.points(pose, position).T, frame.directions(pose, direction).T
+    rays[:3] = x - back * tx, y - back * ty, np.full(len(x), z - back)
+    rays[3:6] = np.stack([tx, ty, np.ones(len(x))]) * (np.sign(back) / np.sqrt(1.0 + tx * tx + ty * ty))
+    rays[:3], rays[3:6] = _moved(pose, rays[:3]), _turned(pose, rays[3:6])
     return rays
 
 
@@ -223,8 +222,8 @@ def _object_side(through: CameraTables, space: int, rays: Array, colour: int) ->
     """Return point and direction in object space, camera frame, and transmittance, (n, 7), of rays from the stop."""
     camera = _camera_of_faces(through, 0, space)
     ends = follow_route(camera, image_route(space, False), rays, (LENS_AGAIN, LENS_AGAIN + 1), colour)
-    d, passes = _unit(ends), (ends[RAY_ENDED] == 0.0) & (ends[5] < 0.0)
-    return np.column_stack([ends[:3].T, d, np.where(passes, ends[RAY_WEIGHT], 0.0)])
+    passes = (ends[RAY_ENDED] == 0.0) & (ends[5] < 0.0)
+    return np.vstack([ends[:3], _unit(ends[3:6]), np.where(passes, ends[RAY_WEIGHT], 0.0)]).T
 
 
 def _sensor_side(through: CameraTables, space: int, rays: Array, colour: int, kicks: Array) -> Array:
@@ -242,11 +241,10 @@ def _sensor_side(through: CameraTables, space: int, rays: Array, colour: int, ki
         rays[RAY_KICK_AT] = last - space + (0 if apertures.to_lens else FACES_OF_ARRAY)
     ends = follow_route(camera, route, rays, (IN_LENS, ARRAY_AGAIN), colour)
     to_sensor = through.frames[CAMERA_FRAME, SENSOR_FRAME]
-    p, d = frame.points(to_sensor, ends[:3].T), frame.directions(to_sensor, _unit(ends))
-    along = -p[:, 2] / d[:, 2]
-    passes = (ends[RAY_ENDED] == 0.0) & (d[:, 2] > 0.0) & (along > 0.0)
-    places = p[:, :2] + along[:, None] * d[:, :2]
-    landed = np.column_stack([places, d, np.where(passes, ends[RAY_WEIGHT], 0.0)])
+    p, d = _moved(to_sensor, ends[:3]), _turned(to_sensor, _unit(ends[3:6]))
+    along = -p[2] / d[2]
+    passes = (ends[RAY_ENDED] == 0.0) & (d[2] > 0.0) & (along > 0.0)
+    landed = np.vstack([p[:2] + along * d[:2], d, np.where(passes, ends[RAY_WEIGHT], 0.0)]).T
     if through.cover is not None:
         _land_behind(landed, through.cover, colour)
     return landed
@@ -258,10 +256,19 @@ def _camera_of_faces(through: CameraTables, first: int, last: int) -> Camera:
     return Camera(lens, through.mla, through.sensor, through.frames)
 
 
-def _unit(ends: Array) -> Array:
-    """Return the directions (n, 3) of ends, whose length every interface changes by a rounding error."""
-    d = ends[3:6].T
-    return d / np.linalg.norm(d, axis=1, keepdims=True)
+def _unit(d: Array) -> Array:
+    """Return directions (3, n), whose length every interface changes by a rounding error, at their length of 1."""
+    return d / np.sqrt((d * d).sum(axis=0))
+
+
+def _moved(through: Array, p: Array) -> Array:
+    """Return points (3, n) seen through a frame."""
+    return _turned(through, p) + through[:, 3:]
+
+
+def _turned(through: Array, d: Array) -> Array:
+    """Return directions (3, n) seen through a frame: without BLAS, whose threads cost more than three rows bring."""
+    return np.einsum("ij,jn->in", through[:, :3], d)
 
 
 def _land_behind(rays: Array, cover: CoverPlate, colour: int) -> None:

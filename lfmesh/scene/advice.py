@@ -86,7 +86,7 @@ def _rough_camera(scene: Scene) -> Iterator[str]:
 
 def doubtful(scene: Scene, facts: "FirstOrder") -> tuple[PictureWarning, ...]:
     """Return the warnings by which a picture of a solved scene is or may be wrong, most important first."""
-    return in_order([*_forward_in_fog(scene), *_particles_in_fog(scene), *_diffraction(scene, facts)])
+    return in_order([*_forward_in_fog(scene), *_scattered_particles(scene), *_diffraction(scene, facts)])
 
 
 def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
@@ -101,14 +101,16 @@ def _forward_in_fog(scene: Scene) -> Iterator[PictureWarning]:
             )
 
 
-def _particles_in_fog(scene: Scene) -> Iterator[PictureWarning]:
-    """Name media that scatter the light of particles, of which only what was sent towards the lens is found."""
-    for number, medium in enumerate(scene.media):
-        if medium.scattering_per_mm != 0.0 and scene.particles:
-            name = medium.name or f"media[{number}]"
-            yield MissedLightWarning(
-                f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
-            )
+def _scattered_particles(scene: Scene) -> Iterator[PictureWarning]:
+    """Name what scatters the light of particles, of which only what was sent towards the lens is found."""
+    if not scene.particles:
+        return
+    media = [each.name or f"media[{i}]" for i, each in enumerate(scene.media) if each.scattering_per_mm != 0.0]
+    rough = [format_path(where) for where, finish in scene.finishes() if finish.is_rough and where[0] != "camera"]
+    for name in (*media, *rough):
+        yield MissedLightWarning(
+            f"{name} scatters light: what it scatters of the light of particles is in the picture only in part"
+        )
 
 
 def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:

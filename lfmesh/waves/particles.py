@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError, warn_caller
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
+from lfmesh.transport.render.image import UntracedLight
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.world import World
 from lfmesh.waves.between import add_spreads
@@ -30,19 +31,14 @@ MOST_SPREADS = 2000
 LOOKING, STAGE = "particles looked at", "point spreads of particles"
 
 
-def particle_film(world: World, progress: Callable[[Progress], None] | None = None) -> Array:
-    """Return the light of a scene's particles on each pixel, (rows, columns, wavelengths) W.
+def particle_film(world: World, progress: Callable[[Progress], None] | None = None) -> UntracedLight:
+    """Return the light of a scene's particles on each pixel, with the warnings of `lf.point_spread`.
 
     Parameters
     ----------
     world : World
     progress : callable, optional
         Told of each particle and wavelength.
-
-    Warns
-    -----
-    DiffractionWarning
-        As from `lf.point_spread`.
 
     Raises
     ------
@@ -69,8 +65,7 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
                 picture += each.intensity_w_sr * spread.mean
                 beyond = max(beyond, spread.beyond)
             told()
-    warn_caller(warnings_of(beyond))
-    return film
+    return UntracedLight(film, tuple(warnings_of(beyond)))
 
 
 def refuse_particles(world: World, progress: Callable[[Progress], None] | None = None) -> None:

@@ -81,6 +81,20 @@ def in_a_sheet(diameter_um: float, **changes: Any) -> lf.Scene:
     return scene(particles=[one | {"phase": phase}], **changes)
 
 
+def test_a_picture_of_particles_alone_is_not_black_and_keeps_the_warnings_of_their_spreads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told = lf.errors.DiffractionWarning("light goes beyond the grid")
+    monkeypatch.setattr("lfmesh.waves.particles.warnings_of", lambda beyond: [told])
+    with pytest.warns(lf.errors.DiffractionWarning, match="beyond the grid") as shown:
+        image = lf.render(scene())
+    assert told in image.warnings
+    assert [each.message for each in shown].count(told) == 1
+    assert not any(isinstance(each, lf.errors.BlackPictureWarning) for each in image.warnings)
+    dark = lf.render(scene(**{"particles[0].intensity_w_sr": 0.0}))
+    assert any(isinstance(each, lf.errors.BlackPictureWarning) for each in dark.warnings)
+
+
 def test_particles_that_scatter_unevenly_send_what_rays_bring() -> None:
     """By the phase function towards the lens."""
     waves, rays = lf.render(in_a_sheet(2.0)), lf.render(in_a_sheet(2.0, **{"transport.diffraction": "none"}))

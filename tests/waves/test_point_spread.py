@@ -291,7 +291,7 @@ def test_a_particle_beside_the_array_is_dark(tmp_path: Path) -> None:
         "schema_version": 1, "camera": camera, "particles": [{"file": "points.csv", "intensity_w_sr": 2.0}],
         "transport": {"diffraction": "lenslets", "split": "transmit", "wavelengths_nm": [WAVE_NM]},
     }  # fmt: skip
-    assert not particle_film(lf.build(lf.Scene.model_validate(given).in_folder(tmp_path))).any()
+    assert not particle_film(lf.build(lf.Scene.model_validate(given).in_folder(tmp_path))).power.any()
 
 
 def test_what_limits_the_grid_is_named_and_the_advice_works(monkeypatch: pytest.MonkeyPatch) -> None:

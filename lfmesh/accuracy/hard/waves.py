@@ -76,5 +76,5 @@ def particles_in_a_row_through_focus() -> Outcome:
     )
     world = build(scene)
     own = np.sum([point_spread(scene, point).mean for point in world.particles[0].points], axis=0)
-    off = np.abs(particle_film(world)[:, :, 0] - own).sum() / own.sum()
+    off = np.abs(particle_film(world).power[:, :, 0] - own).sum() / own.sum()
     return _outcome(f"within {BETWEEN:g} of their own spreads", f"{off:.2g}", bool(off < BETWEEN))

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import LfmeshError, PictureWarning
+from lfmesh.errors import BlackPictureWarning, LfmeshError, PictureWarning, in_order
 from lfmesh.notebook import Pictured
 from lfmesh.scene import Scene
 from lfmesh.scene.literals import counted
@@ -24,6 +25,13 @@ from lfmesh.transport.render.certainty import (
     neighbours,
     upper_bound,
 )
+
+
+class UntracedLight(NamedTuple):
+    """Light that is added to an image, and that no path finds."""
+
+    power: NDArray[np.float64]  # (H, W, wavelengths) W
+    warnings: tuple[PictureWarning, ...]  # by what it is or may be wrong
 
 
 @dataclass
@@ -165,20 +173,24 @@ class Image(Pictured):
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
         return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.replicates)
 
-    def with_light(self, film: NDArray[np.float64]) -> "Image":
-        """Return the image with light that has no noise, (H, W, wavelengths) W, added to each pixel.
+    def with_light(self, light: UntracedLight) -> "Image":
+        """Return the image with light that has no noise added to each pixel.
 
         Parameters
         ----------
-        film : (H, W, wavelengths) float64, W
+        light : UntracedLight
 
         Returns
         -------
         Image
         """
-        certainty = Certainty(self.error, self.upper + film)
-        ledger = replace(self.ledger, untraced=self.ledger.untraced + float(film.sum()))
-        return replace(self, mean=self.mean + film, certainty=certainty, ledger=ledger)
+        power = light.power
+        certainty = Certainty(self.error, self.upper + power)
+        ledger = replace(self.ledger, untraced=self.ledger.untraced + float(power.sum()))
+        # A picture that paths find no light for is not black if it has such light.
+        of_traced = [each for each in self.warnings if not (power.any() and isinstance(each, BlackPictureWarning))]
+        warnings = in_order([*of_traced, *light.warnings])
+        return replace(self, mean=self.mean + power, certainty=certainty, ledger=ledger, warnings=warnings)
 
     def _estimate(self, hits: NDArray[np.uint32] | None) -> Estimate:
         """Return the image as an estimate of a single part; without hits, every pixel counts as one with enough."""

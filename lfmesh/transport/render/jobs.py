@@ -147,7 +147,7 @@ def reduced(
     untraced : callable, optional
         As for `lfmesh.transport.render.render.render`.
     """
-    film = untraced_light(tracer.world, untraced, progress)
+    light = untraced_light(tracer.world, untraced, progress)
     scene = tracer.world.scene
     replicates = scene.transport.replicates
     state = tracer.layout.state(saved)
@@ -168,4 +168,4 @@ def reduced(
                 progress(Progress(done * one, replicates * one, clock.seconds, done, replicates, stage))
 
     image = warned(tracer, lambda: folded(tracer, state, tallies, clock, keep))
-    return image if film is None else image.with_light(film)
+    return image if light is None else image.with_light(light)

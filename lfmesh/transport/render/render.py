@@ -20,7 +20,7 @@ from lfmesh.transport.packets.packet import EVENTS
 from lfmesh.transport.render.adaptive import Counts, Refinement, combine, samples_of, second_stage, total_samples
 from lfmesh.transport.render.certainty import Certainty, Estimate
 from lfmesh.transport.render.compile_ahead import compiled_ahead
-from lfmesh.transport.render.image import Image
+from lfmesh.transport.render.image import Image, UntracedLight
 from lfmesh.transport.render.parts import adds_particles, finds_all, in_words
 from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.tally import RenderState, StageSum, Tally
@@ -37,7 +37,7 @@ Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 """Yields the tallies of a stage's replicates in order, given the first number and, for the second stage, `levels`."""
 
 
-Untraced = Callable[[World, Callable[[Progress], None] | None], Array]
+Untraced = Callable[[World, Callable[[Progress], None] | None], UntracedLight]
 """Computes light that is not traced, (H, W, wavelengths) W: of particles, whose waves diffraction follows. Given the
 world, and what is told the progress."""
 
@@ -95,14 +95,14 @@ def render(
         with compiled_ahead(scene, report) as ahead:
             world = build(scene)
             ahead.join(world)
-        renderer = Renderer(world, progress=report, film=untraced_light(world, untraced, report))
+        renderer = Renderer(world, progress=report, light=untraced_light(world, untraced, report))
         return warned(renderer, lambda: renderer.image(saved, keep))
 
 
 def untraced_light(
     world: World, untraced: Untraced | None, progress: Callable[[Progress], None] | None = None
-) -> Array | None:
-    """Return light that is added to the image of a world, (H, W, wavelengths) W; None where there is none.
+) -> UntracedLight | None:
+    """Return light that is added to the image of a world; None where there is none.
 
     Parameters
     ----------
@@ -163,17 +163,17 @@ class Renderer(Tracer):
     Attributes
     ----------
     progress : callable, optional
-    film : (H, W, wavelengths) float64, W, optional
-        Light that is not traced, see `untraced_light`.
+    light : UntracedLight, optional
+        Light that is added, see `untraced_light`.
     """
 
     progress: Callable[[Progress], None] | None = None
-    film: Array | None = None
+    light: UntracedLight | None = None
     _last_report: float = 0.0
 
     def image(self, saved: Mapping[str, NDArray[Any]] | None = None, keep: Keeper | None = None) -> Image:
         """Render all replicates, or until Ctrl-C; see `render`."""
-        if self.film is None:
+        if self.light is None:
             untraced_light(self.world, None)
         state = self.layout.state(saved)
         clock = Clock(state)
@@ -193,7 +193,7 @@ class Renderer(Tracer):
                     yield tally
 
             image = folded(self, state, tallies, clock, keep)
-        return image if self.film is None else image.with_light(self.film)
+        return image if self.light is None else image.with_light(self.light)
 
     def _begun(self, state: RenderState, first: int, levels: Counts | None) -> Iterator[tuple[Tally, int]]:
         """Yield a stage's replicates that are not finished, in the memory of a single tally, with their places.

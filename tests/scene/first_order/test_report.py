@@ -252,6 +252,29 @@ WARNED = [
         },
         "smoke scatters light: what it scatters of the light of particles",
     ),
+    (
+        {
+            "targets": [
+                {
+                    "refractor": {
+                        "box_mm": [9.0, 9.0, 3.0],
+                        "index": 1.5,
+                        "finish": {"kind": "ground", "roughness": 0.03},
+                    },
+                    "position_mm": [0.0, 0.0, -350.0],
+                }
+            ],
+            "particles": [
+                {
+                    "count": 3,
+                    "bounds": {"kind": "sphere", "radius_mm": 1.0},
+                    "position_mm": [0.0, 0.0, -400.0],
+                    "intensity_w_sr": 1.0,
+                }
+            ],
+        },
+        "targets[0].refractor.finish scatters light: what it scatters of the light of particles",
+    ),
     ({"transport.samples": 12}, "samples = 12 cannot be shared by 8 replicates: rounded up to 16"),
     (
         {"coatings": {"ar": {"layers": [{"index": 1.38, "thickness_nm": 0.1064}]}}},

@@ -82,11 +82,14 @@ def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen
     """
     facets = np.flatnonzero(chosen) if len(patches) else np.zeros(0, np.int64)
     facets = facets[(patches[facets, 3:] != 0.0).any(axis=(1, 2))]
+    nothing = PatchTree(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, CURVED), 0, 0, 0)
+    if not len(facets):
+        return nothing
     rows, hulls, usable = _rows(patches[facets], corners[facets])
     rows["facet"], rows["body"] = facets, bodies[facets]
     rows, hulls, folded = rows[usable], hulls[usable], int((~usable).sum())
     if not len(rows):
-        return PatchTree(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, CURVED), 0, 0, folded)
+        return nothing._replace(folded=folded)
     leaves = 1 << max(0, int(np.ceil(np.log2(len(rows) / LARGEST_LEAF))))
     size = -(-len(rows) // leaves)
     order = _in_leaves(hulls.mean(axis=1), leaves, size)

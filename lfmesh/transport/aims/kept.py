@@ -8,6 +8,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from lfmesh.scene.model import Model
+
 T = TypeVar("T")
 
 KEPT = 8
@@ -44,11 +46,11 @@ class Kept(Generic[T]):
 
 
 def digest_of(*values: Any) -> bytes:
-    """Return a hash of arrays, tuples of arrays, and values that are fully given by their `repr`.
+    """Return a hash of arrays, models, tuples of these, and values that are fully given by their `repr`.
 
     Parameters
     ----------
-    *values : array, tuple or object
+    *values : array, Model, tuple or object
 
     Returns
     -------
@@ -61,6 +63,8 @@ def digest_of(*values: Any) -> bytes:
             hashed.update(value.tobytes())
         elif isinstance(value, tuple):
             hashed.update(digest_of(*value))
+        elif isinstance(value, Model):
+            hashed.update(f"{type(value).__name__} {value.model_dump_json()}".encode())
         else:
             hashed.update(repr(value).encode())
     return hashed.digest()

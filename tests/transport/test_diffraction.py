@@ -271,7 +271,7 @@ def real_size(mla: dict[str, Any], **transport: Any) -> Scene:
 TWO = ["two faces", "two faces, the second one round"]
 
 
-@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, *TWO]))
+@pytest.mark.parametrize("kind", instances(SMALL, long=[*PLAIN, *TWO, "cylinders"]))
 def test_forward_equals_adjoint_behind_small_lenslets(kind: str) -> None:
     adjoint = lf.render(real_size(SMALL[kind], samples=512))
     forward = lf.render(real_size(SMALL[kind], samples=3000, method="forward"))

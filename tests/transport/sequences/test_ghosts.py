@@ -57,6 +57,7 @@ def with_first(given: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 PLANE_FACE = with_first(lens(4), radius_mm=np.inf)
+CYLINDERS = "a coated array with crossed cylinders on its faces, tilted"
 ABSORBING_CYLINDERS = "a coated array that absorbs, with crossed cylinders on its faces, tilted"
 """Both of two other cameras, whose kernels nothing else needs and compile for a minute."""
 
@@ -77,7 +78,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
         "lens": lens(11), "mla": MLA | {"curved_side": "sensor", "layout": "hexagonal"}, "reflectance": 0.3,
         "cover": {"thickness_mm": 0.1, "gap_mm": 0.05, "index": 1.7},
     },
-    "a coated array with crossed cylinders on its faces, tilted": {
+    CYLINDERS: {
         "lens": lens(13),
         "mla": MLA | {
             "focal_length_mm": None, "radius_mm": 0.5, "cylinder_axis": "y", "conic": -0.5, "curved_coating": "ar",
@@ -105,7 +106,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
 
 LONG = [
     "one", "three", "a plane face", "a coated surface", "a cover alone", "a sensor that reflects, behind an array",
-    "a coated array with crossed cylinders on its faces, tilted", ABSORBING_CYLINDERS,
+    CYLINDERS, ABSORBING_CYLINDERS,
     "glass that absorbs, in lens and array",
 ]  # fmt: skip
 """Their parts are in the others together, or compared ray by ray with those of the meshes."""
@@ -209,7 +210,7 @@ def test_the_image_is_that_of_the_mesh_engine(name: str) -> None:
     assert p_value(apart, by_mesh) > LEVEL / COMPARISONS
 
 
-@pytest.mark.parametrize("name", instances(CAMERAS, long=[ABSORBING_CYLINDERS]))
+@pytest.mark.parametrize("name", instances(CAMERAS, long=[CYLINDERS, ABSORBING_CYLINDERS]))
 def test_ghosts_leave_the_lens_where_the_meshes_send_them(name: str) -> None:
     compared = Renderer(lf.build(scene(CAMERAS[name])))._compared_ghosts()
     assert compared is not None

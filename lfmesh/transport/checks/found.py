@@ -130,11 +130,11 @@ def _aim(scene: Scene, proof: AimProof | None) -> Iterator[PictureWarning]:
     if scene.rough_in_camera():
         return
     if proof is None:
-        if scene.camera.lens.has_meshes:
-            yield LightOutsideAimWarning(
-                "rays are not proven to be aimed at all light, as the lens has surfaces of mesh files: what is left "
-                f"out comes {_AS_NOISE}"
-            )
+        meshes = scene.camera.lens.has_meshes
+        why = "the lens has surfaces of mesh files" if meshes else "no ray from the stop could be traced to the sensor"
+        yield LightOutsideAimWarning(
+            f"rays are not proven to be aimed at all light, as {why}: what is left out comes {_AS_NOISE}"
+        )
         return
     if proof.holds:
         return

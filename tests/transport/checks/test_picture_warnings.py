@@ -263,9 +263,21 @@ def few_proof_rays(patch: Patch, _: Path) -> lf.Scene:
     return scene(**{"camera.sensor.pixel_mm": 0.051})
 
 
+def no_proof_rays(patch: Patch, _: Path) -> lf.Scene:
+    """Let none come through, though the sensor has light."""
+    patch.setattr(stop_rays, "BATCH", 1)
+    patch.setattr(stop_rays, "NEAREST", 1e5)
+    patch.setattr(stop_rays, "FURTHEST", 1e6)
+    return scene(**{"camera.sensor.pixel_mm": 0.052})
+
+
 @pytest.mark.parametrize(
     ("case", "words"),
-    [(lens_of_a_mesh_file, "as the lens has surfaces of mesh files"), (few_proof_rays, "rays are too few to tell")],
+    [
+        (lens_of_a_mesh_file, "as the lens has surfaces of mesh files"),
+        (few_proof_rays, "rays are too few to tell"),
+        (no_proof_rays, "no ray from the stop could be traced to the sensor"),
+    ],
 )
 def test_an_aim_that_is_not_proven_is_said(
     case: Callable[[Patch, Path], lf.Scene], words: str, home: Path, monkeypatch: Patch

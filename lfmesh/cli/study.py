@@ -121,6 +121,8 @@ def _plan(loaded: "Study", workers: int | None) -> int:
     if len(plan.points) > LISTED:
         print(f"  and {len(plan.points) - LISTED} more")
     found = probe(plan, workers)
+    for words in found.unknown:
+        say_note(words)
     print(
         f"{found.points} points, {found.units} units in {found.workers} processes, {', '.join(plan.metrics)}: about "
         f"{duration(found.seconds)} ({duration(found.start_seconds)} to start, {found.unit_seconds:.2g} s a camera in "
@@ -155,7 +157,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
-    from lfmesh.study.sweeps.sentences import largest_changes
+    from lfmesh.study.sweeps.sentences import largest_changes, unknown_metrics
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
@@ -167,6 +169,8 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     for row in table.failed:
         if row.fault != "not done":
             say_note(f"point {row.point.number}, {table.plan.label(row.point)}: {row.fault}")
+    for words in unknown_metrics(table, raised=True):
+        say_note(words)
     missing = sum(row.fault == "not done" for row in table.rows)
     done = len(table.rows) - len(table.failed)
     print(

@@ -157,7 +157,7 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
-    from lfmesh.study.sweeps.sentences import largest_changes, unknown_metrics
+    from lfmesh.study.sweeps.sentences import largest_changes, metrics_not_known
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
@@ -169,7 +169,7 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     for row in table.failed:
         if row.fault != "not done":
             say_note(f"point {row.point.number}, {table.plan.label(row.point)}: {row.fault}")
-    for words in unknown_metrics(table, raised=True):
+    for words in metrics_not_known(table, raised=True):
         say_note(words)
     missing = sum(row.fault == "not done" for row in table.rows)
     done = len(table.rows) - len(table.failed)

@@ -113,9 +113,9 @@ def taken(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> Ta
     return Taken(found, lacking)
 
 
-def in_a_line(error: Exception) -> str:
-    """Return the message of an error without line breaks."""
-    return " ".join(str(error).split())
+def in_a_line(error: LfmeshError) -> str:
+    """Return an error of several lines as one."""
+    return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 
 def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:

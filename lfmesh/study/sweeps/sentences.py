@@ -33,7 +33,7 @@ def in_short(table: Table) -> list[str]:
     """Return the answers of a study, a sentence each."""
     return [
         _progress(table),
-        *unknown_metrics(table),
+        *metrics_not_known(table),
         *_limits(table),
         *_yield(table),
         *largest_changes(table),
@@ -125,7 +125,7 @@ def _progress(table: Table) -> str:
     return "; ".join(words) + "."
 
 
-def unknown_metrics(table: Table, *, raised: bool = False) -> Iterator[str]:
+def metrics_not_known(table: Table, *, raised: bool = False) -> Iterator[str]:
     """Yield for every metric the points at which it is not known, and why that is or may be.
 
     Parameters

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from lfmesh.scene.literals import literal
+from lfmesh.scene.literals import literal, plain
 from lfmesh.study.metrics.metrics import METRICS, Column
 from lfmesh.study.sweeps.axes import name_and_unit
 from lfmesh.study.sweeps.table import CONFIDENCE, DOUBT, Row, Table
@@ -59,7 +59,7 @@ def column_value(row: Row, column: Column) -> str:
         bound = column.bound(row.means[column.name])
         if math.isnan(bound):
             return "no difference"
-        return f"{'above' if column.worse == 'low' else 'below'} {bound:.3g}"
+        return f"{'above' if column.worse == 'low' else 'below'} {plain(bound, 3)}"
     return written(value, error)
 
 
@@ -68,7 +68,7 @@ def written(value: float, error: float) -> str:
     if math.isnan(value):
         return NOT_KNOWN
     if math.isnan(error):
-        return f"{value:.2g} ± ?"
+        return f"{plain(value, 2)} ± ?"
     if not error > 0.5 * 10.0**-DIGITS * abs(value) or not math.isfinite(error):
         return f"{value:.{DIGITS}g}"
     digits = max(1, min(DIGITS, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2

@@ -24,7 +24,7 @@ from lfmesh.errors import (
     TooFewSamplesWarning,
 )
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import percent, plain
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
@@ -234,8 +234,8 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
         return
     yield HeavyPathsWarning(
         f"few paths bring much of the light. In {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
-        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {heavy.heavier:.2g} times as heavy as the "
-        "others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
+        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {plain(heavy.heavier, 2)} times as heavy as "
+        "the others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
     )
 
 

@@ -191,14 +191,23 @@ def _lost(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
 
 
 def _remedy(scene: Scene, ledger: Ledger) -> str:
-    """Return what helps where energy was lost in glass whose shape is a mesh file."""
-    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
-    if not scene.camera.lens.has_meshes and not bodies & ledger.lost_in.keys():
-        return ""
-    return (
-        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
-        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
-    )
+    """Return what helps the bodies in which energy was lost: of a box nothing but its size can be changed."""
+    names = {target.name or f"targets[{i}]": target.refractor for i, target in enumerate(scene.targets)}
+    glass = [body for name in ledger.lost_in if (body := names.get(name)) is not None]
+    of_lens = scene.camera.lens.has_meshes and bool(ledger.lost_in.keys() - names.keys())
+    words = ""
+    if of_lens or any(body.box_mm is None for body in glass):
+        words += (
+            "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has "
+            'them estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+        )
+    # Walls and liquid of a tank are boxes, too, in a scene that is traced.
+    if any(body.box_mm is not None for body in glass):
+        words += (
+            "; a box loses light that meets its edges within rounding: less where it is so large (box_mm, or size_mm "
+            "of a tank) that its edges lie out of the light"
+        )
+    return words
 
 
 def _open(ledger: Ledger) -> Iterator[PictureWarning]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
-from lfmesh.study.metrics.metrics import Column, columns_of
+from lfmesh.study.metrics.metrics import Column, columns_of, metric_of
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.plan import Plan, Point
 from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, combined, share_of, slope
@@ -263,9 +263,11 @@ class Table:
 
         The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
         more evenly, it is wider than need be. Its ends are those of the cameras that are good, and bad, beyond what
-        their standard errors leave open.
+        their standard errors leave open. Cameras of which the metric of a limit could not be had are no trials, unless
+        they break another limit.
         """
-        drawn = self.drawn
+        metrics = {metric_of(column.name) for column in self.limited}
+        drawn = [row for row in self.drawn if self._breaks(row) or not metrics & row.unknown.keys()]
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
             return None
 

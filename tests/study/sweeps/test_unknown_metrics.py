@@ -113,6 +113,17 @@ def test_a_limit_of_a_metric_that_cannot_be_had_is_neither_held_nor_broken(tmp_p
     table = aside(0.01, 40.0, limits={"centres_rms_px": 1.0}).run(tmp_path, workers=0)
     assert any(line.endswith("1.0 is held at 1 of 2 cameras; of 1 its value is not known.") for line in held(table))
     assert not table.breaking()
+    drawn = {"path": ASIDE, "range": (0.0, 10.0)}
+    study = lf.Study(
+        small_scene(samples=8), axes=[drawn], metrics=["light", "centres"], limits={"centres_rms_px": 1e3},
+        design="latin_hypercube", count=4, seed=1,
+    )  # fmt: skip
+    table = study.run(tmp_path / "drawn", workers=0)
+    known = int(np.isfinite(table.values("centres_rms_px")[[row.point.number for row in table.drawn]]).sum())
+    found = table.yield_share()
+    assert found is not None
+    assert 0 < known < 4
+    assert found.trials == known
 
 
 def held(table: Table) -> list[str]:

@@ -12,6 +12,7 @@ from lfmesh.cli.printing import list_files, say_note, say_warnings
 from lfmesh.cli.progress import status
 from lfmesh.cli.study import LISTED, progress_in_words
 from lfmesh.errors import LfmeshError
+from lfmesh.scene.literals import counted
 
 if TYPE_CHECKING:
     from lfmesh.study.datasets.dataset import Dataset
@@ -58,7 +59,7 @@ def dataset(
             def report(now: "Progress") -> None:
                 nonlocal done
                 done = now.done
-                say(progress_in_words(now, "items", "items"))
+                say(progress_in_words(now, "items", "item"))
 
             made = loaded.make(out, workers=workers, shard=share, progress=report)
     except KeyboardInterrupt:
@@ -66,7 +67,7 @@ def dataset(
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
     if made.noted:
-        say_note(f"{made.noted} items have notes, which their lines of the index hold")
+        say_note(f"{counted(made.noted, 'item')} {'has' if made.noted == 1 else 'have'} notes, which the index holds")
     print(f"{made.done} of {made.count} items are done.")
     list_files([made.index])
     return CASE_FAILED if made.failed else 0
@@ -84,5 +85,5 @@ def _plan(loaded: "Dataset") -> int:
 
     first = loaded.scene(0)
     say_warnings(foreseen(build(first)), solved_camera(first).report)
-    print(f"{len(loaded)} items, all valid: raw images, {', '.join(loaded.file.parts) or 'nothing else'}")
+    print(f"{counted(len(loaded), 'item')}, all valid: raw images, {', '.join(loaded.file.parts) or 'nothing else'}")
     return 0

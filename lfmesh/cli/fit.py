@@ -11,6 +11,7 @@ from lfmesh.cli.options import Whole
 from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
+from lfmesh.scene.literals import plain
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
@@ -139,20 +140,20 @@ def _boards_in_words(found: "BoardFit", names: list[Path]) -> list[str]:
         for kind, unit, part in (("position", "mm", 0), ("rotation", "deg", 3)):
             values = (pose.position_mm, pose.rotation_deg)[part // 3]
             errors = pose.standard_error[part : part + 3]
-            known = ", ".join(f"{value:.6g} ± {error:.2g}" for value, error in zip(values, errors, strict=True))
+            known = ", ".join(f"{value:.6g} ± {plain(error, 2)}" for value, error in zip(values, errors, strict=True))
             lines.append(f"{name.name}: {kind} {known} {unit}")
         slope, error = found.traded(number)
-        together = f"z of {name.name} {-slope:+.4g} Δ camera.mla.distance_mm, to ± {error:.2g} mm"
+        together = f"z of {name.name} {-slope:+.4g} Δ camera.mla.distance_mm, to ± {plain(error, 2)} mm"
         lines.append(wrapped(f"Only known together: {together}"))
     lines.append(
         f"Residuals {found.rms:.3g} samples of a view rms, {found.used} places of corners; "
-        f"{found.corner_rms:.2g} in the mean of each corner."
+        f"{plain(found.corner_rms, 2)} in the mean of each corner."
     )
     return lines
 
 
 def _estimate(each: "Estimate") -> str:
-    error = "kept, not determined" if each.kept else f"± {each.standard_error:.2g}"
+    error = "kept, not determined" if each.kept else f"± {plain(each.standard_error, 2)}"
     if each.together and not each.kept:
         error += ", if what is kept is right"
     return f"{each.parameter.name:<22}{each.value:>12.6g} {each.parameter.unit:<4}{error}"
@@ -160,11 +161,11 @@ def _estimate(each: "Estimate") -> str:
 
 def _in_words(found: "Fit") -> list[str]:
     lines = list(map(_estimate, found.estimates))
-    lines.append(f"{'micro-image pitch':<22}{found.pitch_px:>12.7g} px  ± {found.pitch_error_px:.2g}")
+    lines.append(f"{'micro-image pitch':<22}{found.pitch_px:>12.7g} px  ± {plain(found.pitch_error_px, 2)}")
     for both in found.combinations:
         terms = " ".join(
             f"{factor:+.5g} Δ {path}" if factor != 1.0 else f"Δ {path}" for path, factor in both.coefficients.items()
         )
-        lines.append(wrapped(f"Only known together: {terms} = {both.value:.6g} ± {both.standard_error:.2g}"))
+        lines.append(wrapped(f"Only known together: {terms} = {both.value:.6g} ± {plain(both.standard_error, 2)}"))
     lines.append(f"Residuals {found.rms_px:.3g} pixels rms, {found.used} micro-images.")
     return lines

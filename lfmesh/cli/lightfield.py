@@ -262,8 +262,13 @@ def _planes(stack: str) -> list[float]:
     """Return the distances of a FIRST:LAST:STEP, the last one included where the steps meet it."""
     try:
         first, last, step = (float(part) for part in stack.split(":"))
+        if step == 0.0:
+            raise LfmeshError(
+                f"--stack {stack}: STEP = {step:g}: must not be 0; above 0 where LAST is farther than FIRST, else "
+                "below, such as 300:800:20"
+            )
         count = int((last - first) / step * (1.0 + 1e-9)) + 1
-    except (ValueError, ZeroDivisionError, OverflowError):
+    except (ValueError, OverflowError):
         raise LfmeshError(f"--stack {stack}: give three numbers, FIRST:LAST:STEP in mm, such as 300:800:20") from None
     if count < 2 or not first > 0.0:
         raise LfmeshError(f"--stack {stack}: the steps must lead from FIRST, above 0, to LAST, such as 300:800:20")

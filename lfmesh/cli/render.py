@@ -135,10 +135,10 @@ def render(
     if restart and given and dask is None:
         raise LfmeshError(f"--restart begins a render anew: leave it out beside {given[0]}")
     if merge is not None:
-        code = _merged(merge, scene, out, overrides, verbose=verbose)
+        code = _merged(merge, scene, out, overrides, with_white=with_white, verbose=verbose)
         return _white(out, None) if with_white and out is not None and code == 0 else code
     if resume is not None:
-        code = _resume(resume, scene, out, overrides, verbose=verbose)
+        code = _resume(resume, scene, out, overrides, with_white=with_white, verbose=verbose)
         return _white(resume, None) if with_white and code == 0 else code
     if scene is None or out is None:
         missing = "a scene file" if scene is None else "--out, the run folder to write"
@@ -147,7 +147,7 @@ def render(
         if with_white:
             raise LfmeshError("--white is for the whole run: give it with --merge")
         return _share(scene, out, share, overrides)
-    code = _render(scene, out, overrides, dask, restart=restart, verbose=verbose)
+    code = _render(scene, out, overrides, dask, restart=restart, with_white=with_white, verbose=verbose)
     return _white(out, None) if with_white and code == 0 else code
 
 
@@ -180,8 +180,9 @@ def _share(scene_file: Path, folder: Path, share: tuple[int, int], overrides: Ov
 
 
 def _merged(
-    folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None, *, verbose: bool
-) -> int:
+    folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None, *,
+    with_white: bool, verbose: bool,
+) -> int:  # fmt: skip
     """Make the run of all shares of a render."""
     beside = [
         *(["the scene"] if scene else []),
@@ -196,12 +197,14 @@ def _merged(
 
     run.prepare(out)
     image = shares.merged(folders)
+    if with_white:
+        _refuse_undecodable(image.scene)
     return _told(image, out, verbose=verbose)
 
 
 def _render(
     scene_file: Path, folder: Path, overrides: Overrides | None, dask: str | None = None, *,
-    restart: bool = False, verbose: bool = False,
+    restart: bool = False, with_white: bool = False, verbose: bool = False,
 ) -> int:  # fmt: skip
     from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene import load
@@ -219,9 +222,19 @@ def _render(
             f"{folder} holds a render that was cut short: lfmesh render --resume {folder} goes on with it; --restart "
             "begins anew"
         )
+    if with_white:
+        _refuse_undecodable(scene)
     run.prepare(folder)
     _say_beforehand(scene)
     return _traced(scene, folder, None, dask, verbose=verbose)
+
+
+def _refuse_undecodable(scene: "Scene") -> None:
+    """Refuse a camera that needs no white image, as its light field cannot be decoded, before anything is traced."""
+    with defer_interrupt():
+        from lfmesh.lightfield.calibration.calibration import calibrate
+
+    calibrate(scene)
 
 
 def _say_beforehand(scene: "Scene") -> None:
@@ -233,7 +246,9 @@ def _say_beforehand(scene: "Scene") -> None:
     say_warnings(doubtful(camera.scene, camera.report), camera.report)
 
 
-def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None, *, verbose: bool) -> int:
+def _resume(
+    folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None, *, with_white: bool, verbose: bool
+) -> int:
     """Go on with a render that was cut short; the run itself says which."""
     given = overrides.given() if overrides else {}
     threads = Overrides(threads=given.pop("threads", None))
@@ -248,6 +263,8 @@ def _resume(folder: Path, scene: Path | None, out: Path | None, overrides: Overr
         return 0
     run.prepare(folder)
     kept = checkpoint.read(folder, image_file.scene_from)
+    if with_white:
+        _refuse_undecodable(kept.scene)
     return _traced(overridden(kept.scene, threads), folder, kept.arrays, verbose=verbose)
 
 

@@ -113,6 +113,7 @@ def _write_template(name: str, scene: Path, out: Path | None) -> int:
 
 def _plan(loaded: "Study", workers: int | None) -> int:
     from lfmesh.files.words import duration
+    from lfmesh.scene.literals import counted, plain
     from lfmesh.study.sweeps.probe import probe
 
     plan = loaded.plan
@@ -121,10 +122,13 @@ def _plan(loaded: "Study", workers: int | None) -> int:
     if len(plan.points) > LISTED:
         print(f"  and {len(plan.points) - LISTED} more")
     found = probe(plan, workers)
+    for words in found.unknown:
+        say_note(words)
     print(
-        f"{found.points} points, {found.units} units in {found.workers} processes, {', '.join(plan.metrics)}: about "
-        f"{duration(found.seconds)} ({duration(found.start_seconds)} to start, {found.unit_seconds:.2g} s a camera in "
-        f"one process), {found.bytes / 1e9:.2g} GB of memory"
+        f"{counted(found.points, 'point')}, {counted(found.units, 'unit')} in "
+        f"{found.workers} process{'' if found.workers == 1 else 'es'}, {', '.join(plan.metrics)}: about "
+        f"{duration(found.seconds)} ({duration(found.start_seconds)} to start, {plain(found.unit_seconds, 2)} s a "
+        f"camera in one process), {plain(found.bytes / 1e9, 2)} GB of memory"
     )
     return 0
 
@@ -133,16 +137,17 @@ LISTED = 40
 """Points that a dry run names."""
 
 
-def progress_in_words(now: "Progress", things: str = "units", failing: str = "points") -> str:
+def progress_in_words(now: "Progress", things: str = "units", failing: str = "point") -> str:
     """Return how far a study or dataset is.
 
     Parameters
     ----------
     now : Progress
     things, failing : str
-        What is counted, and what may fail.
+        What is counted, in the plural, and one of what may fail.
     """
     from lfmesh.files.words import duration
+    from lfmesh.scene.literals import counted
 
     words = f"{now.done} of {now.total} {things}"
     if now.new and now.seconds:
@@ -150,12 +155,12 @@ def progress_in_words(now: "Progress", things: str = "units", failing: str = "po
     if now.seconds_left is not None:
         words += f", {duration(now.seconds_left)} left"
     if now.failed:
-        words += f", {now.failed} {failing} failed"
+        words += f", {counted(now.failed, failing)} failed"
     return words + (f"; best {now.best}; worst {now.worst}" if now.best else "")
 
 
 def _report(table: "Table", out: Path, parquet: bool) -> int:
-    from lfmesh.study.sweeps.sentences import largest_changes
+    from lfmesh.study.sweeps.sentences import largest_changes, metrics_not_known
     from lfmesh.study.sweeps.study import PAGE, PARQUET, TABLE
 
     files = [out / TABLE, out / PAGE]
@@ -167,11 +172,12 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     for row in table.failed:
         if row.fault != "not done":
             say_note(f"point {row.point.number}, {table.plan.label(row.point)}: {row.fault}")
+    for words in metrics_not_known(table, raised=True):
+        say_note(words)
     missing = sum(row.fault == "not done" for row in table.rows)
     done = len(table.rows) - len(table.failed)
-    print(
-        f"{done} of {len(table.rows)} points are done" + (f", {missing} of other shares are not." if missing else ".")
-    )
+    others = f", {missing} of other shares {'is' if missing == 1 else 'are'} not" if missing else ""
+    print(f"{done} of {len(table.rows)} points are done{others}.")
     for line in largest_changes(table):
         print(wrapped(line))
     list_files(files)

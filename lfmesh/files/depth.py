@@ -12,7 +12,7 @@ from lfmesh.lightfield.photographs.depth import DepthMap
 from lfmesh.lightfield.photographs.depth_truth import DepthTruth
 from lfmesh.lightfield.views.field import mosaic
 from lfmesh.lightfield.views.upright import ON_SENSOR, UPRIGHT
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import percent, plain
 
 VIEWS, PIXELS, ESTIMATE, FIGURE = "depth_views.exr", "depth_pixels.exr", "depth.exr", "depth.png"
 
@@ -139,6 +139,8 @@ def _draw_distribution(axes: Any, error: NDArray[np.float64]) -> None:
         axes.plot(np.maximum(known, 1e-3), (np.arange(len(known)) + 1.0) / len(known), color="#1f4e8c")
         middle = float(np.median(known))
         axes.axvline(middle, color=GREY, lw=0.8, ls="--")
-        axes.annotate(f"median {middle:.2g} %", (middle, 0.03), xytext=(4, 0), textcoords="offset points", color=GREY)
+        axes.annotate(
+            f"median {plain(middle, 2)} %", (middle, 0.03), xytext=(4, 0), textcoords="offset points", color=GREY
+        )
     axes.set(xscale="log", xlabel="absolute error / % of depth", ylabel="share of samples with less", ylim=(0.0, 1.0))
     axes.grid(alpha=0.25)

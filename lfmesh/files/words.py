@@ -11,7 +11,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.objects.placement import placements
 from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import percent, plain
 from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import typical_over_rms
@@ -147,7 +147,7 @@ def _diffraction(scene: Scene) -> list[str]:
     """Return a sentence on the Airy disks that geometric optics leaves out, where they do not decide."""
     facts = solved_camera(scene).report
     mla = facts.microlens_airy_disk_px is not None
-    width = f"{facts.airy_disk_samples:.2g} {'lenslets' if mla else 'pixels'} wide"
+    width = f"{plain(facts.airy_disk_samples, 2)} {'lenslets' if mla else 'pixels'} wide"
     if scene.transport.diffraction == "lenslets":
         return [f"Diffraction is traced at the lenslets, and not at the lens, whose Airy disk is {width}."]
     if scene.transport.diffraction == "stop":
@@ -155,7 +155,7 @@ def _diffraction(scene: Scene) -> list[str]:
     widths = [f"the lens's Airy disk is {width}"]
     largest = facts.airy_disk_samples
     if facts.microlens_airy_disk_px is not None:
-        widths.append(f"a lenslet's {facts.microlens_airy_disk_px:.2g} pixels")
+        widths.append(f"a lenslet's {plain(facts.microlens_airy_disk_px, 2)} pixels")
         largest = max(largest, facts.microlens_airy_disk_px)
     if largest > 1.0:
         return []

@@ -24,6 +24,7 @@ from lfmesh.imports.surface_coatings import lens_coatings
 from lfmesh.optics.glass import AIR, D_LINE_NM, glass_name, refractive_index
 from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
+from lfmesh.scene.literals import plain
 from lfmesh.scene.materials.matter import Matter
 
 OFF_MM = 1e-9
@@ -127,7 +128,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         if not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
             raise SceneError(
                 f"{report.path}: line {surface.line}: {surface.text}: its term in r² can be written without it to "
-                f"{off:.1g} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
+                f"{plain(off, 1)} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
             )
     coatings, names = lens_coatings(made.kept, [media[0], *made.media], prescription, report)
     # Forbes' mild terms end at their radius, so that no f-number may size them.

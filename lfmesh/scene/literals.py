@@ -13,6 +13,10 @@ DEEPEST = 8
 """Lists and tables further inside are not written out."""
 
 
+MOST_PLAIN = 1e6
+"""Numbers below this one are written without an exponent."""
+
+
 def shown_path(path: object) -> str:
     """Return a path for a message: on one line, whatever characters it holds."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in str(path))
@@ -50,7 +54,13 @@ def percent(share: float) -> str:
         return "less than 0.0001 %"
     if 0.9995 <= share < 1.0:
         return "more than 99.9 %"
-    return f"{100.0 * share:.3g} %"
+    return f"{plain(100.0 * share, 3)} %"
+
+
+def plain(value: float, digits: int) -> str:
+    """Write a number in so many digits, without an exponent where that is not needed: ``100``, not ``1e+02``."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < MOST_PLAIN else text
 
 
 def at_least(value: float) -> str:

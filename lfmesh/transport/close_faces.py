@@ -20,6 +20,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_corner_no
 from lfmesh.geometry.meshes.patch import patch_points, patches
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
+from lfmesh.scene.literals import plain
 from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.contacts import touching_mm
@@ -196,7 +197,8 @@ def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> st
     x, y, z = close.place
     same = "let both have the same facets there, or " if scene.targets[other].refractor is not None else ""
     return (
-        f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {close.gap:.2g} mm apart near "
-        f"({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {close.stand_off:.2g} mm off the curved faces. "
-        f"Rays would miss one of them; {same}leave {reach:.2g} mm or more between them, or take finer meshes"
+        f"{named_target(scene, one)} and {named_target(scene, other)}: their faces are {plain(close.gap, 2)} mm apart "
+        f"near ({x:.4g}, {y:.4g}, {z:.4g}) mm, where the facets stand {plain(close.stand_off, 2)} mm off the curved "
+        f"faces. Rays would miss one of them; {same}leave {plain(reach, 2)} mm or more between them, or take "
+        "finer meshes"
     )

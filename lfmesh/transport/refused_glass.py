@@ -17,6 +17,7 @@ from lfmesh.geometry.meshes.winding import shells, winding
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
+from lfmesh.scene.literals import plain
 from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.bodies import MOST_AT_ONCE, MOST_BODIES
 from lfmesh.transport.events.facets import FLOAT32_GRAIN
@@ -306,7 +307,7 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
                 raise SceneError(
                     f"{named_target(scene, j)} lies on the glass of {named_target(scene, i)} near "
                     f"({x:.4g}, {y:.4g}, {z:.4g}) mm, too closely for rays to tell which comes first: leave "
-                    f"{2.0 * near:.1g} mm or more between them, or let it reach as far into the glass"
+                    f"{plain(2.0 * near, 1)} mm or more between them, or let it reach as far into the glass"
                 )
 
 
@@ -332,8 +333,8 @@ def closed_gaps(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             size = max(float(np.ptp(targets[k].mesh.vertices, axis=0).max()) for k in (i, j))
             if gap is not None and gap > AS_CLOSE * FLOAT32_GRAIN * size:
                 lines.append(
-                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {gap:.2g} mm apart are taken to "
-                    f"touch, without air between them, as all that are nearer than {near:.2g} mm "
+                    f"{named_target(scene, i)} and {named_target(scene, j)}: faces {plain(gap, 2)} mm apart are taken "
+                    f"to touch, without air between them, as all that are nearer than {plain(near, 2)} mm "
                     f"({CUT:g} of the smaller body's size); leave more between them if there is air"
                 )
     return lines

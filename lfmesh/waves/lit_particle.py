@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.phase import PhaseTables, evaluate_phases
+from lfmesh.scene.literals import plain
 from lfmesh.waves.bundle import INSIDE, Bundle
 from lfmesh.waves.extent import FINER, Extent
 from lfmesh.waves.point_spread import TOLERANCE, Asked, PointSpread, followed
@@ -138,8 +139,8 @@ class Particle(NamedTuple):
         change = float(np.abs(sent - mean).max()) / mean
         if change > EVEN:
             raise LfmeshError(
-                f"the light that it scatters changes by {change:.2g} of its mean over the lens's opening, and point "
-                f"spreads stand for changes up to {EVEN:g}; take smaller particles or a smaller opening"
+                f"the light that it scatters changes by {plain(change, 2)} of its mean over the lens's opening, and "
+                f"point spreads stand for changes up to {EVEN:g}; take smaller particles or a smaller opening"
             )
         return float(self.power_w[channel]) * mean
 

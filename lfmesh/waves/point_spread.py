@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import DiffractionWarning, LfmeshError, PictureWarning, warn_caller
 from lfmesh.notebook import Pictured, watched
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import percent
 from lfmesh.transport.render.progress import Progress
 from lfmesh.waves.angular_spectrum import Grid, Irradiance, Sampling, Spectrum
 from lfmesh.waves.camera_faces import WaveFace
@@ -124,7 +125,7 @@ class PointSpread(Pictured):
             f"{peak}peak {self.peak_w_mm2:.4g} W/mm² per W/sr{of}",
             f"Airy radius {1e3 * self.airy_radius_mm:.4g} µm, {self.airy_radius_mm / pixel_mm:.3g} pixels",
             f"{100.0 * self.brightest_share:.3g} % of the light on the brightest {part}; last change "
-            f"{100.0 * self.change:.2g} %, {100.0 * self.beyond:.2g} % beyond the grid",
+            f"{percent(self.change)}, {percent(self.beyond)} beyond the grid",
         ]
 
     def facts(self) -> dict[str, object]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import SolvedCamera
+from lfmesh.scene.literals import plain
 from lfmesh.transport.world import World
 from lfmesh.waves.bundle import PARALLEL, Bundle, LensRays, nearest_to_all, pupil_grid
 from lfmesh.waves.refused import NoLightError
@@ -237,7 +238,7 @@ def waves_of_field(
     if misfit > REFUSED:
         raise LfmeshError(
             f"the wavefront behind the lens is too aberrated: polynomials of degree {DEGREES[-1]} leave "
-            f"{misfit:.2g} waves of it, {REFUSED:g} are allowed; give a smaller stop"
+            f"{plain(misfit, 2)} waves of it, {REFUSED:g} are allowed; give a smaller stop"
         )
     return PupilWaves(wavelength, middle, half, focus, radius, (traced.position, direction), coefficients, misfit)
 

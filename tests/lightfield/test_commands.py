@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.files.field import open_field
 from lfmesh.scene import Scene
+from lfmesh.transport.render.tracer import Tracer
 
 
 @pytest.fixture
@@ -59,6 +61,46 @@ def test_render_makes_the_white_image_where_asked(camera: Callable[..., Scene], 
     assert np.nanmean(field.data[4:6, 4:6]) == pytest.approx(2.0, rel=0.1)
 
 
+def test_white_beside_a_render_is_refused_before_anything_is_traced_where_nothing_can_be_decoded(
+    camera: Callable[..., Scene], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of arrays with lenslets on both faces, of cylinders, of no array: by a render, one that goes on, and a merge."""
+    monkeypatch.chdir(tmp_path)
+    plain = camera().changed({"transport.samples": 1, "transport.replicates": 2})
+    mla = plain.camera.mla
+    assert mla is not None
+    two_sided = {"count": mla.count, "pitch_mm": mla.pitch_mm, "index": mla.index, "thickness_mm": mla.thickness_mm}
+    arrays = {
+        "camera.mla.back": two_sided | {"radius_mm": 0.5, "back": {"radius_mm": 0.6}},
+        "camera.mla.cylinder_axis": mla.model_copy(update={"cylinder_axis": "x"}),
+        "camera.mla is missing": None,
+    }
+    for words, array in arrays.items():
+        Path("scene.toml").write_text(plain.changed({"camera.mla": array}).dump_toml())
+        assert main(["render", "scene.toml", "-o", "run", "--white"]) == 2
+        assert words in capsys.readouterr().err
+        assert not Path("run").exists()
+    for number in (1, 2):
+        assert main(["render", "scene.toml", "-o", f"part{number}", "--shard", f"{number}/2"]) == 0
+    assert main(["render", "--merge", "part1", "part2", "-o", "run", "--white"]) == 2
+    assert words in capsys.readouterr().err
+    assert not Path("run/raw.exr").exists()
+    usual = Tracer.traced
+
+    def cut(self: Tracer, pool: Any, replicate: int, *rest: Any) -> Any:
+        if replicate == 1:
+            raise KeyboardInterrupt
+        return usual(self, pool, replicate, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Tracer, "traced", cut)
+        assert main(["render", "scene.toml", "-o", "cut"]) == 130
+    capsys.readouterr()
+    assert main(["render", "--resume", "cut", "--white"]) == 2
+    assert words in capsys.readouterr().err
+    assert not lf.open_run("cut").complete
+
+
 def test_refocus_needs_no_decode_before(folder: Path) -> None:
     assert main(["refocus", str(folder), "--distance-mm", "480"]) == 0
     assert (folder / "refocused_480mm.png").is_file()
@@ -89,7 +131,8 @@ def test_a_plane_beyond_the_range_is_noted(folder: Path, capsys: pytest.CaptureF
         (["refocus"], "nothing to focus on"),
         (["refocus", "--distance-mm", "480", "--all-in-focus"], "takes its planes from --stack"),
         (["refocus", "--stack", "300:800"], "give three numbers"),
-        (["refocus", "--stack", "300:800:0"], "give three numbers"),
+        (["refocus", "--stack", "450:550:0"], "--stack 450:550:0: STEP = 0: must not be 0"),
+        (["refocus", "--stack", "450:550:-0.0"], "STEP = -0: must not be 0"),
         (["refocus", "--stack", "800:300:20"], "the steps must lead"),
         (["refocus", "--stack", "-300:800:20"], "the steps must lead"),
         (["refocus", "--stack", "300:800:0.001"], "1000 at most"),

@@ -11,6 +11,7 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import LostEnergyWarning
 from lfmesh.files import words
+from lfmesh.transport.checks.found import books
 from lfmesh.view.rays.launch import from_pixels
 from lfmesh.view.rays.path_table import path_table
 
@@ -125,3 +126,39 @@ def test_a_faceted_body_that_cuts_nothing_loses_nothing(tmp_path: Path) -> None:
     paths = lf.trace(world, origins, towards - origins, weight_cutoff=0.3)
     assert paths.ledger.events > 100_000
     assert paths.ledger.lost_in == {}
+
+
+BOX = {"name": "window", "refractor": {"box_mm": (9.0, 9.0, 2.0), "index": 1.5}, "position_mm": (0.0, 0.0, -80.0)}
+TANK = {
+    "size_mm": (8.0, 8.0, 8.0),
+    "wall_mm": 1.0,
+    "wall": {"index": 1.5},
+    "liquid": {"index": 1.33},
+    "position_mm": (0.0, 0.0, -120.0),
+}
+OF_MESHES = ("mesh file", "crease_deg", 'surface = "flat"')
+
+
+@pytest.mark.parametrize(
+    ("bodies", "said", "unsaid"),
+    [
+        (["flawed ball"], OF_MESHES, ("box",)),
+        (["window"], ("box_mm",), OF_MESHES),
+        (["tanks[0] liquid"], ("size_mm of a tank",), OF_MESHES),
+        (["flawed ball", "window"], (*OF_MESHES, "box_mm"), ()),
+        (["the open"], (), (*OF_MESHES, "box")),
+    ],
+)
+def test_advice_on_lost_energy_is_one_that_the_body_accepts(
+    bodies: list[str], said: tuple[str, ...], unsaid: tuple[str, ...], flawed: lf.Scene
+) -> None:
+    """Boxes have no facets to make finer and no normals to estimate: `crease_deg` is refused of them."""
+    scene = lf.build(flawed.changed({"targets": [*flawed.targets, BOX], "tanks": [TANK]})).scene
+    ledger = lf.Ledger(emitted=1.0, escaped=1.0 - 1e-4, lost={"miss": 1e-4}, lost_in=dict.fromkeys(bodies, 1e-4))
+    (warning,) = books(scene, ledger)
+    assert isinstance(warning, LostEnergyWarning)
+    advice = str(warning).partition("the picture lacks it")[2]
+    assert all(words in advice for words in said), advice
+    assert not any(words in advice for words in unsaid), advice
+    with pytest.raises(lf.SceneError, match=r"crease_deg = 30.0: box_mm is given too"):
+        lf.Scene(**flawed.model_dump() | {"targets": [BOX | {"refractor": BOX["refractor"] | {"crease_deg": 30.0}}]})

@@ -95,11 +95,15 @@ def _black_views(field: LightField) -> Iterator[UserWarning]:
         return
     count, black = min(field.views), int((unknown == 1.0).sum())
     rest = [cut for cut in range(1, (count + 1) // 2) if not dark[cut:-cut, cut:-cut].any()]
-    advice = f"; decode {count - 2 * rest[0]} views across, which are whole" if rest else ""
+    advice = f"; decode {_whole_across(count - 2 * rest[0])}" if rest else ""
     yield UserWarning(
         f"{dark.sum()} of {dark.size} views are unknown in more than {HARDLY_DARK:.0%} of their samples, {black} "
         f"of them in all, as no light of their lenslets comes there: the files have black in these places{advice}"
     )
+
+
+def _whole_across(count: int) -> str:
+    return "1 view, which is whole" if count == 1 else f"{count} views across, which are whole"
 
 
 def export_raw(

@@ -13,6 +13,7 @@ from lfmesh.files.colour import srgb_encode
 from lfmesh.files.exports.exposure import UPRIGHT_ORDER, Exposure
 from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.views.upright import Upright
+from lfmesh.scene.literals import plain
 from lfmesh.transport.render.image import Image
 
 RAW, WHITE, SETTINGS, CENTRES = "raw.png", "white.png", "settings.json", "centres.json"
@@ -98,8 +99,9 @@ def _warn(calibration: Calibration) -> None:
         )
     spot = calibration.microlens_f_number / calibration.f_number
     if spot > LARGEST_SPOT:
+        wide, largest = plain(spot, 2), plain(calibration.microlens_f_number / LARGEST_SPOT, 2)
         warnings.warn(
-            f"PlenoptiCam may miss the pitch of the micro-images: they are {spot:.2g} pitches wide; stop the lens down "
-            f"until they leave gaps, to f/{calibration.microlens_f_number / LARGEST_SPOT:.2g} or a larger f-number",
+            f"PlenoptiCam may miss the pitch of the micro-images: they are {wide} pitch{'' if wide == '1' else 'es'} "
+            f"wide; stop the lens down until they leave gaps, to f/{largest} or a larger f-number",
             stacklevel=3,
         )

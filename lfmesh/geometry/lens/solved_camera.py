@@ -21,6 +21,7 @@ from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.compute import report_of_solved
 from lfmesh.scene.inputs import file_stamp, files_of
+from lfmesh.scene.literals import plain
 
 KEPT = 16
 """Cameras that are kept, the latest ones asked for."""
@@ -138,7 +139,7 @@ def mesh_lines(scene: Scene) -> list[str]:
     lines.append(f'{"all surfaces":<23}surface = "{level}": {1e3 * total:.3g} µm, {pixels:.3g} pixels')
     if level != "exact" and scene.transport.tessellation == Tessellation() and pixels > PIXEL_SHARE:
         lines.append(
-            f'Note: at {shape.rings} rings, the finest, surface = "{level}" is {pixels:.2g} pixels off; '
+            f'Note: at {shape.rings} rings, the finest, surface = "{level}" is {plain(pixels, 2)} pixels off; '
             'use "patch" or "exact"'
         )
     return lines

@@ -20,6 +20,7 @@ from lfmesh.geometry.surfaces.sag import heights, normals
 from lfmesh.geometry.surfaces.surface import surface_of
 from lfmesh.scene import Surface
 from lfmesh.scene.camera.sections import Toroid
+from lfmesh.scene.literals import plain
 
 ON_SURFACE = 1e-6
 """Largest distance of a vertex from its surface, over the farthest coordinate: float32's rounding and a margin."""
@@ -133,7 +134,8 @@ def told_form(points: Array, told: list[Told]) -> tuple[Form | None, str]:
                 return form, ""
             nearest = min(nearest, residual)
     if np.isfinite(nearest):
-        return None, f"the nearest conic with even terms is {nearest:.2g} mm off its curve; {EXACT_MM:g} is the limit"
+        off = plain(nearest, 2)
+        return None, f"the nearest conic with even terms is {off} mm off its curve; {EXACT_MM:g} is the limit"
     return None, "the file tells no surface about the z axis that all its vertices lie on"
 
 
@@ -215,7 +217,7 @@ def _keys(profile: Profile) -> dict[str, Any]:
 def _in_words(profile: Profile, what: str) -> str:
     terms = f", conic {profile.conic:.6g}" if profile.conic else ""
     terms += f", {len(profile.terms_mm)} even terms" if profile.terms_mm else ""
-    return f"a {what} of the file: radius {profile.radius_mm:.9g} mm{terms}; within {profile.residual_mm:.1g} mm"
+    return f"a {what} of the file: radius {profile.radius_mm:.9g} mm{terms}; within {plain(profile.residual_mm, 1)} mm"
 
 
 def _sectioned(told: Told, at: Array, axis: Array, points: Array) -> Iterator[tuple[Form, float]]:
@@ -331,11 +333,11 @@ def fitted_form(points: Array) -> tuple[Form | None, str]:
     worst = float(np.abs(off).max())
     if not (worst <= FITTED_MM and form <= FORM_MM):
         return None, (
-            f"its vertices are up to {worst:.2g} mm off the nearest sphere about the z axis, {form:.2g} mm of it "
-            f"smooth; {FITTED_MM:g} and {FORM_MM:g} are the limits"
+            f"its vertices are up to {plain(worst, 2)} mm off the nearest sphere about the z axis, {plain(form, 2)} mm "
+            f"of it smooth; {FITTED_MM:g} and {FORM_MM:g} are the limits"
         )
     signed = _signed(radius, centre - points[:, 2].mean())
-    words = f"a sphere fitted to its vertices, radius {signed:.9g} mm; they lie within {worst:.2g} mm of it"
+    words = f"a sphere fitted to its vertices, radius {signed:.9g} mm; they lie within {plain(worst, 2)} mm of it"
     return Form(centre - signed, {"radius_mm": signed}, words=words), ""
 
 

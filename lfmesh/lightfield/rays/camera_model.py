@@ -21,6 +21,7 @@ from lfmesh.lightfield.rays.view_cameras import ViewCameras, view_cameras
 from lfmesh.lightfield.rays.view_rays import ViewRays
 from lfmesh.lightfield.views.decode import view_count
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import plain
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.render.image import Image
 
@@ -86,9 +87,10 @@ class CameraModel:
         if not has_rays.any():
             return words
         near, far = self.views.distances_mm.min(), self.views.distances_mm.max()
+        rms, largest = np.nanmax(self.views.rms_error), np.nanmax(self.views.largest_error)
         return (
-            f"{words}; from {near:.4g} to {far:.4g} mm their pinholes err by {np.nanmax(self.views.rms_error):.2g} "
-            f"samples rms and {np.nanmax(self.views.largest_error):.2g} at most, in the worst view"
+            f"{words}; from {near:.4g} to {far:.4g} mm their pinholes err by {plain(rms, 2)} "
+            f"samples rms and {plain(largest, 2)} at most, in the worst view"
         )
 
 

@@ -18,6 +18,7 @@ from lfmesh.files.paths import relative
 from lfmesh.files.sealed import refuse_maker
 from lfmesh.files.whole import write_whole
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.lightfield.rays.chief_rays import refuse_undecodable
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
 from lfmesh.scene import Scene, load
@@ -25,9 +26,10 @@ from lfmesh.scene.inputs import files_of
 from lfmesh.scene.toml import table
 from lfmesh.study.datasets.dataset_file import DatasetFile, Draw, read_dataset
 from lfmesh.study.datasets.dataset_item import CAMERAS, ITEMS, Item, facts_of, make_camera, warnings_in
+from lfmesh.study.metrics.pictures import in_a_line
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.paths import value_at
-from lfmesh.study.sweeps.plan import MOST_POINTS, in_a_line, path_faults, pinned_with, seed_of
+from lfmesh.study.sweeps.plan import MOST_POINTS, path_faults, pinned_with, seed_of
 from lfmesh.study.sweeps.pool import here, in_pool
 from lfmesh.study.sweeps.study import Progress, Report, Shard, check_workers, cores, default_workers, lists_settings
 from lfmesh.study.sweeps.study_file import refused
@@ -177,6 +179,8 @@ class Dataset:
                 key, names = self.camera_scene(scene).digest, {name for _, name in files_of(scene)}
                 if key not in cameras:
                     solved_camera(scene)
+                    if self.file.parts and scene.camera.mla is not None:
+                        refuse_undecodable(scene.camera.mla)
                 if key not in cameras or not names <= files:
                     build(scene)
                 cameras.add(key)

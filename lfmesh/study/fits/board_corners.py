@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from lfmesh.errors import LfmeshError
+from lfmesh.scene.literals import plain
 from lfmesh.study.fits.corner_fit import FittedCorners, fit_corners
 
 Array = NDArray[np.float64]
@@ -118,8 +119,8 @@ def _labelled(view: Array) -> tuple[Array, NDArray[np.int64], Array]:
     sizes = np.linalg.norm(steps, axis=2)
     if np.median(sizes) < LEAST_SQUARE:
         raise LfmeshError(
-            f"board: its squares are {np.median(sizes):.2g} samples wide in a view; they must be {LEAST_SQUARE:g} or "
-            "more: bring it nearer, or take one with larger squares"
+            f"board: its squares are {plain(np.median(sizes), 2)} samples wide in a view; they must be "
+            f"{LEAST_SQUARE:g} or more: bring it nearer, or take one with larger squares"
         )
     fitted = _fit_all(view, places, steps / sizes[..., None], float(np.median(sizes)))
     sense = np.sign(fitted.contrast) * np.where(numbers.sum(axis=1) % 2, -1.0, 1.0)

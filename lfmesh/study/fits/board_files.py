@@ -15,6 +15,7 @@ from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.whole import make_folder
 from lfmesh.regular_file import open_text
+from lfmesh.scene.literals import plain
 from lfmesh.study.fits.board_corners import LEAST_CORNERS, BoardCorners
 from lfmesh.study.fits.board_fit import BoardFit
 from lfmesh.study.fits.fit_files import (
@@ -139,7 +140,7 @@ def board_picture(found: BoardFit) -> bytes:
     reach = float(np.ptp(place, axis=0).max())
     scale = longest / (ARROW * max(reach / math.sqrt(len(place)), 1.0))
     arrows = field.quiver(*place.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color=BLUE, width=0.003)
-    field.quiverkey(arrows, 0.86, 1.04, longest, f"{longest:.2g} samples", labelpos="E")
+    field.quiverkey(arrows, 0.86, 1.04, longest, f"{plain(longest, 2)} samples", labelpos="E")
     low, high = place.min(axis=0) - 2.0, place.max(axis=0) + 2.0
     field.set(
         xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", xlabel="sample, to the right", ylabel="down"
@@ -148,5 +149,5 @@ def board_picture(found: BoardFit) -> bytes:
     every = np.concatenate(found.residuals)
     show_spread(spread, every[np.isfinite(every[:, 0])])
     spread.set(xlabel="residual / samples of a view", ylabel="places of corners in views")
-    finish(spread, f"{found.rms:.2g} samples rms, {found.used} places")
+    finish(spread, f"{plain(found.rms, 2)} samples rms, {found.used} places")
     return as_png(figure)

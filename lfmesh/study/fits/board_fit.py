@@ -18,6 +18,7 @@ from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import plain
 from lfmesh.study.fits.board_corners import BoardCorners
 from lfmesh.study.fits.board_pictures import Board, corners_of
 from lfmesh.study.fits.board_pose import BoardPose, first_pose, pose_of, world_pose
@@ -309,8 +310,8 @@ class _Adjustment:
             rms = float(np.sqrt(np.mean(own[self.used] ** 2)))
             if not rms < WORST:
                 raise LfmeshError(
-                    f"no camera like the scene's sees the boards so: their corners lie {rms:.2g} samples rms beside "
-                    "the best fit; check the squares' size, the scene, and --orientation"
+                    f"no camera like the scene's sees the boards so: their corners lie {plain(rms, 2)} samples rms "
+                    "beside the best fit; check the squares' size, the scene, and --orientation"
                 )
             self.sigma = rms
             size = np.linalg.norm(own, axis=1)

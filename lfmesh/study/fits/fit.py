@@ -20,6 +20,7 @@ from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.detector import Exposed
 from lfmesh.lightfield.rays.ray_model import RayModel
 from lfmesh.scene import Scene
+from lfmesh.scene.literals import plain
 from lfmesh.study.fits.fit_errors import Split, neighbours_meat
 from lfmesh.study.fits.fit_model import FitModel, Parameter, parameters_of, smooth
 from lfmesh.study.fits.micro_image_phase import micro_image_places
@@ -332,8 +333,8 @@ class _Search:
     def _check(self, rms: float) -> None:
         if rms > WORST * self.pitch:
             raise LfmeshError(
-                f"no camera like the scene's takes this picture: its micro-images lie {rms:.2g} pixels rms beside the "
-                "best fit; check layout, count, pitch and pixels of the scene, and --orientation"
+                f"no camera like the scene's takes this picture: its micro-images lie {plain(rms, 2)} pixels rms "
+                "beside the best fit; check layout, count, pitch and pixels of the scene, and --orientation"
             )
 
     def _result(self, derivative: Array, split: Split) -> Fit:

@@ -15,6 +15,7 @@ from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.whole import make_folder, write_whole
 from lfmesh.lightfield.views.upright import ON_SENSOR, Upright
+from lfmesh.scene.literals import plain
 from lfmesh.study.fits.fit import Estimate, Fit
 
 Array = NDArray[np.float64]
@@ -111,13 +112,13 @@ def residuals_picture(fit: Fit) -> bytes:
     arrows = field.quiver(
         column, row, shown[..., 0], shown[..., 1], angles="xy", scale_units="xy", scale=scale, color=BLUE, width=0.003
     )
-    field.quiverkey(arrows, 0.86, 1.04, 3.0 * fit.sigma_px, f"{3.0 * fit.sigma_px:.2g} pixels", labelpos="E")
+    field.quiverkey(arrows, 0.86, 1.04, 3.0 * fit.sigma_px, f"{plain(3.0 * fit.sigma_px, 2)} pixels", labelpos="E")
     field.set(xlim=(-1, columns), ylim=(rows, -1), aspect="equal", xlabel="lenslet, to the right", ylabel="down")
     finish(field, "residuals, upright")
     known = fit.residuals_px[np.isfinite(fit.residuals_px[..., 0])]
     show_spread(spread, known)
     spread.set(xlabel="residual / pixels", ylabel="micro-images")
-    finish(spread, f"{fit.rms_px:.2g} pixels rms, {fit.used} micro-images")
+    finish(spread, f"{plain(fit.rms_px, 2)} pixels rms, {fit.used} micro-images")
     return as_png(figure)
 
 

@@ -8,7 +8,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import warn_caller
+from lfmesh.errors import FileError, LfmeshError, warn_caller
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.scene import Scene
@@ -60,6 +60,62 @@ def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> di
         The scene cannot be built.
     """
     return {name: _film_of(camera, name, replicates) for name in names}
+
+
+class Taken(dict[str, Array]):
+    """Films of a camera by picture; one that cannot be traced raises the reason when it is asked for.
+
+    Attributes
+    ----------
+    lacking : dict of str
+        Why pictures cannot be traced, by their names.
+    """
+
+    def __init__(self, films: Films, lacking: Mapping[str, str]) -> None:
+        super().__init__(films)
+        self.lacking = lacking
+
+    def __missing__(self, name: str) -> Array:
+        """Raise the reason why there is no such film."""
+        if name in self.lacking:
+            raise LfmeshError(self.lacking[name])
+        raise KeyError(name)
+
+
+def taken(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> Taken:
+    """Trace those of some pictures that can be traced, as `films` does.
+
+    Parameters
+    ----------
+    camera : Camera
+    names : sequence of str
+    replicates : sequence of int
+
+    Raises
+    ------
+    FileError
+        A file of the scene cannot be read.
+    LfmeshError
+        None of the pictures can be traced.
+    """
+    found: dict[str, Array] = {}
+    lacking: dict[str, str] = {}
+    for name in names:
+        try:
+            found |= films(camera, (name,), replicates)
+        except FileError:
+            # Of the machine, not of the camera.
+            raise
+        except LfmeshError as error:
+            lacking[name] = in_a_line(error)
+    if lacking and not found:
+        raise LfmeshError("; ".join(dict.fromkeys(lacking.values())))
+    return Taken(found, lacking)
+
+
+def in_a_line(error: LfmeshError) -> str:
+    """Return an error of several lines as one."""
+    return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 
 def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:

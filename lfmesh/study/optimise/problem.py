@@ -15,13 +15,14 @@ from lfmesh.scene.files import with_lens_file
 from lfmesh.scene.first_order.compute import facts_of_solved
 from lfmesh.scene.literals import literal
 from lfmesh.study.metrics.metrics import METRICS, metric_of
+from lfmesh.study.metrics.pictures import in_a_line
 from lfmesh.study.optimise.design_file import Constraint, DesignFile, Goal, Rays, Term
 from lfmesh.study.optimise.figures import FIGURES, camera_values, shown_value
 from lfmesh.study.optimise.jet import Jet, constant
 from lfmesh.study.optimise.knobs import Choice, Knob, knobs_of
 from lfmesh.study.optimise.ray_figures import RayFigures, ray_figures_of
 from lfmesh.study.optimise.renders import Renders
-from lfmesh.study.sweeps.plan import in_a_line, path_faults
+from lfmesh.study.sweeps.plan import path_faults
 from lfmesh.study.sweeps.study_file import refused
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from lfmesh.scene import Scene, load, solved
 from lfmesh.scene.literals import literal
 from lfmesh.scene.scene import steps_of
 from lfmesh.study.metrics.metrics import METRICS
-from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera
+from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, in_a_line
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit
 from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused, unknown_metrics
@@ -463,11 +463,6 @@ def _sizes(scene: Scene) -> dict[str, tuple[int, int]]:
     camera = scene.camera
     sizes = {"camera.sensor.pixels": camera.sensor.pixels, "channels": (scene.channels, 1)}
     return sizes | ({"camera.mla.count": camera.mla.count} if camera.mla is not None else {})
-
-
-def in_a_line(error: LfmeshError) -> str:
-    """Return an error of several lines as one."""
-    return "; ".join(line.strip().removeprefix("Scene.") for line in str(error).splitlines())
 
 
 def pinned_with(base: Scene, choices: Iterable[tuple[str, Iterable[Any]]]) -> Scene:

@@ -9,8 +9,9 @@ from lfmesh.errors import LfmeshError
 from lfmesh.study.metrics.metrics import pictures_of
 from lfmesh.study.sweeps.plan import Plan
 from lfmesh.study.sweeps.pool import in_pool
+from lfmesh.study.sweeps.sentences import unknown_of_reference
 from lfmesh.study.sweeps.study import cores, default_workers
-from lfmesh.study.sweeps.unit import Unit, reference_films, run_unit
+from lfmesh.study.sweeps.unit import Unit, reference_films, run_unit, unpacked
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Probe:
         Of one camera in one process, of starting the processes, and of all.
     bytes : float
         Memory, of all processes.
+    unknown : tuple of str
+        Metrics that cannot be had of the reference, and why, a line each.
     """
 
     points: int
@@ -34,6 +37,7 @@ class Probe:
     start_seconds: float
     seconds: float
     bytes: float
+    unknown: tuple[str, ...]
 
 
 REPLICATES = (4, 2)
@@ -52,14 +56,16 @@ class _Stopwatch:
     batch: int = 0
 
     def compute(self, _: bytes | Path) -> bytes:
-        """Return seconds: of all, of a process's first camera, of another one, and of that with each of `REPLICATES`.
+        """Return seconds, and why metrics of the reference are not known.
 
-        A camera that was traced before takes less, as its tables are there.
+        Seconds of all, of a process's first camera, of another one, and of that with each of `REPLICATES`. A camera
+        that was traced before takes less, as its tables are there.
         """
         times = [time.perf_counter()]
         cameras = [replace(self.unit, replicates=range(count)) for count in REPLICATES]
         films = [reference_films(cameras[0])]
-        run_unit(replace(cameras[0], point=0), films[0])
+        unit = replace(cameras[0], point=0)
+        of_reference = unpacked(run_unit(unit, films[0]), unit.study, 0, unit.batch, unit.metrics)
         times.append(time.perf_counter())
         films.append(reference_films(cameras[1]))
         for camera, reference in zip((cameras[0], *cameras), (films[0], *films), strict=True):
@@ -67,7 +73,8 @@ class _Stopwatch:
             run_unit(camera, reference)
             times.append(time.perf_counter() - began)
         first = times[1] - times[0]
-        return json.dumps([time.perf_counter() - times[0], first, *times[2:]]).encode()
+        seconds = [time.perf_counter() - times[0], first, *times[2:]]
+        return json.dumps([*seconds, unknown_of_reference(of_reference)]).encode()
 
 
 def probe(plan: Plan, workers: int | None = None) -> Probe:
@@ -88,7 +95,7 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     elapsed = time.perf_counter() - began
     if result.content is None:
         raise LfmeshError(f"the study cannot be tried: {result.reason}")
-    busy, first, fresh, again, with_fewer = json.loads(result.content)
+    busy, first, fresh, again, with_fewer, unknown = json.loads(result.content)
     start = max(0.0, elapsed - busy + first - fresh)
     each = max(0.0, (again - with_fewer) / (REPLICATES[0] - REPLICATES[1]))
     replicates = len(unit.replicates)
@@ -100,7 +107,8 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     cameras = sum(plan.cameras_of(point) for point in plan.points) * plan.study.batches
     # The process that traces the reference is started before those of the pool.
     starts = start * (1 if workers == 0 else 2)
-    return Probe(len(plan.points), len(plan.units), at_once, one, starts, starts + one * cameras / at_once, memory)
+    seconds = starts + one * cameras / at_once
+    return Probe(len(plan.points), len(plan.units), at_once, one, starts, seconds, memory, tuple(unknown))
 
 
 def _first_unit(plan: Plan, threads: int) -> Unit:

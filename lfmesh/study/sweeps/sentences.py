@@ -3,10 +3,11 @@
 import math
 from collections.abc import Iterator
 
-from lfmesh.scene.literals import literal
+from lfmesh.scene.literals import literal, plain
 from lfmesh.study.metrics.metrics import METRICS, Column
 from lfmesh.study.sweeps.axes import name_and_unit
 from lfmesh.study.sweeps.table import CONFIDENCE, DOUBT, Row, Table
+from lfmesh.study.sweeps.unit import Outcome
 from lfmesh.study.tolerances.budget import Budget, budget_of
 from lfmesh.study.tolerances.largest_change import Allowed
 
@@ -32,7 +33,7 @@ def in_short(table: Table) -> list[str]:
     """Return the answers of a study, a sentence each."""
     return [
         _progress(table),
-        *_unknown(table),
+        *metrics_not_known(table),
         *_limits(table),
         *_yield(table),
         *largest_changes(table),
@@ -58,7 +59,7 @@ def column_value(row: Row, column: Column) -> str:
         bound = column.bound(row.means[column.name])
         if math.isnan(bound):
             return "no difference"
-        return f"{'above' if column.worse == 'low' else 'below'} {bound:.3g}"
+        return f"{'above' if column.worse == 'low' else 'below'} {plain(bound, 3)}"
     return written(value, error)
 
 
@@ -67,7 +68,7 @@ def written(value: float, error: float) -> str:
     if math.isnan(value):
         return NOT_KNOWN
     if math.isnan(error):
-        return f"{value:.2g} ± ?"
+        return f"{plain(value, 2)} ± ?"
     if not error > 0.5 * 10.0**-DIGITS * abs(value) or not math.isfinite(error):
         return f"{value:.{DIGITS}g}"
     digits = max(1, min(DIGITS, math.floor(math.log10(abs(value) / error)) + 2)) if value and abs(value) > error else 2
@@ -124,16 +125,41 @@ def _progress(table: Table) -> str:
     return "; ".join(words) + "."
 
 
-def _unknown(table: Table) -> Iterator[str]:
-    """Yield for every metric the points at which it is not known, and why that may be."""
+def metrics_not_known(table: Table, *, raised: bool = False) -> Iterator[str]:
+    """Yield for every metric the points at which it is not known, and why that is or may be.
+
+    Parameters
+    ----------
+    table : Table
+    raised : bool
+        Only where a metric could not be had, for a reason that the points have.
+    """
     rows = [row for row in table.rows if row.estimates]
     for name in table.plan.metrics:
         metric = METRICS[name]
-        lacking = [row for row in rows if any(column_value(row, each) == NOT_KNOWN for each in metric.columns)]
+        reasons = [row.unknown[name] for row in rows if name in row.unknown]
+        if reasons:
+            others = len(set(reasons)) - 1
+            why = reasons[0] + (f"; {others} other reason{'s' * (others > 1)} in table.csv" if others else "")
+            yield _unknown_at(table, name, [row for row in rows if name in row.unknown], why)
+        known = () if raised else (row for row in rows if name not in row.unknown)
+        lacking = [row for row in known if any(column_value(row, each) == NOT_KNOWN for each in metric.columns)]
         if lacking:
-            first = ", ".join(words_of(table, row) for row in lacking[:MOST_NAMED])
-            more = f" and {len(lacking) - MOST_NAMED} more" if len(lacking) > MOST_NAMED else ""
-            yield f"{name} is {NOT_KNOWN} at {len(lacking)} of {len(rows)} points ({first}{more}): {metric.unseen}."
+            yield _unknown_at(table, name, lacking, metric.unseen)
+
+
+def _unknown_at(table: Table, name: str, rows: list[Row], why: str) -> str:
+    count = sum(bool(row.estimates) for row in table.rows)
+    first = ", ".join(words_of(table, row) for row in rows[:MOST_NAMED])
+    more = f" and {len(rows) - MOST_NAMED} more" if len(rows) > MOST_NAMED else ""
+    return f"{name} is {NOT_KNOWN} at {len(rows)} of {count} points ({first}{more}): {why}."
+
+
+def unknown_of_reference(outcome: Outcome) -> list[str]:
+    """Return in words which metrics cannot be had of the reference camera, a line each."""
+    if outcome.fault:
+        return [f"no metric is known of the reference camera: {outcome.fault}"]
+    return [f"{name} is {NOT_KNOWN} of the reference camera: {why}" for name, why in outcome.unknown.items()]
 
 
 def _limits(table: Table) -> Iterator[str]:
@@ -142,14 +168,18 @@ def _limits(table: Table) -> Iterator[str]:
     yield from () if table.plan.scenes else beyond_limits(table)
     for column in table.limited:
         limit = _limit(table, column)
-        held = sum(table.keeps(row, column, DOUBT) for row in rows)
-        bad = sum(not table.keeps(row, column, -DOUBT) for row in rows)
-        unsure = len(rows) - held - bad
+        known = [row for row in rows if row.knows(column)]
+        held = sum(table.keeps(row, column, DOUBT) for row in known)
+        bad = sum(not table.keeps(row, column, -DOUBT) for row in known)
+        unsure = len(known) - held - bad
         doubt = f"; {unsure} {'are' if unsure > 1 else 'is'} too near to it to tell" if unsure else ""
-        if not rows:
-            yield f"Nothing is known of the limit {limit} yet."
+        if lacking := len(rows) - len(known):
+            doubt += f"; of {lacking} its value is {NOT_KNOWN}"
+        if not known:
+            yield f"Nothing is known of the limit {limit}{'' if rows else ' yet'}."
         elif not bad:
-            yield f"The limit {limit} is held at {'all' if not unsure else f'{held} of'} {len(rows)} cameras{doubt}."
+            keeping = "all" if held == len(rows) else f"{held} of"
+            yield f"The limit {limit} is held at {keeping} {len(rows)} cameras{doubt}."
         else:
             yield f"The limit {limit} is broken at {bad} of {len(rows)} cameras{doubt}."
 
@@ -158,7 +188,7 @@ def beyond_limits(table: Table) -> Iterator[str]:
     """Yield the limits that the reference camera itself is beyond."""
     reference = table.rows[0]
     for column in table.limited if reference.means else ():
-        if not table.keeps(reference, column):
+        if reference.knows(column) and not table.keeps(reference, column):
             value = column_value(reference, column)
             limit = _limit(table, column)
             yield f"The reference camera itself is beyond the limit {limit}: its value is {value}{column.unit}."

@@ -1,6 +1,7 @@
 """A study from its file to its table: `lf.Study`."""
 
 import inspect
+import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,7 +19,7 @@ from lfmesh.study.metrics.metrics import columns_of
 from lfmesh.study.sweeps.cluster import in_dask
 from lfmesh.study.sweeps.plan import Plan, load_scenes, plan_of
 from lfmesh.study.sweeps.pool import Result, here, in_pool
-from lfmesh.study.sweeps.sentences import beyond_limits
+from lfmesh.study.sweeps.sentences import beyond_limits, unknown_of_reference
 from lfmesh.study.sweeps.study_file import StudyFile, read_study
 from lfmesh.study.sweeps.study_folder import StudyFolder, read_facts, refuse_other
 from lfmesh.study.sweeps.table import Table, table_of
@@ -372,7 +373,7 @@ class Run:
             self.outcomes[point, batch] = outcome
             reason = outcome.fault or ""
             if point == 0:
-                self._warn_of_limits()
+                self._warn_of_reference(outcome)
             try:
                 self.folder.keep(point, batch, result.content)
             except OSError as error:
@@ -380,13 +381,17 @@ class Run:
                 self.folder.log("not written", point=point, batch=batch, reason=error.strerror or str(error))
             else:
                 self.folder.log("done", point=point, batch=batch, seconds=outcome.seconds, deaths=result.deaths)
+            for metric, why in outcome.unknown.items():
+                self.folder.log("unknown", point=point, batch=batch, metric=metric, reason=why)
         if reason:
             self.faults[point] = reason
             label = self.plan.label(self.plan.points[point])
             self.folder.log("failed", point=point, batch=batch, label=label, reason=reason)
 
-    def _warn_of_limits(self) -> None:
-        """Warn, before other cameras are traced, of limits that the reference itself is beyond."""
+    def _warn_of_reference(self, outcome: Outcome) -> None:
+        """Warn, before other cameras are traced, of metrics and limits of the reference that will not serve."""
+        if outcome.batch == 0:
+            warn_caller(map(UserWarning, unknown_of_reference(outcome)))
         if not self.plan.scenes:
             warn_caller(map(UserWarning, beyond_limits(table_of(self.plan, self.outcomes, {}))))
 
@@ -414,6 +419,7 @@ class Run:
             for (point, _), outcome in self.outcomes.items()
             if point and self.plan.points[point].searched is None and column.name in outcome.columns
         ]
+        values = [each for each in values if not math.isnan(each[0])]
         if not values:
             return "", ""
         values.sort(key=lambda each: column.harm(each[0]))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
-from lfmesh.study.metrics.metrics import Column, columns_of
+from lfmesh.study.metrics.metrics import Column, columns_of, metric_of
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.plan import Plan, Point
 from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, combined, share_of, slope
@@ -40,6 +40,8 @@ class Row:
         Values, which follow from the means.
     fault : str
         Why there are none, or "".
+    unknown : dict of str
+        Why metrics could not be had, by their name: their columns are NaN.
     seconds : float
         Of tracing, all batches.
     maps : dict of (rows, columns, 2) float64
@@ -63,11 +65,21 @@ class Row:
     warnings: tuple[PictureWarning, ...] = ()
     adjusted: tuple[float, ...] = ()
     allowed: Allowed | None = None
+    unknown: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def warned_of(self) -> str:
         """Classes of the warnings, in words; "" where there are none."""
         return "; ".join(dict.fromkeys(type(each).__name__ for each in self.warnings))
+
+    def knows(self, column: Column) -> bool:
+        """Tell whether the value of a column is known."""
+        return column.name in self.means and not math.isnan(self.means[column.name].value)
+
+    @property
+    def unknown_in_words(self) -> str:
+        """Metrics that could not be had, and why; "" where there are none."""
+        return "; ".join(f"{name}: {reason}" for name, reason in self.unknown.items())
 
 
 @dataclass(frozen=True)
@@ -145,6 +157,7 @@ class Table:
                 record[column.name] = None if estimate is None else estimate.value
                 record[f"{column.name}_stderr"] = None if estimate is None else estimate.stderr
             record["fault"] = row.fault
+            record["unknown"] = row.unknown_in_words
             record["warnings"] = row.warned_of
             records.append(record)
         return records
@@ -214,6 +227,10 @@ class Table:
         """Tell whether a point keeps all limits of the study; one that cannot be traced does not."""
         return all(row.means and self.keeps(row, column) for column in self.limited)
 
+    def _breaks(self, row: Row) -> bool:
+        """Tell whether a traced point is known to break a limit."""
+        return any(not self.keeps(row, column) for column in self.limited if row.knows(column))
+
     def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
         """Tell whether a traced point keeps the limit of a column.
 
@@ -246,9 +263,11 @@ class Table:
 
         The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
         more evenly, it is wider than need be. Its ends are those of the cameras that are good, and bad, beyond what
-        their standard errors leave open.
+        their standard errors leave open. Cameras of which the metric of a limit could not be had are no trials, unless
+        they break another limit.
         """
-        drawn = self.drawn
+        metrics = {metric_of(column.name) for column in self.limited}
+        drawn = [row for row in self.drawn if self._breaks(row) or not metrics & row.unknown.keys()]
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
             return None
 
@@ -263,7 +282,7 @@ class Table:
         found: list[tuple[str, Any]] = []
         for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
             rows = [row for row in self.along(i) if row.point.number and row.point.searched is None]
-            bad = [self.value_of(row, i) for row in rows if row.means and not self.is_good(row)]
+            bad = [self.value_of(row, i) for row in rows if row.means and self._breaks(row)]
             start = self.plan.reference_values[i]
             if bad:
                 near = (
@@ -326,7 +345,11 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
     }
     seconds = sum(outcome.seconds for outcome in known)
     first = known[0]
-    return Row(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed)
+    unknown = {name: why for outcome in reversed(known) for name, why in outcome.unknown.items()}
+    return Row(
+        *(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed),
+        {name: unknown[name] for name in plan.metrics if name in unknown},
+    )
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +21,14 @@ from lfmesh.provenance import program, refuse_other
 from lfmesh.scene import Scene
 from lfmesh.scene.inputs import file_stamp
 from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, columns_of, metric_of, pictures_of
-from lfmesh.study.metrics.pictures import Camera, Films, films
+from lfmesh.study.metrics.pictures import Camera, Films, Taken, in_a_line, taken
 from lfmesh.study.sweeps.statistics import Estimate, combined
 from lfmesh.study.tolerances.compensators import Compensator, compensated
 from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
 
 Array = NDArray[np.float64]
 
-FORMAT = 3
+FORMAT = 4
 """Of the bytes of an outcome; a reader refuses any other."""
 
 PREVIEW_PX = 200
@@ -97,7 +97,9 @@ class Outcome:
     seconds : float
         Wall-clock time of tracing.
     fault : str or None
-        Why the point cannot be traced.
+        Why the point cannot be traced, or none of its metrics be had.
+    unknown : dict of str
+        Why metrics cannot be had, by their name; their columns are NaN.
     maps : dict of (rows, columns, 2) float64
         Displacement of each centre, pixels.
     preview : (h, w) uint8, or None
@@ -115,6 +117,7 @@ class Outcome:
     columns: dict[str, Array] = field(default_factory=dict)
     seconds: float = 0.0
     fault: str | None = None
+    unknown: dict[str, str] = field(default_factory=dict)
     maps: dict[str, Array] = field(default_factory=dict)
     preview: NDArray[np.uint8] | None = None
     warnings: tuple[PictureWarning, ...] = ()
@@ -129,7 +132,7 @@ class Traced:
     What metrics find of them alone is kept in `found` for the next unit.
     """
 
-    films: Films
+    films: Taken
     seconds: float
     warnings: tuple[PictureWarning, ...] = ()
     found: Found = field(default_factory=dict)
@@ -140,15 +143,22 @@ Reference = bytes | Path
 
 
 def reference_films(unit: Unit) -> bytes:
-    """Trace the reference's replicates of a unit's batch, and return their films as bytes."""
+    """Trace the reference's replicates of a unit's batch, and return their films as bytes.
+
+    Raises
+    ------
+    LfmeshError
+        None of its pictures can be traced.
+    """
     began = time.perf_counter()
     with collected() as found:
-        traced = films(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
+        traced = taken(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
     facts = {
         "study": unit.study,
         "batch": unit.batch,
         "seconds": time.perf_counter() - began,
         "warnings": _as_dicts(found),
+        "lacking": dict(traced.lacking),
     }
     return _sealed(facts, {f"film.{name}": power for name, power in traced.items()})
 
@@ -174,7 +184,7 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
             # The machine's fault, not the point's: the unit is tried again when the study goes on.
             raise
         except LfmeshError as error:
-            outcome = Outcome(unit.point, unit.batch, fault=" ".join(str(error).split()))
+            outcome = Outcome(unit.point, unit.batch, fault=in_a_line(error))
     outcome.warnings = in_order([*(known.warnings if unit.point == 0 else ()), *found])
     return packed(outcome, unit.study)
 
@@ -194,10 +204,31 @@ def _outcome(unit: Unit, reference: Traced) -> Outcome:
         began = time.perf_counter()
         own = bench.traced(camera, unit.metrics)
         seconds = time.perf_counter() - began
-    pair, columns = bench.compared(camera, own, unit.metrics)
-    preview = _preview(unit, pair.films, reference.films) if "scene" in pair.films else None
-    maps = dict(pair.maps)
-    return Outcome(unit.point, unit.batch, columns, seconds, None, maps, preview, (), adjusted, allowed)
+    found = bench.compared(camera, own, unit.metrics)
+    if len(found.unknown) == len(unit.metrics):
+        raise LfmeshError("; ".join(dict.fromkeys(found.unknown.values())))
+    preview = _preview(unit, own, reference.films) if "scene" in own and "scene" in reference.films else None
+    return Outcome(
+        *(unit.point, unit.batch, found.columns, seconds, None, found.unknown),
+        *(found.maps, preview, (), adjusted, allowed),
+    )
+
+
+class _Compared(NamedTuple):
+    """Metrics of a camera beside the reference.
+
+    Attributes
+    ----------
+    columns : dict of (n,) float64
+        Pseudo-values by the columns; NaN where a metric cannot be had.
+    unknown : dict of str
+        Why, by the metric.
+    maps : dict of (rows, columns, 2) float64
+    """
+
+    columns: dict[str, Array]
+    unknown: dict[str, str]
+    maps: dict[str, Array]
 
 
 @dataclass(frozen=True)
@@ -207,48 +238,84 @@ class _Bench:
     unit: Unit
     reference: Traced
 
-    def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Films:
+    def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Taken:
         """Trace what some metrics need."""
-        return films(_in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
+        return taken(_in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
 
-    def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> tuple[Comparison, dict[str, Array]]:
-        """Return a camera beside the reference, and the pseudo-values of some metrics by their columns."""
+    def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> _Compared:
+        """Compare a camera with the reference by some metrics; one that cannot be had leaves the others as they are."""
         known = self.reference
         count = len(self.unit.replicates)
         pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)
         columns: dict[str, Array] = {}
+        unknown: dict[str, str] = {}
         with np.errstate(invalid="ignore", divide="ignore"):
             for name in metrics:
-                values = METRICS[name].compute(pair)
+                try:
+                    values = METRICS[name].compute(pair)
+                except FileError:
+                    raise
+                except LfmeshError as error:
+                    unknown[name] = in_a_line(error)
+                    values = np.full((count, len(METRICS[name].columns)), np.nan)
                 for number, column in enumerate(METRICS[name].columns):
                     columns[column.name] = np.ascontiguousarray(values[:, number])
-        return pair, columns
+        return _Compared(columns, unknown, pair.maps)
 
-    def means(self, scene: Scene | None, metrics: tuple[str, ...]) -> dict[str, Estimate]:
-        """Trace a camera, or take the reference for None, and return the means of the pseudo-values."""
-        camera = self.unit.reference if scene is None else Camera(scene, self.unit.camera.edge_distance_mm)
-        own = self.reference.films if scene is None else self.traced(camera, metrics)
-        return {name: combined(values) for name, values in self.compared(camera, own, metrics)[1].items()}
+    def judged(self, scene: Scene, metrics: tuple[str, ...]) -> _Compared:
+        """Trace a camera, and compare it with the reference by some metrics."""
+        camera = Camera(scene, self.unit.camera.edge_distance_mm)
+        return self.compared(camera, self.traced(camera, metrics), metrics)
 
     def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
-        """Return a camera as its compensators leave it, and their changes."""
+        """Return a camera as its compensators leave it, and their changes.
+
+        Raises
+        ------
+        LfmeshError
+            The metric of a compensator can be had of no camera within its range.
+        """
         columns = {column.name: column for column in columns_of(self.unit.metrics)}
+        lacking: dict[str, str] = {}
+        had: set[str] = set()
 
         def merit(adjusted: Scene, name: str) -> float:
-            return columns[name].harm(self.means(adjusted, (metric_of(name),))[name].value)
+            found = self.judged(adjusted, (metric_of(name),))
+            if found.unknown:
+                lacking.setdefault(name, found.unknown[metric_of(name)])
+            else:
+                had.add(name)
+            return columns[name].harm(combined(found.columns[name]).value)
 
         adjusted, changes = compensated(scene, self.unit.compensators, merit)
+        for name, reason in lacking.items():
+            if name not in had:
+                raise LfmeshError(f"cannot be adjusted by {name}: {reason}")
         return adjusted, tuple(changes)
 
     def searched(self, search: Search) -> Allowed:
-        """Find the largest change that keeps the limits, of cameras that are adjusted."""
+        """Find the largest change that keeps the limits, of cameras that are adjusted.
+
+        Raises
+        ------
+        LfmeshError
+            A metric that has a limit cannot be had of the reference.
+        """
         columns = [column for column in columns_of(self.unit.metrics) if column.name in search.limits]
         metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
 
         def measured(value: float) -> dict[str, Estimate]:
-            return self.means(self.adjusted(self.unit.camera.scene.changed({search.path: value}))[0], metrics)
+            scene, _ = self.adjusted(self.unit.camera.scene.changed({search.path: value}))
+            return _means(self.judged(scene, metrics))
 
-        return largest_change(search, columns, self.means(None, metrics), measured, len(self.unit.replicates))
+        reference = self.compared(self.unit.reference, self.reference.films, metrics)
+        for name, reason in reference.unknown.items():
+            raise LfmeshError(f"{name}, which has a limit, cannot be had of the reference camera: {reason}")
+        return largest_change(search, columns, _means(reference), measured, len(self.unit.replicates))
+
+
+def _means(found: _Compared) -> dict[str, Estimate]:
+    return {name: combined(values) for name, values in found.columns.items()}
 
 
 def _in_threads(camera: Camera, threads: int) -> Camera:
@@ -277,6 +344,7 @@ def packed(outcome: Outcome, study: str) -> bytes:
         "batch": outcome.batch,
         "seconds": outcome.seconds,
         "fault": outcome.fault,
+        "unknown": outcome.unknown,
         "warnings": _as_dicts(outcome.warnings),
         "adjusted": outcome.adjusted,
         "allowed": outcome.allowed,
@@ -317,9 +385,9 @@ def unpacked(
     maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
     found, allowed = _warnings_in(facts), facts["allowed"]
     return Outcome(
-        point, batch, columns, facts["seconds"], fault, maps, arrays.get("preview"), found, tuple(facts["adjusted"]),
-        None if allowed is None else Allowed(*allowed),
-    )  # fmt: skip
+        *(point, batch, columns, facts["seconds"], fault, facts["unknown"], maps, arrays.get("preview"), found),
+        *(tuple(facts["adjusted"]), None if allowed is None else Allowed(*allowed)),
+    )
 
 
 def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:
@@ -354,7 +422,7 @@ def _opened_file(path: Path, stamp: tuple[object, ...]) -> Traced:
 
 def _films_in(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Traced:
     found = {name.removeprefix("film."): power for name, power in arrays.items()}
-    return Traced(found, facts["seconds"], _warnings_in(facts))
+    return Traced(Taken(found, facts["lacking"]), facts["seconds"], _warnings_in(facts))
 
 
 def is_reference(path: Path, study: str, batch: int) -> bool:

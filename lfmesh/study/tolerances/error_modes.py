@@ -32,6 +32,9 @@ RADIUS_ERROR = 0.04
 
 RMS_STEPS = (0.25, 0.5, 0.75, 1.0)
 
+DIGITS = 6
+"""Of the values that are written."""
+
 AXES = "xyz"
 
 QUICK_REPLICATES = 4
@@ -222,11 +225,16 @@ def _poses(body: str, pixel_mm: float) -> list[Axis]:
 
 
 def _axis(path: str, largest: float, label: str) -> Axis:
-    return Axis(path=path, values=tuple(step * largest for step in STEPS), relative=True, label=label)
+    return Axis(path=path, values=_steps(largest, STEPS), relative=True, label=label)
 
 
 def _rms(path: str, largest: float, label: str) -> Axis:
-    return Axis(path=path, values=tuple(step * largest for step in RMS_STEPS), label=label)
+    return Axis(path=path, values=_steps(largest, RMS_STEPS), label=label)
+
+
+def _steps(largest: float, steps: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the values of an error as a person would write them: 0.3, not 0.30000000000000004."""
+    return tuple(float(f"{step * largest:.{DIGITS}g}") for step in steps)
 
 
 def _elements(lens: Lens) -> list[list[int]]:

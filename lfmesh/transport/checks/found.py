@@ -24,7 +24,7 @@ from lfmesh.errors import (
     TooFewSamplesWarning,
 )
 from lfmesh.scene import Scene
-from lfmesh.scene.literals import percent
+from lfmesh.scene.literals import percent, plain
 from lfmesh.transport.aims.fitting import ALLOWED
 from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
@@ -191,14 +191,23 @@ def _lost(scene: Scene, ledger: Ledger) -> Iterator[PictureWarning]:
 
 
 def _remedy(scene: Scene, ledger: Ledger) -> str:
-    """Return what helps where energy was lost in glass whose shape is a mesh file."""
-    bodies = {target.name or f"targets[{i}]" for i, target in enumerate(scene.targets) if target.refractor is not None}
-    if not scene.camera.lens.has_meshes and not bodies & ledger.lost_in.keys():
-        return ""
-    return (
-        "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has them "
-        'estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
-    )
+    """Return what helps the bodies in which energy was lost: of a box nothing but its size can be changed."""
+    names = {target.name or f"targets[{i}]": target.refractor for i, target in enumerate(scene.targets)}
+    glass = [body for name in ledger.lost_in if (body := names.get(name)) is not None]
+    of_lens = scene.camera.lens.has_meshes and bool(ledger.lost_in.keys() - names.keys())
+    words = ""
+    if of_lens or any(body.box_mm is None for body in glass):
+        words += (
+            "; glass from a mesh file loses least where its facets are small, its normals fit them (crease_deg has "
+            'them estimated) and its bodies do not touch; surface = "flat" takes the facets as they are'
+        )
+    # Walls and liquid of a tank are boxes, too, in a scene that is traced.
+    if any(body.box_mm is not None for body in glass):
+        words += (
+            "; a box loses light that meets its edges within rounding: less where it is so large (box_mm, or size_mm "
+            "of a tank) that its edges lie out of the light"
+        )
+    return words
 
 
 def _open(ledger: Ledger) -> Iterator[PictureWarning]:
@@ -234,8 +243,8 @@ def _heavy_paths(image: "Image") -> Iterator[PictureWarning]:
         return
     yield HeavyPathsWarning(
         f"few paths bring much of the light. In {percent(heavy.share)} of the blocks of {SIDE} × {SIDE} pixels one "
-        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {heavy.heavier:.2g} times as heavy as the "
-        "others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
+        f"pixel holds much of it, up to {percent(heavy.held)}, by paths {plain(heavy.heavier, 2)} times as heavy as "
+        "the others'. Pixels that met none lack that light, and their errors are too small. Take many more samples"
     )
 
 

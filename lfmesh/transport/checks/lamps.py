@@ -10,6 +10,7 @@ from lfmesh.geometry.meshes.mesh import Array, distance_mm
 from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene.advice import half_field_mm
 from lfmesh.scene.light.lights import DirectionalLight, DiskLight
+from lfmesh.scene.literals import plain
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.world import World
 
@@ -87,9 +88,9 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
             near = _distance_mm(body.mesh.vertices[body.mesh.faces], np.array(light.position_mm), reach)
             if world.scene.targets[target].refractor is None and near < reach:
                 yield HeavyPathsWarning(
-                    f"lights[{number}] stands {near:.2g} mm from {named_target(world.scene, target)}, of which few "
-                    "samples meet the spot that it lights. The picture may be too dark, and its error too small. Move "
-                    f'the lamp {reach:.2g} mm or more away, take more samples, or method = "forward"'
+                    f"lights[{number}] stands {plain(near, 2)} mm from {named_target(world.scene, target)}, of which "
+                    "few samples meet the spot that it lights. The picture may be too dark, and its error too small. "
+                    f'Move the lamp {plain(reach, 2)} mm or more away, take more samples, or method = "forward"'
                 )
 
 

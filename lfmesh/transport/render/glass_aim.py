@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
+from lfmesh.scene.literals import percent
 from lfmesh.transport.aims.kept import Kept, digest_of
 from lfmesh.transport.aims.mixture import aimed_density
 from lfmesh.transport.aims.pupil import opening_from
@@ -212,7 +213,7 @@ def refuse_unaimed(world: World) -> None:
     proof = glass_aim(world)[1]
     if proof is not None and proof.missed > TOO_MUCH and world.scene.transport.method == "forward":
         raise SceneError(
-            f'transport.method = "forward" cannot aim {100.0 * proof.missed:.2g} % of the light at the lens, which '
+            f'transport.method = "forward" cannot aim {percent(proof.missed)} of the light at the lens, which '
             'comes through glass, or off it, in too many ways: take "adjoint"'
         )
 
@@ -231,7 +232,7 @@ def hardly_aimed(world: World) -> list[str]:
     forward = world.scene.transport.method == "forward"
     light = "the light" if forward else "what is traced forward, of lamps through glass and of particles,"
     return [
-        f"{100.0 * proof.missed:.2g} % of {light} comes to the lens through glass, or off it, in ways at which few "
+        f"{percent(proof.missed)} of {light} comes to the lens through glass, or off it, in ways at which few "
         "packets are aimed: the picture may be too dark by more than its error says, above all where glass has edges"
         + ('; method = "adjoint" has no such trouble' if forward else "")
     ]

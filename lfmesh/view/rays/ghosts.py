@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError
 from lfmesh.files.whole import write_whole
+from lfmesh.scene.literals import plain
 from lfmesh.view.figure_file import checked_kind, encoded_figure
 from lfmesh.view.rays.exact_ghosts import DASH, ExactGhosts
 from lfmesh.view.rays.names import label, mirror_names
@@ -146,7 +147,7 @@ class GhostMatrix:
         axes.grid(which="minor", color="#dddddd", lw=0.5)
         axes.tick_params(which="minor", length=0)
         noise = np.hypot.reduce(off, axis=None)
-        whole = f"{percent.sum():.3g} %" + (f" ± {noise:.1g} %" if noise > 0.0 else "")
+        whole = f"{plain(percent.sum(), 3)} %" + (f" ± {plain(noise, 1)} %" if noise > 0.0 else "")
         title = f"ghosts of two reflections: {whole} of the power on the sensor"
         lines = [line for text in (title, self.source) for line in textwrap.wrap(text, LETTERS_A_LINE)]
         axes.set_title("\n".join(lines), fontsize=10, loc="left")
@@ -201,7 +202,7 @@ def in_cell(percent: float, error: float) -> str:
     if percent < LEAST_SHOWN:
         return f"< {LEAST_SHOWN:g}"
     if error <= 0.0:
-        return f"{percent:.2g}"
+        return f"{plain(percent, 2)}"
     digits = max(0, -math.floor(math.log10(error)))
     return f"{percent:.{digits}f}\n±{error:.{digits}f}"
 
@@ -249,4 +250,4 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
 
 
 def _percent(part: float, whole: float) -> str:
-    return f"{100.0 * part / whole:.1g} %" if whole > 0.0 else "0 %"
+    return f"{plain(100.0 * part / whole, 1)} %" if whole > 0.0 else "0 %"

@@ -279,6 +279,15 @@ def _raw(dark: int | None = None) -> tuple[lf.Image, lf.Image, lf.Calibration]:
     return images[0], images[1], lf.calibrate(scene)
 
 
+@pytest.mark.filterwarnings("ignore:PlenoptiCam needs")
+@pytest.mark.parametrize(("spot", "words"), [(1.0, "1 pitch wide"), (1.04, "1 pitch wide"), (1.3, "1.3 pitches wide")])
+def test_micro_images_that_touch_are_told_by_their_width(spot: float, words: str, tmp_path: Path) -> None:
+    image, white, calibration = _raw()
+    touching = replace(calibration, f_number=calibration.microlens_f_number / spot)
+    with pytest.warns(UserWarning, match=f"they are {words}; stop the lens down"):
+        lf.export_raw(image, white, touching, tmp_path / "out", "plenopticam")
+
+
 def test_a_folder_that_holds_something_is_left_alone(field: lf.LightField, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(lf.FileError, match="is not empty"):

@@ -14,6 +14,7 @@ from scipy.stats import kstest
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.files import exr, run
+from tests.cameras import SQUARE_ARRAY
 from tests.study.studies import small_scene
 
 DEPTH = "targets[0].position_mm[2]"
@@ -45,6 +46,17 @@ def whole(folder: Path) -> Path:
         == 0
     )
     return folder / "all"
+
+
+def test_parts_that_an_array_cannot_be_decoded_for_are_refused_before_anything_is_traced() -> None:
+    mla = {name: value for name, value in SQUARE_ARRAY.items() if name != "focal_length_mm"}
+    scene = small_scene().changed({"camera.mla": mla | {"radius_mm": 3.0, "back": {"radius_mm": 3.0}}})
+    draw = {"path": DEPTH, "uniform": [-70.0, -50.0]}
+    with pytest.raises(
+        lf.LfmeshError, match=r"item 0 .*: camera\.mla\.back: arrays with lenslets on both faces are not"
+    ):
+        lf.Dataset(scene, [draw], count=1)
+    assert len(lf.Dataset(scene, [draw], count=1, parts=[])) == 1
 
 
 def index_of(data: Path) -> list[dict[str, Any]]:

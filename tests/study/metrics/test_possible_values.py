@@ -54,7 +54,8 @@ def impossible(table: Table) -> list[str]:
 
 def check(table: Table) -> None:
     """Demand that all values are possible, and that each column has some; cameras may show no micro-images."""
-    assert all("shows no micro-images" in row.fault for row in table.failed)
+    assert not table.failed
+    assert all("shows no micro-images" in reason for row in table.rows for reason in row.unknown.values())
     assert impossible(table) == []
     known = {column.name: bool(np.isfinite(table.values(column.name)).any()) for column in table.columns}
     assert [name for name, some in known.items() if not some] == []

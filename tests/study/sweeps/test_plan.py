@@ -191,7 +191,7 @@ def test_the_time_of_a_study_has_the_start_of_its_processes_and_new_cameras(
 
     So it starts in 7 s. Two replicates more take 1 s more, so ten take 3 s more than the four that were tried.
     """
-    times = json.dumps([15.0, 4.0, 2.0, 1.5, 0.5]).encode()
+    times = json.dumps([15.0, 4.0, 2.0, 1.5, 0.5, []]).encode()
     monkeypatch.setattr(probe, "in_pool", lambda units, _: (Result(unit, times) for unit, _ in units))
     monkeypatch.setattr(probe, "reference_films", lambda _: b"")
     clock = iter((0.0, 20.0))

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -406,11 +407,16 @@ shifted({points}).run(sys.argv[1], workers={workers})
 """
 
 
+def in_a_child(folder: Path, points: int, workers: int) -> tuple[list[str], dict[str, str]]:
+    """Return command and environment of a process that runs a study."""
+    command = [sys.executable, "-c", CHILD.format(points=points, workers=workers), str(folder)]
+    return command, {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+
+
 def killed_and_resumed(folder: Path, points: int, workers: int, kills: int, seed: int) -> None:
     """Run a study in a process that is killed at random moments, until it ends by itself."""
     draw = np.random.default_rng(seed)
-    command = [sys.executable, "-c", CHILD.format(points=points, workers=workers), str(folder)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    command, environment = in_a_child(folder, points, workers)
     for _ in range(kills):
         before = len(events(folder, "done"))
         child = subprocess.Popen(command, cwd=ROOT, env=environment, start_new_session=True)
@@ -437,6 +443,21 @@ def test_killed_at_a_random_moment_it_goes_on_to_the_same_table(tmp_path: Path, 
     killed_and_resumed(tmp_path, points=5, workers=0, kills=1, seed=11)
     assert (tmp_path / "table.csv").read_text() == table
     check_kills(tmp_path, 5, in_flight=1, kills=1)
+
+
+def test_workers_of_a_study_that_is_killed_end_by_themselves(tmp_path: Path) -> None:
+    """The process that started them alone is killed; they hold its output open until they end."""
+    command, environment = in_a_child(tmp_path, points=60, workers=2)
+    child = subprocess.Popen(command, cwd=ROOT, env=environment, start_new_session=True, stdout=subprocess.PIPE)
+    try:
+        while child.poll() is None and not events(tmp_path, "done"):
+            time.sleep(0.02)
+        child.kill()
+        child.communicate(timeout=120)
+        assert child.returncode == -signal.SIGKILL
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
 
 
 @pytest.mark.long

@@ -1,5 +1,6 @@
 """Ready-made studies are valid as they are written, and hold every mode."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -23,6 +24,8 @@ def test_a_template_is_a_study_that_can_be_planned(name: str, tmp_path: Path) ->
     assert text.startswith("# ")
     # A reader who edits it finds each axis with its name.
     assert all(axis["label"] for axis in tomllib.loads(text)["axes"])
+    # Values are written as a person would, without the rounding of products.
+    assert not [number for number in re.findall(r"\d+\.\d+", text.partition("[[axes]]")[2]) if len(number) > 12]
     # The key does the same as the file that was written.
     path.write_text(f'scene = "{SCENE}"\ntemplate = "{name}"\nmetrics = {tomllib.loads(text)["metrics"]}\n')
     assert lf.Study.load(path).plan.digest == plan.digest

@@ -17,6 +17,7 @@ import lfmesh as lf
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.scene import Scene, first_order, load
+from lfmesh.transport.checks.aim_proof import AimProof, Missed
 from lfmesh.transport.checks.found import found
 from lfmesh.transport.checks.order_check import OrderCheck
 from lfmesh.transport.render.certainty import Certainty
@@ -178,7 +179,8 @@ def test_a_run_opens_without_its_meshes_and_textures(image_of: Build, scene: Sce
 
 
 def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path) -> None:
-    image = image_of(replicates=1, samples=8.0)
+    proven = AimProof(45_000, Missed(0.0, 2e-5), Missed(0.0, 2e-5), fitted=0)
+    image = image_of(replicates=1, samples=8.0, aim=proven)
     image.stderr[:] = math.nan
     image.warnings = tuple(found(image))
     run.save(image, tmp_path)
@@ -193,7 +195,7 @@ def test_an_interrupted_run_is_valid_and_marked(image_of: Build, tmp_path: Path)
     assert isinstance(warning, lf.InterruptedRenderWarning)
     assert "1 of 8 replicates were finished, 8 samples a pixel. The picture is noisier" in str(warning)
     assert "the errors of its pixels are not known" in str(warning)
-    assert not found(image_of())
+    assert not found(image_of(aim=proven))
 
 
 def test_the_report_holds_the_airy_disks(image_of: Build, scene: Scene, tmp_path: Path) -> None:

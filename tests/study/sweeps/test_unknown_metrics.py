@@ -47,7 +47,7 @@ def test_a_metric_that_cannot_be_had_at_a_point_is_unknown_there_and_the_others_
     assert finite(table, "centres_rms_px") == [True, True, False]
     assert table.values("light_ratio").tolist() == alone.values("light_ratio").tolist()
     assert [dict(row.unknown) for row in table.rows] == [{}, {}, {"centres": BLACK}]
-    assert (tmp_path / "table.csv").read_text().splitlines()[-1].endswith(f",,centres: {BLACK},")
+    assert (tmp_path / "table.csv").read_text().splitlines()[-1].endswith(f",,centres: {BLACK},LightOutsideAimWarning")
     (noted,) = (line for line in logged(tmp_path) if line["event"] == "unknown")
     assert (noted["point"], noted["metric"], noted["reason"]) == (2, "centres", BLACK)
     said = f"centres is not known at 1 of 3 points ({ASIDE} = 40 mm): {BLACK}."

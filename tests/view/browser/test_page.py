@@ -199,7 +199,7 @@ class Page:
                 const look = () => {
                     still = image.src === last && !busy.classList.contains('on') ? still + 1 : 0;
                     last = image.src;
-                    still < 8 ? setTimeout(look, 25) : done();
+                    still < 8 ? setTimeout(look, 50) : done();
                 };
                 look();
             })"""

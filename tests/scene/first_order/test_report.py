@@ -216,6 +216,13 @@ def test_a_good_camera_has_no_warnings(scene: Scene) -> None:
     assert first_order(matched(scene)).warnings == ()
 
 
+PARTICLES = {
+    "count": 3,
+    "bounds": {"kind": "sphere", "radius_mm": 1.0},
+    "position_mm": [0.0, 0.0, -400.0],
+    "intensity_w_sr": 1.0,
+}
+
 WARNED = [
     ({"camera.lens.stop_semi_diameter_mm": 8.0}, "f-numbers do not match: the lens works at f/"),
     ({"camera.lens.stop_semi_diameter_mm": 8.0}, "micro-images overlap"),
@@ -241,14 +248,7 @@ WARNED = [
     (
         {
             "media": [{"name": "smoke", "scattering_per_mm": 0.01}],
-            "particles": [
-                {
-                    "count": 3,
-                    "bounds": {"kind": "sphere", "radius_mm": 1.0},
-                    "position_mm": [0.0, 0.0, -400.0],
-                    "intensity_w_sr": 1.0,
-                }
-            ],
+            "particles": [PARTICLES],
         },
         "smoke scatters light: what it scatters of the light of particles",
     ),
@@ -264,14 +264,7 @@ WARNED = [
                     "position_mm": [0.0, 0.0, -350.0],
                 }
             ],
-            "particles": [
-                {
-                    "count": 3,
-                    "bounds": {"kind": "sphere", "radius_mm": 1.0},
-                    "position_mm": [0.0, 0.0, -400.0],
-                    "intensity_w_sr": 1.0,
-                }
-            ],
+            "particles": [PARTICLES],
         },
         "targets[0].refractor.finish scatters light: what it scatters of the light of particles",
     ),

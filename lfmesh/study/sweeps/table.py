@@ -346,10 +346,8 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
     seconds = sum(outcome.seconds for outcome in known)
     first = known[0]
     unknown = {name: why for outcome in reversed(known) for name, why in outcome.unknown.items()}
-    return Row(
-        *(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed),
-        {name: unknown[name] for name in plan.metrics if name in unknown},
-    )
+    unknown = {name: unknown[name] for name in plan.metrics if name in unknown}
+    return Row(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed, unknown)
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:

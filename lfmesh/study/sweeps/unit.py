@@ -209,8 +209,7 @@ def _outcome(unit: Unit, reference: Traced) -> Outcome:
         raise LfmeshError("; ".join(dict.fromkeys(found.unknown.values())))
     preview = _preview(unit, own, reference.films) if "scene" in own and "scene" in reference.films else None
     return Outcome(
-        *(unit.point, unit.batch, found.columns, seconds, None, found.unknown),
-        *(found.maps, preview, (), adjusted, allowed),
+        unit.point, unit.batch, found.columns, seconds, None, found.unknown, found.maps, preview, (), adjusted, allowed
     )
 
 
@@ -385,9 +384,9 @@ def unpacked(
     maps = {name.removeprefix("map."): values for name, values in arrays.items() if name.startswith("map.")}
     found, allowed = _warnings_in(facts), facts["allowed"]
     return Outcome(
-        *(point, batch, columns, facts["seconds"], fault, facts["unknown"], maps, arrays.get("preview"), found),
-        *(tuple(facts["adjusted"]), None if allowed is None else Allowed(*allowed)),
-    )
+        point, batch, columns, facts["seconds"], fault, facts["unknown"], maps, arrays.get("preview"), found,
+        tuple(facts["adjusted"]), None if allowed is None else Allowed(*allowed),
+    )  # fmt: skip
 
 
 def _as_dicts(found: Iterable[PictureWarning]) -> list[dict[str, str]]:

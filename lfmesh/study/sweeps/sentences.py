@@ -226,39 +226,37 @@ def largest_changes(table: Table) -> Iterator[str]:
     for i in (i for i in bound if not bound[i]):
         name, unit = name_and_unit(table.plan.axes[i].title)
         reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
-        broken = _on_the_way(table, sides[i], -DOUBT)
-        unsure = [change for change in _on_the_way(table, sides[i], DOUBT) if change not in broken]
+        on_the_way = _on_the_way(table, sides[i])
+        broken = sorted(change for change, row in on_the_way.items() if table.breaks(row, -DOUBT))
+        unsure = sorted(
+            change
+            for change, row in on_the_way.items()
+            if change not in broken and not all(table.keeps(row, column, DOUBT) for column in table.limited)
+        )
         studied = f"by {reach}{unit and ' ' + unit}, all that was studied"
         if broken:
             yield f"{name} keeps the limits when changed {studied}, but breaks one on the way, at {_changes(broken)}."
         elif unsure:
-            yield f"{name} may change {studied}; errors leave open whether limits are kept at {_changes(unsure)}."
+            yield f"{name} may change {studied}; it is left open whether limits are kept at {_changes(unsure)}."
         else:
             yield f"{name} may change {studied}: no limit is reached."
 
 
-def _on_the_way(table: Table, searched: list[Row], errors: float) -> list[float]:
-    """Return the changes of an axis, no farther than it was found to go, at which a limit is not kept.
+def _on_the_way(table: Table, searched: list[Row]) -> dict[float, Row]:
+    """Return the traced points of an axis that are no farther than it was found to go, by their change.
 
     Parameters
     ----------
     table : Table
     searched : list of Row
         Sides of the axis.
-    errors : float
-        See `Table.keeps`.
     """
     axis = searched[0].point.searched
     assert axis is not None
     start = float(table.plan.reference_values[axis])
     ends = [change_of(table, row) for row in searched]
-    found = set()
-    for row in table.along(axis):
-        change = float(table.value_of(row, axis)) - start
-        inside = any(0.0 < change / end <= 1.0 for end in ends if end)
-        if inside and row.means and not all(table.keeps(row, column, errors) for column in table.limited):
-            found.add(change)
-    return sorted(found)
+    rows = {float(table.value_of(row, axis)) - start: row for row in table.along(axis) if row.means}
+    return {change: row for change, row in rows.items() if any(0.0 < change / end <= 1.0 for end in ends if end)}
 
 
 def _changes(changes: list[float]) -> str:

@@ -223,13 +223,9 @@ class Table:
         start = self.plan.reference_values
         return [row for row in self.rows if all(self.value_of(row, i) == start[i] for i in others)]
 
-    def is_good(self, row: Row) -> bool:
-        """Tell whether a point keeps all limits of the study; one that cannot be traced does not."""
-        return all(row.means and self.keeps(row, column) for column in self.limited)
-
-    def _breaks(self, row: Row) -> bool:
-        """Tell whether a traced point is known to break a limit."""
-        return any(not self.keeps(row, column) for column in self.limited if row.knows(column))
+    def breaks(self, row: Row, errors: float = 0.0) -> bool:
+        """Tell whether a traced point is known to break a limit; see `keeps`."""
+        return any(not self.keeps(row, column, errors) for column in self.limited if row.knows(column))
 
     def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
         """Tell whether a traced point keeps the limit of a column.
@@ -267,7 +263,7 @@ class Table:
         they break another limit.
         """
         metrics = {metric_of(column.name) for column in self.limited}
-        drawn = [row for row in self.drawn if self._breaks(row) or not metrics & row.unknown.keys()]
+        drawn = [row for row in self.drawn if self.breaks(row) or not metrics & row.unknown.keys()]
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
             return None
 
@@ -282,7 +278,7 @@ class Table:
         found: list[tuple[str, Any]] = []
         for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
             rows = [row for row in self.along(i) if row.point.number and row.point.searched is None]
-            bad = [self.value_of(row, i) for row in rows if row.means and self._breaks(row)]
+            bad = [self.value_of(row, i) for row in rows if row.means and self.breaks(row)]
             start = self.plan.reference_values[i]
             if bad:
                 near = (

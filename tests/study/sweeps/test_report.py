@@ -204,8 +204,9 @@ def of_values(limit: float, values: dict[float, tuple[float, float]]) -> Table:
     ("at_middle", "at_end", "said"),
     [
         ((0.94, 0.01), (0.95, 0.01), "decentre may change by +0.1 mm, all that was studied: no limit is reached."),
-        ((0.94, 0.01), (0.95, 0.07), "; errors leave open whether limits are kept at +0.1."),
-        ((0.83, 0.05), (0.95, 0.07), "; errors leave open whether limits are kept at +0.05, +0.1."),
+        ((0.94, 0.01), (0.95, 0.07), "; it is left open whether limits are kept at +0.1."),
+        ((0.83, 0.05), (0.95, 0.07), "; it is left open whether limits are kept at +0.05, +0.1."),
+        ((math.nan, math.nan), (0.95, 0.01), "; it is left open whether limits are kept at +0.05."),
         ((0.7, 0.01), (0.95, 0.07), "decentre keeps the limits when changed by +0.1 mm, all that was studied, but "
          "breaks one on the way, at +0.05."),
     ],

@@ -5,7 +5,6 @@ All vectors are in the local frame of the surface, whose mean normal is +z; unit
 surface (z < 0), as those of light between two facets may; the facets' own normals have z > 0.
 """
 
-import math
 
 import numpy as np
 
@@ -85,22 +84,6 @@ def smith_lambda(alpha: float, x: float, y: float, z: float) -> float:
 
 
 @inlined
-def smith_g1(alpha: float, x: float, y: float, z: float) -> float:
-    """Return Smith's G₁: visible share of the facets that face a direction (Walter et al. 2007, eq. 34).
-
-    Parameters
-    ----------
-    alpha : float
-        Roughness α_g.
-    x, y, z : float
-        Unit direction; 0 below the surface.
-    """
-    if z <= 0.0:
-        return 0.0
-    return 2.0 * z / (z + stretched_length(alpha, x, y, z))
-
-
-@inlined
 def smith_g2(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float) -> float:
     """Return Smith's G₂ of two directions above the surface: share of the facets that both see.
 
@@ -117,30 +100,6 @@ def smith_g2(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float
         return 0.0
     length_i, length_o = stretched_length(alpha, ix, iy, iz), stretched_length(alpha, ox, oy, oz)
     return 2.0 * iz * oz / (oz * length_i + iz * length_o)
-
-
-@inlined
-def smith_g2_through(alpha: float, ix: float, iy: float, iz: float, ox: float, oy: float, oz: float) -> float:
-    """Return Smith's G₂ of a direction above and one below: share of the facets that are seen from both sides.
-
-    A facet seen from above lies high and is less likely to be seen from below: Euler's B(1 + Λ_i, 1 + Λ_o)
-    (Heitz et al., SIGGRAPH 2016).
-
-    Parameters
-    ----------
-    alpha : float
-        Roughness α_g.
-    ix, iy, iz : float
-        Unit direction above the surface.
-    ox, oy, oz : float
-        Unit direction below it.
-    """
-    if iz <= 0.0 or oz >= 0.0:
-        return 0.0
-    lambda_i, lambda_o = smith_lambda(alpha, ix, iy, iz), smith_lambda(alpha, ox, oy, -oz)
-    if not (lambda_i < np.inf and lambda_o < np.inf):
-        return 0.0
-    return math.exp(math.lgamma(1.0 + lambda_i) + math.lgamma(1.0 + lambda_o) - math.lgamma(2.0 + lambda_i + lambda_o))
 
 
 @inlined
@@ -170,24 +129,3 @@ def visible_normal(
     mx, my = alpha * (radius * np.cos(phi) + sx), alpha * (radius * np.sin(phi) + sy)
     over = 1.0 / np.sqrt(mx * mx + my * my + mz * mz)
     return mx * over, my * over, mz * over
-
-
-@inlined
-def visible_normal_density(
-    alpha: float, x: float, y: float, z: float, mx: float, my: float, mz: float
-) -> float:  # fmt: skip
-    """Return the density, 1/sr, with which `visible_normal` draws a normal.
-
-    Parameters
-    ----------
-    alpha : float
-        Roughness α_g.
-    x, y, z : float
-        Unit direction from which the facets are seen.
-    mx, my, mz : float
-        Unit normal of a facet.
-    """
-    facing = x * mx + y * my + z * mz
-    if facing <= 0.0:
-        return 0.0
-    return facing * facet_density(alpha, mx, my, mz) / projected_area(alpha, x, y, z)

@@ -62,9 +62,6 @@ Reduce = Callable[[Iterable[Job]], Iterable[Piece]]
 
 Report = Callable[[Progress], None]
 
-Map = Callable[[Callable[[Job], Piece], Iterable[Job]], Iterable[Piece]]
-"""Python's own `map`, or that of an executor: results in the order of the jobs."""
-
 
 def traced(job: Job) -> Piece:
     """Trace a job; a process that traces several jobs of a scene builds its world once.
@@ -106,22 +103,6 @@ def jobs_of(
     for replicate in replicates:
         for block in cut:
             yield Job(text, folder, digests, replicate, block, chunk, levels)
-
-
-def render_in_jobs(scene: Scene, mapped: Map, blocks: int = 1, chunk: int = CHUNK) -> Image:
-    """Render a scene in jobs; the image is bitwise that of `lf.render`.
-
-    Parameters
-    ----------
-    scene : Scene
-    mapped : callable
-        `map`, or the `map` of a process pool.
-    blocks : int
-        Approximate number of jobs for each replicate.
-    chunk : int
-        Number of packets that start a chunk; the bits of the image depend on it.
-    """
-    return reduced(Tracer(build(scene), chunk), lambda jobs: mapped(traced, jobs), blocks)
 
 
 def reduced(

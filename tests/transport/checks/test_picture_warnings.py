@@ -334,8 +334,9 @@ def test_a_white_image_says_what_a_render_says() -> None:
 @pytest.mark.parametrize("way", ["jobs", "shares", "resumed"])
 def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
     from lfmesh.files.shares import merged, trace_share
-    from lfmesh.transport.render.jobs import render_in_jobs
+    from lfmesh.transport.render.jobs import reduced, traced
     from lfmesh.transport.render.tally import arrays_of
+    from lfmesh.transport.render.tracer import Tracer
 
     given = scene(**{"transport.samples": 8, "transport.wavelengths_nm": (20_000.0,)})
     image, said = warned(lambda: lf.render(given))
@@ -344,7 +345,7 @@ def test_divided_and_resumed_renders_say_the_same(way: str, home: Path) -> None:
 
     def divided() -> lf.Image:
         if way == "jobs":
-            return render_in_jobs(given, map, blocks=2)
+            return reduced(Tracer(lf.build(given)), lambda jobs: map(traced, jobs), blocks=2)
         if way == "shares":
             for share in (1, 2):
                 trace_share(given.pinned(), home / str(share), share, 2)

@@ -6,7 +6,7 @@ from scipy import stats
 
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.fresnel import fresnel
-from lfmesh.optics.microfacets import smith_g1, smith_g2, visible_normal
+from lfmesh.optics.microfacets import smith_g2, smith_lambda, visible_normal
 from lfmesh.transport.events.ground import ground_density, ground_direction
 from lfmesh.transport.packets.random import derived, uniform
 from tests.instances import instances
@@ -44,7 +44,7 @@ def chance_to_leave_at_once(alpha, x, y, z, seed, chances):
         mx, my, mz = visible_normal(alpha, x, y, z, uniform(key, 0), uniform(key, 1))
         twice = 2.0 * (x * mx + y * my + z * mz)
         ox, oy, oz = twice * mx - x, twice * my - y, twice * mz - z
-        chances[k] = smith_g2(alpha, x, y, z, ox, oy, oz) / smith_g1(alpha, x, y, z)
+        chances[k] = smith_g2(alpha, x, y, z, ox, oy, oz) * (1.0 + smith_lambda(alpha, x, y, z))
 
 
 def downwards(degrees):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.errors import LfmeshError
 from lfmesh.transport.render import plan
-from lfmesh.transport.render.jobs import Job, render_in_jobs
+from lfmesh.transport.render.jobs import Job, reduced, traced
 from lfmesh.transport.render.plan import Block
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.render.tally import Layout, Piece, RenderState, arrays_of
@@ -91,6 +91,11 @@ def posted(do: Callable[[Job], Piece], jobs: Iterable[Job]) -> Iterator[Piece]:
     yield from (pickle.loads(piece) for piece in reversed(done))
 
 
+def in_jobs(scene: lf.Scene, mapped: Callable[..., Iterable[Piece]], blocks: int) -> lf.Image:
+    """Render in so many jobs for each replicate, done by a `map`."""
+    return reduced(Tracer(lf.build(scene), CHUNK), lambda jobs: mapped(traced, jobs), blocks)
+
+
 @pytest.mark.parametrize("blocks", instances([1, 3, 7], long=[1, 3]))
 @pytest.mark.parametrize("way", WAYS)
 def test_any_cut_has_the_bits_of_the_whole(
@@ -100,7 +105,7 @@ def test_any_cut_has_the_bits_of_the_whole(
     if blocks == 7:
         # Borders through the pixels that a second stage sorts together.
         monkeypatch.setattr(plan.Plan, "blocks", lambda self, *_, **__: cut_anywhere(self.pixels))
-    assert_same_bits(render_in_jobs(scene_of(way), posted, blocks, CHUNK), whole[way])
+    assert_same_bits(in_jobs(scene_of(way), posted, blocks), whole[way])
 
 
 def cut_anywhere(pixels: int) -> list[Block]:
@@ -111,7 +116,7 @@ def cut_anywhere(pixels: int) -> list[Block]:
 def test_another_process_has_the_same_bits(scene_of: Callable[[str], lf.Scene], whole: dict[str, lf.Image]) -> None:
     way = "reflections, three samples"
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        assert_same_bits(render_in_jobs(scene_of(way), pool.map, 2, CHUNK), whole[way])
+        assert_same_bits(in_jobs(scene_of(way), pool.map, 2), whole[way])
 
 
 def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) -> None:

@@ -5,7 +5,7 @@ decides; and by quarters of the error that the image reports for them, among tho
 is the root mean square of the reported error with that of the true one, less the reference's own variance.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +71,7 @@ class ErrorRatio:
     ratio : float
         Root mean square over root mean square.
     stderr : float
-        Of the ratio: jackknife over blocks of pixels.
+        Of the ratio: jackknife over blocks of pixels, or over images.
     """
 
     group: str
@@ -140,12 +140,43 @@ def error_ratios(image: Image, reference: Image, error: Array | None = None) -> 
     error : (H, W, 1) float64, optional
         In place of the image's.
     """
-    reported = (image.error if error is None else error)[:, :, 0] ** 2
+    return [
+        _ratio(name, int(here.sum()), *_by_blocks(here, reported, true))
+        for name, here, reported, true in _groups(image, reference, image.error if error is None else error)
+    ]
+
+
+def mean_error_ratios(images: Iterable[Image], reference: Image) -> list[ErrorRatio]:
+    """Compare the reported with the true error over several images of one scene, in every group of pixels.
+
+    A heavy path that few images have met raises the errors that they report for all pixels. How far that is by chance
+    only other images tell: the standard error of a ratio is the jackknife's over images.
+
+    Parameters
+    ----------
+    images : iterable of Image
+        Of different seeds.
+    reference : Image
+    """
+    sums: dict[str, list[tuple[int, float, float]]] = {}
+    for image in images:
+        for name, here, reported, true in _groups(image, reference, image.error):
+            sums.setdefault(name, []).append((int(here.sum()), reported[here].sum(), true[here].sum()))
+    ratios = []
+    for name, of_images in sums.items():
+        pixels, above, below = np.array(of_images).T
+        ratios.append(_ratio(name, int(pixels.sum()), above, below))
+    return ratios
+
+
+def _groups(image: Image, reference: Image, error: Array) -> Iterator[tuple[str, Mask, Array, Array]]:
+    """Yield the groups of pixels that are not empty, with the squares of reported and true error, (H, W)."""
+    reported = error[:, :, 0] ** 2
     noise = reference.stderr[:, :, 0] ** 2
     true = (image.mean - reference.mean)[:, :, 0] ** 2 - noise
     assert image.hits is not None
     groups = [*by_reference(reference.mean[:, :, 0]), *by_report(reported, image.hits[:, :, 0] > 0)]
-    return [_ratio(name, here, reported, true) for name, here in groups if here.any()]
+    yield from ((name, here, reported, true) for name, here in groups if here.any())
 
 
 def by_reference(mean: Array) -> Iterator[tuple[str, Mask]]:
@@ -196,17 +227,22 @@ def coverage(image: Image, reference: Image) -> list[Coverage]:
     ]
 
 
-def _ratio(name: str, here: Mask, reported: Array, true: Array) -> ErrorRatio:
-    """Return the ratio of a group, with the jackknife's standard error over blocks of the image."""
+def _by_blocks(here: Mask, reported: Array, true: Array) -> tuple[Array, Array]:
+    """Return the sums of both over the pixels of a group in each block of the image."""
     rows, columns = np.nonzero(here)
     block = rows // BLOCK_PX * (here.shape[1] // BLOCK_PX + 1) + columns // BLOCK_PX
     _, block = np.unique(block, return_inverse=True)
-    above, below = (np.bincount(block, of[here]) for of in (reported, true))
+    above, below = (np.bincount(block, of[here]).astype(float) for of in (reported, true))
+    return above, below
+
+
+def _ratio(name: str, pixels: int, above: Array, below: Array) -> ErrorRatio:
+    """Return the ratio of a group, of sums over blocks or images, with the jackknife's standard error over these."""
     ratio = _root(above.sum(), below.sum())
     count = len(above)
     without = np.array([_root(above.sum() - a, below.sum() - b) for a, b in zip(above, below, strict=True)])
     spread = np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()) if count > 1 else np.inf
-    return ErrorRatio(name, int(here.sum()), ratio, float(spread))
+    return ErrorRatio(name, pixels, ratio, float(spread))
 
 
 def _share(of: Mask) -> float:

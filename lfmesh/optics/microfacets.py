@@ -5,7 +5,6 @@ All vectors are in the local frame of the surface, whose mean normal is +z; unit
 surface (z < 0), as those of light between two facets may; the facets' own normals have z > 0.
 """
 
-
 import numpy as np
 
 from lfmesh.kernels.decorators import inlined

@@ -12,6 +12,7 @@ from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
+from lfmesh.scene.literals import percent
 from lfmesh.scene.model import format_path
 from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Sphere, Target
 from lfmesh.scene.scene import Scene
@@ -310,11 +311,11 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
         error = facts.kick_error
         advice = '; take transport.diffraction = "lenslets"'
         if error is not None and error.white_with >= error.white_without:
-            shares = f"off by {error.white_with:.1%} of their light for {error.white_without:.1%}"
+            shares = f"off by {percent(error.white_with)} of their light for {percent(error.white_without)}"
             advice = f'; with transport.diffraction = "lenslets" white pictures are no nearer: {shares}'
         elif error is not None:
-            edges = "" if error.edge_with is None else f", of edges {error.edge_with:.1%}"
-            advice += f", with an error of white pictures of {error.white_with:.1%}{edges}"
+            edges = "" if error.edge_with is None else f", of edges {percent(error.edge_with)}"
+            advice += f", with an error of white pictures of {percent(error.white_with)}{edges}"
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))
     for whose, f_number, width, samples, advice in disks:
         if 1.0 < width < math.inf:

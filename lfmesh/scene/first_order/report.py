@@ -10,6 +10,7 @@ from lfmesh.optics.glass import AIR
 from lfmesh.scene.first_order.focused import FocusedLenslets, middle_of
 from lfmesh.scene.first_order.kick_error import KickError
 from lfmesh.scene.first_order.lenslets import LensletSection
+from lfmesh.scene.literals import percent
 
 CONVENTIONAL, STANDARD = "conventional", "standard plenoptic"
 KEPLERIAN, GALILEAN = "focused plenoptic, Keplerian", "focused plenoptic, Galilean"
@@ -236,12 +237,13 @@ class FirstOrder(Shown):
             yield "diffraction, lenslets", "no table of errors for such lenslets: compare with lf.point_spread"
         else:
             better = error.white_with < error.white_without
-            edges = "" if error.edge_with is None else f", edges in focus {error.edge_with:.1%}"
-            without = "" if error.edge_without is None else f", edges in focus {error.edge_without:.1%}"
+            edges = "" if error.edge_with is None else f", edges in focus {percent(error.edge_with)}"
+            without = "" if error.edge_without is None else f", edges in focus {percent(error.edge_without)}"
             yield (
                 "diffraction, lenslets",
-                f"white pictures are off by {error.white_without:.1%} of their light{without}; with "
-                f'transport.diffraction = "lenslets" {error.white_with:.1%}{edges}{"" if better else ": no nearer"}',
+                f"white pictures are off by {percent(error.white_without)} of their light{without}; with "
+                f'transport.diffraction = "lenslets" {percent(error.white_with)}{edges}'
+                f"{'' if better else ': no nearer'}",
             )
         lit = self.views_across if self.views_across is not None else math.nan
         where = f"{lit:.3g} lenslets across at the ends of the refocus range"

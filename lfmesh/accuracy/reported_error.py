@@ -82,7 +82,7 @@ class ErrorRatio:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of the pixels with 100 hits or more whose truth lies within so many of their standard errors.
+    """Share of some pixels whose truth lies within so many of their standard errors; see `coverage`.
 
     Attributes
     ----------
@@ -212,12 +212,17 @@ def local_contrast(mean: Array) -> Array:
 def coverage(image: Image, reference: Image) -> list[Coverage]:
     """Count how often the truth lies within 1, 2 and 3 standard errors of a pixel.
 
-    The reference's own error widens the difference; it is taken as a part of the pooled one.
+    Of pixels with 100 hits or more and noise larger than one hit: where replicates find the same number of equal hits,
+    as in an evenly lit pixel, they have no spread, whatever fraction of a hit the truth is off. The noise is that of
+    the reference, for as many samples as the image has. The reference's own error widens the difference; it is taken
+    as a part of the pooled one.
     """
     from scipy import stats
 
     assert image.hits is not None
-    known = image.hits >= ENOUGH_HITS
+    one_hit = image.mean / np.maximum(image.hits, 1)
+    noise = reference.error * np.sqrt(reference.samples / image.samples)
+    known = (image.hits >= ENOUGH_HITS) & (noise > one_hit)
     wider = 1.0 + (reference.stderr[known] / image.error[known]) ** 2
     away = np.abs(image.mean - reference.mean)[known] / (image.stderr[known] * np.sqrt(wider))
     freedom = image.replicates - 1

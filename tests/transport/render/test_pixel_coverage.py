@@ -27,7 +27,7 @@ SIGMAS = 3.5
 @pytest.mark.long
 @pytest.mark.parametrize("replicates", [2, 4, 8])
 def test_pixels_of_random_cameras_are_covered_as_student_says(replicates: int, random_camera: RandomCamera) -> None:
-    """Pixels with 100 hits or more; 1, 2 and 3 standard errors."""
+    """Pixels with 100 hits or more and noise of more than one hit; 1, 2 and 3 standard errors."""
     found = []
     for seed in range(CAMERAS):
         scene = random_camera(seed).changed({"camera.sensor.pixels": [SIDE, SIDE]})

@@ -50,6 +50,7 @@ DIMENSIONLESS = {
     "transport/checks/order_check.py": {"LARGEST_MM"},
     "transport/events/facets.py": {"EDGE", "FLOAT32_GRAIN"},
     "transport/events/ground.py": {"LOWEST"},
+    "transport/events/volume.py": {"CLEAR_DEPTH"},
     "transport/lights/lamps_on_line.py": {"NARROWEST"},
     "transport/events/polarisation.py": {"NORMAL2"},
     "transport/trace.py": {"ROUNDING"},

@@ -30,6 +30,9 @@ LOW, HIGH = 0.5 - np.sqrt(3.0) / 6.0, 0.5 + np.sqrt(3.0) / 6.0
 THIN = 0.5
 """Largest optical depth of a step in which coefficients vary."""
 
+CLEAR_DEPTH = 1e-17
+"""Optical depth below which float64 loses no light."""
+
 OPAQUE_DEPTH = 700.0
 """Optical depth beyond which float64 has no light left."""
 
@@ -308,11 +311,11 @@ def pass_through(
 @inlined
 def _emitted(e1: float, e2: float, k1: float, k2: float, step: float, depth: float, stopped: float) -> float:
     """Return the emission of a step that leaves it at its begin, from its coefficients at two points."""
-    if e1 == e2 and k1 == k2:
-        return e1 / k1 * stopped if k1 > 0.0 else e1 * step
-    tilt = (k2 - k1) / (HIGH - LOW) * step / 12.0
-    if depth <= 0.0:
+    if depth < CLEAR_DEPTH:
         return 0.5 * (e1 + e2) * step
+    if e1 == e2 and k1 == k2:
+        return e1 / k1 * stopped
+    tilt = (k2 - k1) / (HIGH - LOW) * step / 12.0
     # As for constant coefficients in the mean, where the two points are short of the exact integral.
     exact = stopped / depth / (0.5 * (np.exp(-LOW * depth) + np.exp(-HIGH * depth)))
     return 0.5 * step * exact * (e1 * np.exp(tilt - LOW * depth) + e2 * np.exp(tilt - HIGH * depth))

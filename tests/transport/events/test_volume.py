@@ -61,6 +61,14 @@ def test_slab_transmits_by_beer_and_lambert_and_emits_what_it_absorbs(kappa: flo
     np.testing.assert_allclose(book[0], -np.expm1(-kappa * way), rtol=1e-13)
 
 
+@pytest.mark.parametrize("kappa", [5e-324, 1e-310, 1e-200])
+def test_light_of_a_medium_that_absorbs_next_to_nothing_is_its_emission_times_the_way(kappa: float) -> None:
+    volumes = volumes_of(slab(10.0, absorption_per_mm=kappa, emission_w_mm3_sr=2e-6))
+    found = passage(volumes, (0.0, 0.0, -200.0), (0.0, 0.0, 1.0), np.inf)
+    # 2e-6 W/(mm³ sr) along 10 mm, in W/(m² sr).
+    np.testing.assert_allclose(found.light, 20.0, rtol=1e-13)
+
+
 def test_a_line_that_ends_in_a_medium_is_cut_there() -> None:
     volumes = volumes_of(slab(10.0, absorption_per_mm=0.1))
     found = passage(volumes, (0.0, 0.0, -98.0), (0.0, 0.0, -1.0), 4.0)

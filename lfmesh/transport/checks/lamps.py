@@ -59,7 +59,8 @@ def _hides(world: World, point: Array) -> bool:
             other = np.cross(point - a, b - a)
             v = other @ along / scale
             way = np.einsum("ij,ij->i", c - a, other) / scale
-        if ((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0) & (way < 1.0)).any():
+            met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0) & (way < 1.0)
+        if met.any():
             return True
     return False
 

@@ -1,5 +1,6 @@
 """Lamps where a picture does not hold their light: in the field, and close to a target."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,13 @@ SHEET = {"shape": {"kind": "plane", "width_mm": 4.0, "height_mm": 4.0}, "positio
 )
 def test_a_lamp_that_a_real_camera_would_see_is_named(given: lf.Scene, told: bool) -> None:
     assert (lf.MissedLightWarning in kinds(given)) == told
+
+
+def test_a_lamp_in_the_plane_of_facets_is_named_without_a_warning_of_numbers() -> None:
+    box = {"shape": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)}, "position_mm": (0.0, 0.0, -120.0)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert lf.MissedLightWarning in kinds(lit(0.0, 0.0, -80.0).changed({"targets": [box]}))
 
 
 def test_a_lamp_is_in_the_field_of_a_camera_that_has_turned() -> None:

@@ -433,6 +433,11 @@ def _check_off_count(path: Path, facets: int) -> None:
     """Raise if fewer facets were read than the file's header counts."""
     lines = (line.split("#")[0] for line in read_text(path, errors="replace").splitlines())
     numbers = [word for line in lines for word in line.split() if not word.upper().endswith("OFF")]
-    promised = int(numbers[1])
+    try:
+        promised = int(numbers[1])
+    except (IndexError, ValueError):
+        raise MeshError(
+            f"{path}: its header counts no facets: a line 'vertices facets edges' follows the word OFF"
+        ) from None
     if facets < promised:
         raise MeshError(f"{path}: cut short: its header counts {promised} facets, {facets} could be read")

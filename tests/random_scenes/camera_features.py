@@ -110,7 +110,7 @@ def catalogue_glass(draft: Draft, dice: Dice) -> bool | None:
 
 @feature(cameras=0.04, scenes=0.02)
 def absorbing_glass(draft: Draft, dice: Dice) -> bool | None:
-    if not any("glass" in surface for surface in draft.surfaces):
+    if not any("glass" in surface for surface in draft.surfaces) and catalogue_glass(draft, dice) is False:
         return False
     draft.camera["absorption"] = True
     return None

@@ -43,11 +43,13 @@ def camera() -> lf.Scene:
     return solved_camera(lf.loads(bench_camera(24, 24))).scene
 
 
-def taken_at(seed: int, folder: Path, samples: int) -> Taken:
+def taken_at(seed: int, folder: Path, samples: int, nearest_mm: float = 440.0) -> Taken:
     """Render white image and board of a random camera near the bench camera's, with a random pose."""
     scene, random = camera(), np.random.default_rng(900 + seed)
     truth = errors(seed) | {FOCUS: float(scene.camera.mla.distance_mm or 0.0) + random.uniform(-0.3, 0.3)}
-    pose = np.array([*random.uniform(-1.0, 1.0, 2), -random.uniform(440.0, 560.0), *random.uniform(-15.0, 15.0, 3)])
+    pose = np.array(
+        [*random.uniform(-1.0, 1.0, 2), -random.uniform(nearest_mm, 560.0), *random.uniform(-15.0, 15.0, 3)]
+    )
     squares = np.indices((CORNERS + 1, CORNERS + 1)).sum(axis=0) % 2
     PIL.Image.fromarray((255 * np.kron(squares, np.ones((32, 32)))).astype(np.uint8)).save(folder / "board.png")
     side = (CORNERS + 1) * SQUARE_MM
@@ -260,7 +262,8 @@ def test_stated_intervals_cover_the_truth_over_twenty_draws(tmp_path: Path) -> N
     """Of each of the seven values, at least as many lie within two standard errors as a binomial law of 95 % gives."""
     inside = []
     for seed in range(20):
-        taken = taken_at(seed, tmp_path, 256)
+        # Some turned boards that stand nearer are not whole in view, and are refused.
+        taken = taken_at(seed, tmp_path, 256, nearest_mm=480.0)
         fitted, light = white_fit(taken, seed, 128)
         board = lf.Board(exposed(taken.board, 50 + seed), SQUARE_MM, CORNERS, CORNERS)
         found = with_boards(fitted, taken.scene, light, [board])

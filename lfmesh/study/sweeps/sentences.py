@@ -227,12 +227,8 @@ def largest_changes(table: Table) -> Iterator[str]:
         name, unit = name_and_unit(table.plan.axes[i].title)
         reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
         on_the_way = _on_the_way(table, sides[i])
-        broken = sorted(change for change, row in on_the_way.items() if table.breaks(row, -DOUBT))
-        unsure = sorted(
-            change
-            for change, row in on_the_way.items()
-            if change not in broken and not all(table.keeps(row, column, DOUBT) for column in table.limited)
-        )
+        broken = {change for change, row in on_the_way if table.breaks(row, -DOUBT)}
+        unsure = {change for change, row in on_the_way if not table.keeps_all(row, DOUBT)} - broken
         studied = f"by {reach}{unit and ' ' + unit}, all that was studied"
         if broken:
             yield f"{name} keeps the limits when changed {studied}, but breaks one on the way, at {_changes(broken)}."
@@ -242,8 +238,8 @@ def largest_changes(table: Table) -> Iterator[str]:
             yield f"{name} may change {studied}: no limit is reached."
 
 
-def _on_the_way(table: Table, searched: list[Row]) -> dict[float, Row]:
-    """Return the traced points of an axis that are no farther than it was found to go, by their change.
+def _on_the_way(table: Table, searched: list[Row]) -> list[tuple[float, Row]]:
+    """Return the traced points of an axis that are no farther than it was found to go, each with its change.
 
     Parameters
     ----------
@@ -255,12 +251,12 @@ def _on_the_way(table: Table, searched: list[Row]) -> dict[float, Row]:
     assert axis is not None
     start = float(table.plan.reference_values[axis])
     ends = [change_of(table, row) for row in searched]
-    rows = {float(table.value_of(row, axis)) - start: row for row in table.along(axis) if row.means}
-    return {change: row for change, row in rows.items() if any(0.0 < change / end <= 1.0 for end in ends if end)}
+    rows = [(float(table.value_of(row, axis)) - start, row) for row in table.along(axis) if row.means]
+    return [(change, row) for change, row in rows if any(0.0 < change / end <= 1.0 for end in ends if end)]
 
 
-def _changes(changes: list[float]) -> str:
-    return ", ".join(f"{change:+.4g}" for change in changes)
+def _changes(changes: set[float]) -> str:
+    return ", ".join(f"{change:+.4g}" for change in sorted(changes))
 
 
 def _breaking(table: Table) -> Iterator[str]:

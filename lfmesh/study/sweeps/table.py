@@ -227,6 +227,10 @@ class Table:
         """Tell whether a traced point is known to break a limit; see `keeps`."""
         return any(not self.keeps(row, column, errors) for column in self.limited if row.knows(column))
 
+    def keeps_all(self, row: Row, errors: float = 0.0) -> bool:
+        """Tell whether a point was traced and keeps all limits; see `keeps`."""
+        return all(row.means and self.keeps(row, column, errors) for column in self.limited)
+
     def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
         """Tell whether a traced point keeps the limit of a column.
 
@@ -268,7 +272,7 @@ class Table:
             return None
 
         def good(errors: float) -> int:
-            return sum(all(row.means and self.keeps(row, column, errors) for column in self.limited) for row in drawn)
+            return sum(self.keeps_all(row, errors) for row in drawn)
 
         shares = [share_of(good(errors), len(drawn)) for errors in (DOUBT, 0.0, -DOUBT)]
         return shares[1]._replace(low=shares[0].low, high=shares[2].high)

@@ -4,6 +4,7 @@ import html
 import math
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -217,6 +218,15 @@ def test_a_change_that_reaches_no_limit_claims_no_more_than_its_errors_allow(
     table = of_values(0.838, {0.0: (0.93, 0.006), 0.05: at_middle, 0.1: at_end})
     (sentence,) = (each for each in in_short(table) if each.startswith("decentre"))
     assert sentence.endswith(said)
+
+
+def test_a_limit_that_is_broken_where_the_search_ended_is_said_though_the_search_kept_it() -> None:
+    """A point of the design and the end of the search are the same camera, traced twice."""
+    table = of_values(0.838, {0.0: (0.93, 0.006), 0.1: (0.7, 0.01)})
+    kept = {name: Estimate(0.95, 0.01) for name in table.rows[-1].means}
+    table = replace(table, rows=(*table.rows[:-1], replace(table.rows[-1], means=kept)))
+    (sentence,) = (each for each in in_short(table) if each.startswith("decentre"))
+    assert sentence.endswith("but breaks one on the way, at +0.1.")
 
 
 def test_cameras_that_errors_do_not_tell_apart_are_said_to_be_so() -> None:

@@ -437,7 +437,7 @@ def _check_off_count(path: Path, facets: int) -> None:
         promised = int(numbers[1])
     except (IndexError, ValueError):
         raise MeshError(
-            f"{path}: its header counts no facets: a line 'vertices facets edges' follows the word OFF"
+            f"{path}: its header counts no facets; the numbers of vertices, facets and edges must follow the word OFF"
         ) from None
     if facets < promised:
         raise MeshError(f"{path}: cut short: its header counts {promised} facets, {facets} could be read")

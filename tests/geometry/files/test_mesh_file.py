@@ -288,7 +288,7 @@ def broken_files(folder):
     yield write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "1 of 1 facets"
     yield write("inf.off", "OFF\n3 1 0\n0 0 0\ninf 0 0\n0 1 0\n3 0 1 2\n"), "1 of 1 facets"
     for header in ("8 x", "8"):
-        yield write(f"{header}.off", f"OFF\n{header}\n-0.5 0 0\n1 0 0\n"), "no numbers of vertices|broken|no facets"
+        yield write(f"{header}.off", f"OFF\n{header}\n-0.5 0 0\n1 0 0\n"), "its header counts no facets|broken"
     write("chart.mtl", "newmtl a\nmap_Kd gone.png\n")
     yield write("chart.obj", "mtllib chart.mtl\n" + TRIANGLE + "f 1/1 2/2 3/3\n"), "gone.png is not there"
     yield write("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")), "no facets"

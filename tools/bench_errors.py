@@ -7,7 +7,7 @@
 For each number of samples and replicates: reported over true error, root mean square over root mean square, in groups
 of pixels by what a long render shows (the smallest and the largest ratio) and in the four quarters of the reported
 error; the noise line's quartiles beside the quartiles that the truth has; and how often the truth lies within 1, 2 and
-3 standard errors of a pixel with 100 hits, less what Student's t says, in points.
+3 standard errors of a pixel with 100 hits and noise of more than one, less what Student's t says, in points.
 """
 
 import sys

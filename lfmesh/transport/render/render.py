@@ -38,8 +38,8 @@ Tallies = Callable[[int, Counts | None], Iterator[Tally]]
 
 
 Untraced = Callable[[World, Callable[[Progress], None] | None], UntracedLight]
-"""Computes light that is not traced, (H, W, wavelengths) W: of particles, whose waves diffraction follows. Given the
-world, and what is told the progress."""
+"""Computes light that is not traced: of particles, whose waves diffraction follows. Given the world, and what is told
+the progress."""
 
 
 class Keeper(Protocol):

@@ -186,7 +186,7 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
         raise FileError(f"{path}: announces more numbers than there is memory for") from None
     except Exception as error:
         # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
-        why = " ".join(str(error).split()) or type(error).__name__
+        why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
 
 

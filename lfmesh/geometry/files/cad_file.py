@@ -52,6 +52,9 @@ MOST_MEBIBYTES, MOST_OUTPUT_MEBIBYTES = 1536, 128
 MM_PER_METRE = 1e3
 """glTF 2.0, section 3.4: all linear distances are metres."""
 
+LONGEST_REASON = 200
+"""Characters of what the process that opens a file says is wrong with it, which may quote the file."""
+
 OUT_OF_TIME, ENDED_BY_SYSTEM = -24, -9
 """Codes of a process that ends by SIGXCPU, when its processor time is over, and by SIGKILL, when memory runs short."""
 
@@ -190,7 +193,7 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
     if said == "memory" or any("bad_alloc" in line or "MemoryError" in line for line in lines):
         return f"opening it took more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
     if said is not None:
-        return said
+        return said[:LONGEST_REASON]
     if any("File too large" in line for line in lines) or code == -25:
         return f"has more facets than fit into {MOST_OUTPUT_MEBIBYTES} MiB; {_way_out(path)}"
     if code == ENDED_BY_SYSTEM:
@@ -204,7 +207,7 @@ def _reason(path: Path, code: int, errors: bytes, seconds: int) -> str:
     if code < 0:
         # OpenCASCADE may crash where it gets no memory, as it may on a file that it does not expect.
         return f"broken, or needs more than {MOST_MEBIBYTES} MiB, the most; {_way_out(path)}"
-    last = lines[-1][:200] if lines else f"ended with {code}"
+    last = lines[-1][:LONGEST_REASON] if lines else f"ended with {code}"
     return f"broken, or of a kind that cannot be read (the program that opened it: {last})"
 
 

@@ -39,10 +39,10 @@ def model(objects, items='<item objectid="1"/>', unit="millimeter", head=""):
     )
 
 
-def save_3mf(path, text, relationships=RELATIONSHIPS):
+def save_3mf(path, text, relationships=RELATIONSHIPS, part="m.model"):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as package:
-        package.writestr("_rels/.rels", relationships)
-        package.writestr("3D/m.model", text)
+        package.writestr("_rels/.rels", relationships.replace("m.model", part))
+        package.writestr(f"3D/{part}", text)
     return path
 
 
@@ -96,7 +96,9 @@ def test_bodies_of_a_3mf_file_stand_where_their_transforms_put_them_and_go_by_na
 def hostile_3mf(folder):
     """Yield 3MF files that are broken or made to do harm, with the reason each is given."""
     whole = save_3mf(folder / "whole.3mf", model(ONE)).read_bytes()
+    named = save_3mf(folder / "named.3mf", model(ONE), part=f"{'m' * 500}.model")
     for name, content, reason in (
+        ("renamed", named.read_bytes().replace(b"mmmm", b"nnnn", 1), "broken"),
         ("empty", b"", "not a 3MF file"),
         ("garbage", bytes(range(256)) * 9, "not a 3MF file"),
         ("short", whole[:-30], "not a 3MF file"),

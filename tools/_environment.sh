@@ -6,11 +6,13 @@
 #   prepare_environment docs   that and what builds the documentation site
 #   prepare_environment long   that and the programs that long tests compare with
 #
-# Afterwards $root is the project's folder and $environment its .venv. Everything said here goes to stderr, so that
-# the output of a command can be redirected.
+# LFMESH_PYTHON names another Python, which gets an environment of its own beside .venv, such as .venv-python3.13.
+#
+# Afterwards $root is the project's folder and $environment that of its environment. Everything said here goes to
+# stderr, so that the output of a command can be redirected.
 
 root=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
-environment=$root/.venv
+environment=$root/.venv${LFMESH_PYTHON:+-${LFMESH_PYTHON##*/}}
 
 # Says which pyproject.toml was installed for which folder and purpose. It is removed before an installation and
 # written after it, so an interrupted one is done again.
@@ -20,10 +22,13 @@ say() {
     printf 'lfmesh: %s\n' "$*" >&2
 }
 
-# Prints the newest suitable Python. A shim of a version manager may be on the PATH and still not run.
+# Prints the Python that LFMESH_PYTHON names, or else the newest one that serves. A shim of a version manager may be on
+# the PATH and still not run.
 find_python() {
     local candidate found=''
-    for candidate in python3.13 python3.12 python3.11 python3; do
+    set -- python3.13 python3.12 python3.11 python3
+    [ -z "${LFMESH_PYTHON-}" ] || set -- "$LFMESH_PYTHON"
+    for candidate in "$@"; do
         "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null </dev/null || continue
         found=$candidate
         if "$candidate" -c 'import ensurepip, venv' 2>/dev/null </dev/null; then
@@ -34,7 +39,7 @@ find_python() {
     if [ -n "$found" ]; then
         say "$found cannot make virtual environments: install its venv module (Debian: apt-get install $found-venv)."
     else
-        say "needs Python 3.11 or newer; looked for python3.13, python3.12, python3.11 and python3 on the PATH."
+        say "needs Python 3.11 or newer; looked for $*."
     fi
     return 1
 }
@@ -107,12 +112,12 @@ install_project() {
     if ! "$environment/bin/python" -m pip --version >/dev/null 2>&1; then
         local python
         python=$(find_python) || return 1
-        say "making .venv with $python"
+        say "making ${environment##*/} with $python"
         rm -rf -- "$environment"
         "$python" -m venv "$environment" >&2 || return 1
     fi
     rm -f -- "$stamp"
-    say "installing lfmesh and what it needs into .venv; this takes a minute or two"
+    say "installing lfmesh and what it needs into ${environment##*/}; this takes a minute or two"
     local extras
     case $purpose in
         long) extras='[dev,docs,long]' ;;

@@ -213,6 +213,29 @@ def test_an_older_python_is_passed_over(machine: Machine) -> None:
     assert machine.run("run").returncode == 7
 
 
+@pytest.mark.parametrize("named", ["python3.11", "a folder/python3.11"])
+def test_another_python_has_an_environment_of_its_own(machine: Machine, named: str) -> None:
+    (machine.bin / "a folder").mkdir()
+    for name in ("python3.11", "a folder/python3.11"):
+        machine.command(name, PYTHON)
+    path = named if "/" not in named else str(machine.bin / named)
+    machine.run("run")
+    other = machine.run("test", LFMESH_PYTHON=path)
+    machine.run("run")
+    machine.run("test", LFMESH_PYTHON=path)
+    assert "making .venv-python3.11 with" in other.stderr
+    assert "pytest in" in other.stdout
+    assert machine.done == ["venv", "pip .[browser]", "venv", "pip .[dev]"]
+    assert all((machine.root / each / "bin" / "python").exists() for each in (".venv", ".venv-python3.11"))
+
+
+def test_no_other_python_stands_in_for_the_one_that_is_named(machine: Machine) -> None:
+    result = machine.run("test", LFMESH_PYTHON="python3.14")
+    assert result.returncode == 1
+    assert "looked for python3.14." in result.stderr
+    assert machine.done == []
+
+
 def test_missing_drawing_libraries_are_installed_for_root(machine: Machine) -> None:
     machine.command("dpkg-query", '[ "${!#}" != libegl1 ] && printf "install ok installed"')
     machine.command("id", "echo 0")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import LfmeshError
+from lfmesh.geometry.lens.element_poses import refuse_crossing_elements
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
 from lfmesh.scene.literals import literal
@@ -430,11 +431,10 @@ def _point_faults(plan: Plan) -> Iterator[str]:
     for point in plan.points:
         try:
             scene = plan.scene_of(point)
-            ready = solved_camera(scene).scene if _has_meshes(scene) else solved(scene)
-            distances.add(_focus_of(ready))
+            distances.add(_focus_of(_checked(scene)))
             for each in plan.study.compensators if point.number else ():
                 for change in each.range:
-                    solved(each.applied(scene, change))
+                    _checked(each.applied(scene, change))
         except LfmeshError as error:
             yield f"point {point.number} ({plan.label(point)}): {in_a_line(error)}"
             continue
@@ -453,6 +453,20 @@ def _point_faults(plan: Plan) -> Iterator[str]:
             "refocus = true: changes nothing: by first-order optics every point has the reference's distances of array "
             "and sensor; omit it. A compensator of camera.mla.distance_mm refocuses what poses and the like defocus"
         )
+
+
+def _checked(scene: Scene) -> Scene:
+    """Return a scene solved.
+
+    Raises
+    ------
+    SceneError
+        It is not valid, or poses of elements make surfaces cross, which a build would refuse.
+    """
+    ready = solved_camera(scene).scene if _has_meshes(scene) else solved(scene)
+    if ready.camera.lens.elements:
+        refuse_crossing_elements(ready.camera.lens)
+    return ready
 
 
 def _has_meshes(scene: Scene) -> bool:

@@ -11,7 +11,7 @@ from lfmesh.study.sweeps.plan import Plan
 from lfmesh.study.sweeps.pool import in_pool
 from lfmesh.study.sweeps.sentences import unknown_of_reference
 from lfmesh.study.sweeps.study import cores, default_workers
-from lfmesh.study.sweeps.unit import Unit, reference_films, run_unit, unpacked
+from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, run_unit, unpacked
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class Probe:
     bytes : float
         Memory, of all processes.
     unknown : tuple of str
-        Metrics that cannot be had of the reference, and why, a line each.
+        Metrics that cannot be had of the reference, and cameras tried that cannot be traced, with the reason, a line
+        each.
     """
 
     points: int
@@ -40,6 +41,9 @@ class Probe:
     unknown: tuple[str, ...]
 
 
+MOST_TRIED = 8
+"""Cameras of a study that are tried until one can be traced, whose time is taken; then it is the reference's."""
+
 REPLICATES = (4, 2)
 """Replicates of a camera that are traced for a probe: the difference is the time of each more."""
 
@@ -49,32 +53,40 @@ PROCESS_BYTES = 4e8
 
 @dataclass(frozen=True)
 class _Stopwatch:
-    """A unit of work that takes the time of another one."""
+    """A unit of work that takes the time of another one: of the first of some that can be traced."""
 
-    unit: Unit
+    units: tuple[Unit, ...]
     point: int = 0
     batch: int = 0
 
     def compute(self, _: bytes | Path) -> bytes:
-        """Return seconds, and why metrics of the reference are not known.
+        """Return seconds, why metrics of the reference are not known, and why units that were tried fail.
 
         Seconds of all, of a process's first camera, of another one, and of that with each of `REPLICATES`. A camera
-        that was traced before takes less, as its tables are there.
+        that was traced before takes less, as its tables are there. One that fails takes hardly any, and is not timed.
         """
-        times = [time.perf_counter()]
-        cameras = [replace(self.unit, replicates=range(count)) for count in REPLICATES]
-        films = [reference_films(cameras[0])]
-        unit = replace(cameras[0], point=0)
-        of_reference = unpacked(run_unit(unit, films[0]), unit.study, 0, unit.batch, unit.metrics)
-        times.append(time.perf_counter())
-        films.append(reference_films(cameras[1]))
-        for camera, reference in zip((cameras[0], *cameras), (films[0], *films), strict=True):
-            began = time.perf_counter()
-            run_unit(camera, reference)
-            times.append(time.perf_counter() - began)
-        first = times[1] - times[0]
-        seconds = [time.perf_counter() - times[0], first, *times[2:]]
-        return json.dumps([*seconds, unknown_of_reference(of_reference)]).encode()
+        began = time.perf_counter()
+        films = [reference_films(replace(self.units[0], replicates=range(REPLICATES[0])))]
+        unknown = unknown_of_reference(_timed(replace(self.units[0], point=0), REPLICATES[0], films[0])[1])
+        first = time.perf_counter() - began
+        films.append(reference_films(replace(self.units[0], replicates=range(REPLICATES[1]))))
+        failed: list[tuple[int, str]] = []
+        for unit in self.units:
+            fresh, outcome = _timed(unit, REPLICATES[0], films[0])
+            # The reference, which comes last, is traced in any case, though no metric of it may be known.
+            if not outcome.fault or unit is self.units[-1]:
+                break
+            failed.append((unit.point, outcome.fault))
+        again = [_timed(unit, count, film)[0] for count, film in zip(REPLICATES, films, strict=True)]
+        return json.dumps([time.perf_counter() - began, first, fresh, *again, unknown, failed]).encode()
+
+
+def _timed(unit: Unit, replicates: int, films: bytes) -> tuple[float, Outcome]:
+    """Trace some replicates of a unit, and return the seconds that it took and its outcome."""
+    unit = replace(unit, replicates=range(replicates))
+    began = time.perf_counter()
+    content = run_unit(unit, films)
+    return time.perf_counter() - began, unpacked(content, unit.study, unit.point, unit.batch, unit.metrics)
 
 
 def probe(plan: Plan, workers: int | None = None) -> Probe:
@@ -87,18 +99,19 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     """
     workers = default_workers(len(plan.units)) if workers is None else workers
     at_once = max(workers, 1)
-    unit = _first_unit(plan, max(1, cores() // at_once))
+    units = _first_units(plan, max(1, cores() // at_once))
     # Kernels that have to be compiled are no part of a study: from now on they are kept.
-    reference_films(replace(unit, replicates=range(1)))
+    reference_films(replace(units[0], replicates=range(1)))
     began = time.perf_counter()
-    (result,) = in_pool([(_Stopwatch(unit), Path())], 1)
+    (result,) = in_pool([(_Stopwatch(units), Path())], 1)
     elapsed = time.perf_counter() - began
     if result.content is None:
         raise LfmeshError(f"the study cannot be tried: {result.reason}")
-    busy, first, fresh, again, with_fewer, unknown = json.loads(result.content)
+    busy, first, fresh, again, with_fewer, unknown, failed = json.loads(result.content)
+    unknown += [f"point {number} ({plan.label(plan.points[number])}) cannot be traced: {why}" for number, why in failed]
     start = max(0.0, elapsed - busy + first - fresh)
     each = max(0.0, (again - with_fewer) / (REPLICATES[0] - REPLICATES[1]))
-    replicates = len(unit.replicates)
+    replicates = len(units[0].replicates)
     one = max(0.0, fresh + each * (replicates - REPLICATES[0]))
     columns, rows = plan.base.camera.sensor.pixels
     film = 8.0 * columns * rows * plan.base.channels * replicates * len(pictures_of(plan.metrics))
@@ -111,7 +124,14 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     return Probe(len(plan.points), len(plan.units), at_once, one, starts, seconds, memory, tuple(unknown))
 
 
-def _first_unit(plan: Plan, threads: int) -> Unit:
-    """Return a unit of the first camera beside the reference, which is neither searched nor adjusted."""
-    reference, camera = (plan.camera_of(point) for point in (plan.points[0], plan.points[:2][-1]))
-    return Unit(plan.digest, 1, 0, camera, reference, plan.metrics, plan.replicates_of(0), threads)
+def _first_units(plan: Plan, threads: int) -> tuple[Unit, ...]:
+    """Return units of the first cameras beside the reference, and of its own; they are neither searched nor adjusted.
+
+    The reference's is traced as if it was another camera.
+    """
+    reference = plan.camera_of(plan.points[0])
+    some = [(point.number, plan.camera_of(point)) for point in plan.points[1 : 1 + MOST_TRIED]]
+    return tuple(
+        Unit(plan.digest, number, 0, camera, reference, plan.metrics, plan.replicates_of(0), threads)
+        for number, camera in (*some, (len(plan.points), reference))
+    )

@@ -191,7 +191,7 @@ def test_the_time_of_a_study_has_the_start_of_its_processes_and_new_cameras(
 
     So it starts in 7 s. Two replicates more take 1 s more, so ten take 3 s more than the four that were tried.
     """
-    times = json.dumps([15.0, 4.0, 2.0, 1.5, 0.5, []]).encode()
+    times = json.dumps([15.0, 4.0, 2.0, 1.5, 0.5, [], []]).encode()
     monkeypatch.setattr(probe, "in_pool", lambda units, _: (Result(unit, times) for unit, _ in units))
     monkeypatch.setattr(probe, "reference_films", lambda _: b"")
     clock = iter((0.0, 20.0))
@@ -200,6 +200,42 @@ def test_the_time_of_a_study_has_the_start_of_its_processes_and_new_cameras(
     found = probe.probe(lf.Study(small_scene(replicates=10), axes=axes, metrics=["light"]).plan, workers)
     assert found.unit_seconds == pytest.approx(5.0)
     assert found.seconds == pytest.approx(seconds)
+
+
+def test_the_time_of_a_study_is_that_of_a_camera_that_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An array that is moved so far reaches through the sensor: building it fails at once."""
+    timed: list[int] = []
+    run_unit = probe.run_unit
+    monkeypatch.setattr(probe, "in_pool", lambda units, _: here(units))
+    monkeypatch.setattr(probe, "run_unit", lambda unit, films: (timed.append(unit.point), run_unit(unit, films))[1])
+    axes = [{"path": "camera.mla.pose.shift_mm[2]", "values": [9.0, 0.01]}]
+    found = probe.probe(lf.Study(small_scene(), axes=axes, metrics=["light"]).plan, 0)
+    assert timed == [0, 1, 2, 2, 2]
+    assert len(found.unknown) == 1
+    assert found.unknown[0].startswith("point 1 (camera.mla.pose.shift_mm[2] = 9 mm) cannot be traced: camera.mla.pose")
+
+
+LENS = {
+    "elements": [{"surfaces": [1]}],
+    "surfaces": [
+        {"thickness_mm": 2.0, "semi_diameter_mm": 10.0, "stop": True},
+        {"radius_mm": 62.8, "thickness_mm": 4.0, "index": 1.517, "semi_diameter_mm": 12.7},
+        {"radius_mm": -45.7, "thickness_mm": 2.5, "index": 1.673, "semi_diameter_mm": 12.7},
+        {"radius_mm": -128.2, "semi_diameter_mm": 12.7},
+    ],
+}
+
+
+@pytest.mark.parametrize("adjusted", [False, True])
+def test_poses_by_which_surfaces_cross_are_named_before_anything_runs(adjusted: bool) -> None:
+    """By −6 deg the edge of surface 1 turns through surface 2; by 3 deg it does not."""
+    tilt = {"path": "camera.lens.elements[0].pose.tilt_deg[0]"}
+    moved = {"compensators": [tilt | {"range": (-6.0, 0.0), "metric": "chief_rays_rms_px"}]} if adjusted else {}
+    axes = [{"path": SHIFT, "values": [0.01]} if adjusted else tilt | {"values": [-6.0, 3.0]}]
+    scene = small_scene().changed({"camera.focus_mm": 500.0, "camera.lens": LENS})
+    with pytest.raises(lf.LfmeshError, match=r"point 1 .*tilt_deg = \[-6\.0, .*surfaces 1 and 2 cross") as told:
+        lf.Study(scene, axes=axes, metrics=["chief_rays"], **moved)
+    assert len(str(told.value).splitlines()) == 1
 
 
 FOCAL, STOP = "camera.mla.focal_length_mm", "camera.lens.stop_semi_diameter_mm"

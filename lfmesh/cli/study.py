@@ -172,7 +172,7 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
     for row in table.failed:
         if row.fault != "not done":
             say_note(f"point {row.point.number}, {table.plan.label(row.point)}: {row.fault}")
-    for words in metrics_not_known(table, raised=True):
+    for words in metrics_not_known(table):
         say_note(words)
     missing = sum(row.fault == "not done" for row in table.rows)
     done = len(table.rows) - len(table.failed)

@@ -116,6 +116,10 @@ class Column(NamedTuple):
         """True if the mean of the pseudo-values is a mean square, to which independent errors add."""
         return self.of in ("root", "psnr")
 
+    def knows(self, mean: Estimate) -> bool:
+        """Tell whether the column has a value at a mean of pseudo-values; mean squares of nothing are known, too."""
+        return not math.isnan(mean.value if self.is_square else self.estimate(mean).value)
+
     def estimate(self, mean: Estimate) -> Estimate:
         """Return the value and its standard error from the mean of the pseudo-values, by first-order propagation.
 
@@ -158,7 +162,7 @@ class Column(NamedTuple):
         return {"root": value * value, "psnr": 10.0 ** (-value / 10.0)}.get(self.of, value)
 
     def keeps(self, mean: float, limit: float) -> bool:
-        """Tell whether a mean of pseudo-values keeps a limit of the column; one that is not known does not."""
+        """Tell whether a mean of pseudo-values, which is known, keeps a limit of the column."""
         return self.room(mean, limit) >= 0.0
 
     def harm(self, mean: float) -> float:

@@ -216,7 +216,8 @@ def _fields(table: Table, done: list[Row]) -> list[dict[str, Any]]:
 def _slope_cells(each: Sensitivity) -> list[str]:
     by = " by its size" if each.column.magnitude else ""
     inside = f"{each.slope.low:.4g} to {each.slope.high:.4g}"
-    return [each.column.title + by, f"{each.slope.value:.4g}", inside, str(each.slope.points)]
+    points = f"{each.slope.points}{f', {each.left_out} not known' if each.left_out else ''}"
+    return [each.column.title + by, f"{each.slope.value:.4g}", inside, points]
 
 
 def _cells(table: Table, row: Row, columns: list[Column]) -> list[str]:

@@ -1,10 +1,10 @@
 """A study in sentences: what a designer asked, with names and units; resolved effects before the others."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from lfmesh.scene.literals import literal, plain
-from lfmesh.study.metrics.metrics import METRICS, Column
+from lfmesh.scene.literals import counted, literal, plain
+from lfmesh.study.metrics.metrics import Column
 from lfmesh.study.sweeps.axes import name_and_unit
 from lfmesh.study.sweeps.table import CONFIDENCE, DOUBT, Row, Table
 from lfmesh.study.sweeps.unit import Outcome
@@ -95,11 +95,7 @@ def first_column(table: Table) -> Column | None:
 
 def ranked_by(rows: list[Row], column: Column) -> list[Row]:
     """Return the points apart from the reference and from those that are searched, the best first."""
-    known = [
-        row
-        for row in rows
-        if row.point.number and row.point.searched is None and not math.isnan(row.means[column.name].value)
-    ]
+    known = [row for row in rows if row.point.number and row.point.searched is None and row.knows(column)]
     return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
 
 
@@ -125,34 +121,35 @@ def _progress(table: Table) -> str:
     return "; ".join(words) + "."
 
 
-def metrics_not_known(table: Table, *, raised: bool = False) -> Iterator[str]:
-    """Yield for every metric the points at which it is not known, and why that is or may be.
-
-    Parameters
-    ----------
-    table : Table
-    raised : bool
-        Only where a metric could not be had, for a reason that the points have.
-    """
+def metrics_not_known(table: Table) -> Iterator[str]:
+    """Yield for every metric the points at which it is not known, or on the way to which, and why."""
     rows = [row for row in table.rows if row.estimates]
     for name in table.plan.metrics:
-        metric = METRICS[name]
-        reasons = [row.unknown[name] for row in rows if name in row.unknown]
-        if reasons:
-            others = len(set(reasons)) - 1
-            why = reasons[0] + (f"; {others} other reason{'s' * (others > 1)} in table.csv" if others else "")
-            yield _unknown_at(table, name, [row for row in rows if name in row.unknown], why)
-        known = () if raised else (row for row in rows if name not in row.unknown)
-        lacking = [row for row in known if any(column_value(row, each) == NOT_KNOWN for each in metric.columns)]
+        lacking = [row for row in rows if name in row.unknown]
         if lacking:
-            yield _unknown_at(table, name, lacking, metric.unseen)
+            why = _reasons(row.unknown[name] for row in lacking)
+            yield f"{name} is {NOT_KNOWN} at {len(lacking)} of {len(rows)} points ({_listed(table, lacking)}): {why}."
+        met = [row for row in rows if name in row.on_the_way]
+        if met:
+            ways = [row.on_the_way[name] for row in met]
+            share = f"{sum(way.unknown for way in ways)} of {sum(way.cameras for way in ways)} cameras"
+            why = _reasons(way.reason for way in ways)
+            yield (
+                f"{name} is {NOT_KNOWN} of {share} that searches and adjustments went through "
+                f"({_listed(table, met)}): {why}."
+            )
 
 
-def _unknown_at(table: Table, name: str, rows: list[Row], why: str) -> str:
-    count = sum(bool(row.estimates) for row in table.rows)
-    first = ", ".join(words_of(table, row) for row in rows[:MOST_NAMED])
+def _reasons(given: Iterable[str]) -> str:
+    """Return the first of some reasons, and how many others there are."""
+    first, *others = dict.fromkeys(given)
+    return first + (f"; {counted(len(others), 'other reason')} in table.csv" if others else "")
+
+
+def _listed(table: Table, rows: list[Row]) -> str:
+    """Return points in words, but no more than fit into a sentence."""
     more = f" and {len(rows) - MOST_NAMED} more" if len(rows) > MOST_NAMED else ""
-    return f"{name} is {NOT_KNOWN} at {len(rows)} of {count} points ({first}{more}): {why}."
+    return ", ".join(words_of(table, row) for row in rows[:MOST_NAMED]) + more
 
 
 def unknown_of_reference(outcome: Outcome) -> list[str]:
@@ -164,7 +161,7 @@ def unknown_of_reference(outcome: Outcome) -> list[str]:
 
 def _limits(table: Table) -> Iterator[str]:
     """Yield for every limit how many cameras keep it; one that nothing breaks is held."""
-    rows = [row for row in table.drawn if row.means]
+    rows = table.drawn
     yield from () if table.plan.scenes else beyond_limits(table)
     for column in table.limited:
         limit = _limit(table, column)
@@ -201,9 +198,12 @@ def _limit(table: Table, column: Column) -> str:
 
 def _yield(table: Table) -> Iterator[str]:
     if good := table.yield_share():
+        open_ones = len(table.drawn) - good.trials
+        doubt = f"; of {open_ones} more it is {NOT_KNOWN}, and the interval covers both cases" if open_ones else ""
+        words = f"{good.good} of {good.trials} cameras keep the limits, {percent(good.value)} %"
         yield (
-            f"Yield: {good.good} of {good.trials} cameras keep the limits, {percent(good.value)} % "
-            f"({CONFIDENCE} interval {percent(good.low)} to {percent(good.high)} %)."
+            f"Yield: {words if good.trials else NOT_KNOWN} "
+            f"({CONFIDENCE} interval {percent(good.low)} to {percent(good.high)} %){doubt}."
         )
     elif table.limited and table.plan.study.design == "one_at_a_time":
         yield 'No yield: every error is studied by itself; design = "sobol" with a count draws all of them together.'
@@ -215,14 +215,18 @@ def largest_changes(table: Table) -> Iterator[str]:
     for row in table.allowed():
         assert row.point.searched is not None
         sides.setdefault(row.point.searched, []).append(row)
-    bound = {i: [row for row in rows if _known(row).column] for i, rows in sides.items()}
+    bound = {i: [row for row in rows if _known(row).column or _known(row).unknown] for i, rows in sides.items()}
     for i in sorted((i for i in bound if bound[i]), key=lambda i: min(_tightness(table, row) for row in bound[i])):
         name, unit = name_and_unit(table.plan.axes[i].title)
-        if not any(change_of(table, row) for row in sides[i]):
+        if not any(change_of(table, row) or _known(row).unknown for row in sides[i]):
             yield f"{name} may not change at all: the reference itself is beyond a limit."
             continue
         spans = [_span(table, row) for row in sides[i]]
         yield f"{name} may change by {' and '.join(spans)}{unit and ' ' + unit}{_until(table, bound[i])}."
+        for row in (row for row in bound[i] if _known(row).unknown):
+            ends = " and ".join(f"{end:+.3g}" for end in _ends_of(table, row))
+            of = f"between {ends}{unit and ' ' + unit}"
+            yield f"Whether {name} keeps the limits {of} is {NOT_KNOWN}: {_known(row).unknown}."
     for i in (i for i in bound if not bound[i]):
         name, unit = name_and_unit(table.plan.axes[i].title)
         reach = " and ".join(f"{change_of(table, row):+.4g}" for row in sides[i])
@@ -269,9 +273,9 @@ def _breaking(table: Table) -> Iterator[str]:
 
 
 def _until(table: Table, rows: list[Row]) -> str:
-    reached = {_known(row).column for row in rows if change_of(table, row)}
-    titles = {column.name: _limit(table, column) for column in table.limited}
-    return f", until a limit is reached: {', '.join(titles[name] for name in titles if name in reached)}"
+    reached = {_known(row).column for row in rows if change_of(table, row) and not _known(row).unknown}
+    titles = [_limit(table, column) for column in table.limited if column.name in reached]
+    return f", until a limit is reached: {', '.join(titles)}" if titles else ""
 
 
 def _known(row: Row) -> Allowed:
@@ -294,10 +298,17 @@ def _tightness(table: Table, row: Row) -> float:
 
 def _span(table: Table, row: Row) -> str:
     found, change = _known(row), change_of(table, row)
-    start = found.value - change
-    if not found.column:
+    if not (found.column or found.unknown):
         return f"{change:+.4g} (all that was studied)"
-    return f"{change:+.4g} ({found.low - start:+.3g} to {found.high - start:+.3g})"
+    low, high = _ends_of(table, row)
+    return f"{change:+.4g} ({'at least, the limit lies from ' * bool(found.unknown)}{low:+.3g} to {high:+.3g})"
+
+
+def _ends_of(table: Table, row: Row) -> tuple[float, float]:
+    """Return the interval of the largest change that a row has found."""
+    found = _known(row)
+    start = found.value - change_of(table, row)
+    return found.low - start, found.high - start
 
 
 def tolerance_rows(table: Table) -> list[list[str]]:
@@ -318,9 +329,11 @@ def tolerance_rows(table: Table) -> list[list[str]]:
         }
         nearest = min(said.values(), key=abs, default=math.nan)
         predicted = NOT_KNOWN if math.isnan(nearest) else f"{nearest:+.4g}" if abs(nearest) <= abs(far) else "none"
-        interval = f"{found.low - start:+.4g} to {found.high - start:+.4g}" if found.column else "all that was studied"
+        told = found.column or found.unknown
+        interval = f"{found.low - start:+.4g} to {found.high - start:+.4g}" if told else "all that was studied"
         at = columns.get(found.column)
         at_limit = ["", "no limit is reached"] if at is None else [column_value(row, at), _limit(table, at)]
+        at_limit[1] = f"{NOT_KNOWN} within the interval" if found.unknown else at_limit[1]
         lines.append(
             [
                 *[table.plan.axes[i].title, f"{found.value - start:+.4g}", interval, predicted],
@@ -353,6 +366,8 @@ def budget_in_words(table: Table, budget: Budget) -> str:
         words += f". All together (RSS): {_amount(budget, budget.square)}"
         if math.isfinite(budget.drawn):
             words += f"; the cameras with all errors: {_amount(budget, budget.drawn)}"
+    if budget.left_out:
+        words += f". {counted(budget.left_out, 'point')}, of which {column.noun} is {NOT_KNOWN}, left out"
     return words + "."
 
 

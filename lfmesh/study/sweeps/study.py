@@ -383,6 +383,8 @@ class Run:
                 self.folder.log("done", point=point, batch=batch, seconds=outcome.seconds, deaths=result.deaths)
             for metric, why in outcome.unknown.items():
                 self.folder.log("unknown", point=point, batch=batch, metric=metric, reason=why)
+            for metric, met in outcome.on_the_way.items():
+                self.folder.log("unknown on the way", point=point, batch=batch, metric=metric, **met._asdict())
         if reason:
             self.faults[point] = reason
             label = self.plan.label(self.plan.points[point])

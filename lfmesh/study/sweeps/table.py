@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
-from lfmesh.study.metrics.metrics import Column, columns_of, metric_of
+from lfmesh.study.metrics.metrics import Column, columns_of
 from lfmesh.study.sweeps.axes import is_number
+from lfmesh.study.sweeps.bench import OnTheWay, in_words
 from lfmesh.study.sweeps.plan import Plan, Point
 from lfmesh.study.sweeps.statistics import Estimate, Share, Slope, combined, share_of, slope
 from lfmesh.study.sweeps.unit import Outcome
@@ -41,7 +42,9 @@ class Row:
     fault : str
         Why there are none, or "".
     unknown : dict of str
-        Why metrics could not be had, by their name: their columns are NaN.
+        Why metrics are not known, by their name.
+    on_the_way : dict of OnTheWay
+        Metrics that are not known of cameras that a search or an adjustment traced, by their name.
     seconds : float
         Of tracing, all batches.
     maps : dict of (rows, columns, 2) float64
@@ -66,6 +69,7 @@ class Row:
     adjusted: tuple[float, ...] = ()
     allowed: Allowed | None = None
     unknown: Mapping[str, str] = field(default_factory=dict)
+    on_the_way: Mapping[str, OnTheWay] = field(default_factory=dict)
 
     @property
     def warned_of(self) -> str:
@@ -74,12 +78,14 @@ class Row:
 
     def knows(self, column: Column) -> bool:
         """Tell whether the value of a column is known."""
-        return column.name in self.means and not math.isnan(self.means[column.name].value)
+        return column.name in self.means and column.knows(self.means[column.name])
 
     @property
     def unknown_in_words(self) -> str:
-        """Metrics that could not be had, and why; "" where there are none."""
-        return "; ".join(f"{name}: {reason}" for name, reason in self.unknown.items())
+        """Metrics that are not known, here or on the way, and why; "" where there are none."""
+        way = {f"{name} ({met.unknown} of {met.cameras} cameras on the way)": met.reason
+               for name, met in self.on_the_way.items()}  # fmt: skip
+        return in_words({**self.unknown, **way})
 
 
 @dataclass(frozen=True)
@@ -92,11 +98,14 @@ class Sensitivity:
     column : Column
     slope : Slope
         Of quantities that are sizes, by the size of the error.
+    left_out : int
+        Points of the axis at which the column, or its error, is not known.
     """
 
     path: str
     column: Column
     slope: Slope
+    left_out: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +223,7 @@ class Table:
                 x = np.abs(off) if column.magnitude else off
                 fit = slope(x, np.array([e.value for e in known]), np.array([e.stderr for e in known]))
                 if fit is not None:
-                    found.append(Sensitivity(axis.path, column, fit))
+                    found.append(Sensitivity(axis.path, column, fit, len(rows) - fit.points))
         return found
 
     def along(self, axis: int) -> list[Row]:
@@ -228,11 +237,11 @@ class Table:
         return any(not self.keeps(row, column, errors) for column in self.limited if row.knows(column))
 
     def keeps_all(self, row: Row, errors: float = 0.0) -> bool:
-        """Tell whether a point was traced and keeps all limits; see `keeps`."""
-        return all(row.means and self.keeps(row, column, errors) for column in self.limited)
+        """Tell whether a point is known to keep all limits; see `keeps`."""
+        return all(row.knows(column) and self.keeps(row, column, errors) for column in self.limited)
 
     def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
-        """Tell whether a traced point keeps the limit of a column.
+        """Tell whether a point keeps the limit of a column, which is known there.
 
         Parameters
         ----------
@@ -263,19 +272,17 @@ class Table:
 
         The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
         more evenly, it is wider than need be. Its ends are those of the cameras that are good, and bad, beyond what
-        their standard errors leave open. Cameras of which the metric of a limit could not be had are no trials, unless
-        they break another limit.
+        their standard errors leave open. Cameras of which a limited column is not known are no trials, unless they
+        break another limit. They may be good or bad, and the interval covers both.
         """
-        metrics = {metric_of(column.name) for column in self.limited}
-        drawn = [row for row in self.drawn if self.breaks(row) or not metrics & row.unknown.keys()]
+        drawn = self.drawn
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
             return None
-
-        def good(errors: float) -> int:
-            return sum(self.keeps_all(row, errors) for row in drawn)
-
-        shares = [share_of(good(errors), len(drawn)) for errors in (DOUBT, 0.0, -DOUBT)]
-        return shares[1]._replace(low=shares[0].low, high=shares[2].high)
+        settled = [row for row in drawn if self.breaks(row) or all(map(row.knows, self.limited))]
+        found = share_of(sum(self.keeps_all(row) for row in settled), len(settled))
+        least = share_of(sum(self.keeps_all(row, DOUBT) for row in drawn), len(drawn)).low
+        most = share_of(sum(not self.breaks(row, -DOUBT) for row in drawn), len(drawn)).high
+        return found._replace(low=least, high=most)
 
     def breaking(self) -> list[tuple[str, Any]]:
         """Return the axes that break a limit by themselves, with the value nearest to the reference's that does."""
@@ -347,7 +354,10 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
     first = known[0]
     unknown = {name: why for outcome in reversed(known) for name, why in outcome.unknown.items()}
     unknown = {name: unknown[name] for name in plan.metrics if name in unknown}
-    return Row(point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed, unknown)
+    return Row(
+        point, means, estimates, "", seconds, maps, first.preview, found, first.adjusted, first.allowed, unknown,
+        first.on_the_way,
+    )  # fmt: skip
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:

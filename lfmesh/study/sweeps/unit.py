@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +18,16 @@ from lfmesh.errors import FileError, LfmeshError, PictureWarning, collected, in_
 from lfmesh.files.sealed import read_sealed, unsealed, write_sealed
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.provenance import program, refuse_other
-from lfmesh.scene import Scene
 from lfmesh.scene.inputs import file_stamp
-from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, columns_of, metric_of, pictures_of
+from lfmesh.study.metrics.metrics import Found, columns_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, Taken, in_a_line, taken
-from lfmesh.study.sweeps.statistics import Estimate, combined
-from lfmesh.study.tolerances.compensators import Compensator, compensated
-from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
+from lfmesh.study.sweeps.bench import Bench, OnTheWay, in_threads
+from lfmesh.study.tolerances.compensators import Compensator
+from lfmesh.study.tolerances.largest_change import Allowed, Search
 
 Array = NDArray[np.float64]
 
-FORMAT = 4
+FORMAT = 5
 """Of the bytes of an outcome; a reader refuses any other."""
 
 PREVIEW_PX = 200
@@ -99,7 +98,9 @@ class Outcome:
     fault : str or None
         Why the point cannot be traced, or none of its metrics be had.
     unknown : dict of str
-        Why metrics cannot be had, by their name; their columns are NaN.
+        Why metrics are not known, by their name; some of their columns are NaN, or what no camera can have.
+    on_the_way : dict of OnTheWay
+        Metrics that are not known of cameras on the way of a search or an adjustment, by their name.
     maps : dict of (rows, columns, 2) float64
         Displacement of each centre, pixels.
     preview : (h, w) uint8, or None
@@ -123,6 +124,7 @@ class Outcome:
     warnings: tuple[PictureWarning, ...] = ()
     adjusted: tuple[float, ...] = ()
     allowed: Allowed | None = None
+    on_the_way: dict[str, OnTheWay] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ def reference_films(unit: Unit) -> bytes:
     """
     began = time.perf_counter()
     with collected() as found:
-        traced = taken(_in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
+        traced = taken(in_threads(unit.reference, unit.threads), pictures_of(unit.metrics), unit.replicates)
     facts = {
         "study": unit.study,
         "batch": unit.batch,
@@ -190,7 +192,7 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
 
 
 def _outcome(unit: Unit, reference: Traced) -> Outcome:
-    bench = _Bench(unit, reference)
+    bench = Bench(unit, reference)
     camera, own, seconds = unit.reference, reference.films, reference.seconds
     allowed: Allowed | None = None
     adjusted: tuple[float, ...] = ()
@@ -205,123 +207,13 @@ def _outcome(unit: Unit, reference: Traced) -> Outcome:
         own = bench.traced(camera, unit.metrics)
         seconds = time.perf_counter() - began
     found = bench.compared(camera, own, unit.metrics)
-    if len(found.unknown) == len(unit.metrics):
+    if found.has_none:
         raise LfmeshError("; ".join(dict.fromkeys(found.unknown.values())))
     preview = _preview(unit, own, reference.films) if "scene" in own and "scene" in reference.films else None
     return Outcome(
-        unit.point, unit.batch, found.columns, seconds, None, found.unknown, found.maps, preview, (), adjusted, allowed
-    )
-
-
-class _Compared(NamedTuple):
-    """Metrics of a camera beside the reference.
-
-    Attributes
-    ----------
-    columns : dict of (n,) float64
-        Pseudo-values by the columns; NaN where a metric cannot be had.
-    unknown : dict of str
-        Why, by the metric.
-    maps : dict of (rows, columns, 2) float64
-    """
-
-    columns: dict[str, Array]
-    unknown: dict[str, str]
-    maps: dict[str, Array]
-
-
-@dataclass(frozen=True)
-class _Bench:
-    """A place where cameras are adjusted, traced and compared with the reference of a unit."""
-
-    unit: Unit
-    reference: Traced
-
-    def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Taken:
-        """Trace what some metrics need."""
-        return taken(_in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
-
-    def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> _Compared:
-        """Compare a camera with the reference by some metrics; one that cannot be had leaves the others as they are."""
-        known = self.reference
-        count = len(self.unit.replicates)
-        pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)
-        columns: dict[str, Array] = {}
-        unknown: dict[str, str] = {}
-        with np.errstate(invalid="ignore", divide="ignore"):
-            for name in metrics:
-                try:
-                    values = METRICS[name].compute(pair)
-                except FileError:
-                    raise
-                except LfmeshError as error:
-                    unknown[name] = in_a_line(error)
-                    values = np.full((count, len(METRICS[name].columns)), np.nan)
-                for number, column in enumerate(METRICS[name].columns):
-                    columns[column.name] = np.ascontiguousarray(values[:, number])
-        return _Compared(columns, unknown, pair.maps)
-
-    def judged(self, scene: Scene, metrics: tuple[str, ...]) -> _Compared:
-        """Trace a camera, and compare it with the reference by some metrics."""
-        camera = Camera(scene, self.unit.camera.edge_distance_mm)
-        return self.compared(camera, self.traced(camera, metrics), metrics)
-
-    def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
-        """Return a camera as its compensators leave it, and their changes.
-
-        Raises
-        ------
-        LfmeshError
-            The metric of a compensator can be had of no camera within its range.
-        """
-        columns = {column.name: column for column in columns_of(self.unit.metrics)}
-        lacking: dict[str, str] = {}
-        had: set[str] = set()
-
-        def merit(adjusted: Scene, name: str) -> float:
-            found = self.judged(adjusted, (metric_of(name),))
-            if found.unknown:
-                lacking.setdefault(name, found.unknown[metric_of(name)])
-            else:
-                had.add(name)
-            return columns[name].harm(combined(found.columns[name]).value)
-
-        adjusted, changes = compensated(scene, self.unit.compensators, merit)
-        for name, reason in lacking.items():
-            if name not in had:
-                raise LfmeshError(f"cannot be adjusted by {name}: {reason}")
-        return adjusted, tuple(changes)
-
-    def searched(self, search: Search) -> Allowed:
-        """Find the largest change that keeps the limits, of cameras that are adjusted.
-
-        Raises
-        ------
-        LfmeshError
-            A metric that has a limit cannot be had of the reference.
-        """
-        columns = [column for column in columns_of(self.unit.metrics) if column.name in search.limits]
-        metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
-
-        def measured(value: float) -> dict[str, Estimate]:
-            scene, _ = self.adjusted(self.unit.camera.scene.changed({search.path: value}))
-            return _means(self.judged(scene, metrics))
-
-        reference = self.compared(self.unit.reference, self.reference.films, metrics)
-        for name, reason in reference.unknown.items():
-            raise LfmeshError(f"{name}, which has a limit, cannot be had of the reference camera: {reason}")
-        return largest_change(search, columns, _means(reference), measured, len(self.unit.replicates))
-
-
-def _means(found: _Compared) -> dict[str, Estimate]:
-    return {name: combined(values) for name, values in found.columns.items()}
-
-
-def _in_threads(camera: Camera, threads: int) -> Camera:
-    scene = camera.scene
-    if threads in (0, scene.transport.threads):
-        return camera
-    return Camera(scene.changed({"transport.threads": threads}), camera.edge_distance_mm)
+        unit.point, unit.batch, found.columns, seconds, None, found.unknown, found.maps, preview, (), adjusted, allowed,
+        bench.on_the_way(),
+    )  # fmt: skip
 
 
 def _preview(unit: Unit, own: Films, known: Films) -> NDArray[np.uint8]:
@@ -347,6 +239,7 @@ def packed(outcome: Outcome, study: str) -> bytes:
         "warnings": _as_dicts(outcome.warnings),
         "adjusted": outcome.adjusted,
         "allowed": outcome.allowed,
+        "on_the_way": outcome.on_the_way,
     }
     arrays: dict[str, NDArray[Any]] = {f"column.{name}": values for name, values in outcome.columns.items()}
     arrays |= {f"map.{name}": values for name, values in outcome.maps.items()}
@@ -386,6 +279,7 @@ def unpacked(
     return Outcome(
         point, batch, columns, facts["seconds"], fault, facts["unknown"], maps, arrays.get("preview"), found,
         tuple(facts["adjusted"]), None if allowed is None else Allowed(*allowed),
+        {name: OnTheWay(*met) for name, met in facts["on_the_way"].items()},
     )  # fmt: skip
 
 

@@ -79,14 +79,17 @@ class Budget:
     effects : tuple of Effect
     reason : str
         Why there are none, or "".
-    drawn : Estimate or None
-        Mean square of the same quantity over the cameras with all errors together.
+    drawn : float
+        Mean square of the same quantity over the cameras with all errors together of which it is known.
+    left_out : int
+        Traced points of which it is not known.
     """
 
     column: Column
     effects: tuple[Effect, ...]
     reason: str = ""
     drawn: float = math.nan
+    left_out: int = 0
 
     @property
     def square(self) -> float:
@@ -111,24 +114,25 @@ def budget_of(table: "Table", column: Column) -> Budget:
     if not axes:
         return Budget(column, (), "no axis of numbers varies")
     start = table.rows[0]
-    if not start.means or not math.isfinite(start.means[column.name].value):
+    if not start.knows(column):
         return Budget(column, (), f"{column.title} of the reference is not known")
     alone = table.plan.study.design == "one_at_a_time"
     groups = [[i] for i in axes] if alone else [axes]
     effects: list[Effect] = []
     for group in groups:
         rows = table.along(group[0]) if alone else list(table.rows)
-        rows = [row for row in rows if row.means and math.isfinite(row.means[column.name].value)]
+        rows = [row for row in rows if row.knows(column)]
         found = _fitted(table, column, group, rows)
         if found is None:
             what = f"{len(rows)} points" if not alone else f"{len(rows)} points of {table.plan.axes[group[0]].title}"
             return Budget(column, (), f"{what} are too few for linear and quadratic sensitivities")
         effects += found
     effects.sort(key=lambda each: (not each.is_resolved, -each.square.value))
-    means = [row.means[column.name].value for row in table.drawn if row.means]
+    means = [row.means[column.name].value for row in table.drawn if row.knows(column)]
     off = np.array(means) - (0.0 if column.is_square else start.means[column.name].value)
     drawn = math.nan if alone or not means else float(off.mean() if column.is_square else (off**2).mean())
-    return Budget(column, tuple(effects), "", drawn)
+    left_out = sum(bool(row.means) and not row.knows(column) for row in table.rows)
+    return Budget(column, tuple(effects), "", drawn, left_out)
 
 
 def _varies(table: "Table", axis: int, start: object) -> bool:

@@ -20,7 +20,7 @@ LAST_STEP = 1e-3
 """Steps of the search, over half the range of an adjustment; the last is how finely it is adjusted."""
 
 WORST = 1e300
-"""In place of a merit that is not known."""
+"""In place of a merit that is not known: a barrier, from which the search turns back."""
 
 
 class Compensator(Model):

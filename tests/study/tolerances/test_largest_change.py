@@ -2,7 +2,9 @@
 
 import math
 import pickle
+import random
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import lfmesh as lf
 from lfmesh.study.metrics.metrics import Column
 from lfmesh.study.sweeps.statistics import Estimate
 from lfmesh.study.sweeps.table import Row, Table
-from lfmesh.study.tolerances.largest_change import Search, largest_change
+from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
 from tests.study.studies import SHIFT, small_scene
 
 TURN = "camera.mla.pose.tilt_deg[2]"
@@ -43,7 +45,7 @@ def test_a_displacement_is_at_its_limit_where_the_largest_change_ends(tmp_path: 
     assert down.allowed is not None
     assert up.allowed is not None
     assert down.allowed.value == pytest.approx(-up.allowed.value, rel=1e-2)
-    assert turn.allowed == (0.01, 0.01, 0.01, "")
+    assert turn.allowed == (0.01, 0.01, 0.01, "", "")
 
 
 def test_it_is_told_in_table_and_report(tmp_path: Path) -> None:
@@ -98,8 +100,8 @@ def test_a_pool_finds_the_same_to_the_bit_and_nothing_is_searched_twice(tmp_path
 def test_a_reference_beyond_a_limit_allows_no_change() -> None:
     column = Column("light_ratio", "light", worse="low")
     search = Search("path", 2.0, 3.0, {"light_ratio": 1.5})
-    allowed = largest_change(search, [column], {"light_ratio": Estimate(1.0, 0.0)}, lambda _: {}, 4)
-    assert allowed == (2.0, 2.0, 2.0, "light_ratio")
+    allowed = largest_change(search, [column], {"light_ratio": Estimate(1.0, 0.0)}, lambda _: ({}, ""), 4)
+    assert allowed == (2.0, 2.0, 2.0, "light_ratio", "")
 
 
 def test_a_reference_beyond_a_limit_is_said_first(tmp_path: Path) -> None:
@@ -146,10 +148,10 @@ def test_the_interval_is_that_of_the_metrics_error() -> None:
     column = Column("light_ratio", "light", worse="low")
     search = Search("path", 0.0, 1.0, {"light_ratio": 0.5})
 
-    def measured(value: float) -> dict[str, Estimate]:
-        return {"light_ratio": Estimate(1.0 - 2.0 * value, 0.01)}
+    def measured(value: float) -> tuple[dict[str, Estimate], str]:
+        return {"light_ratio": Estimate(1.0 - 2.0 * value, 0.01)}, ""
 
-    allowed = largest_change(search, [column], measured(0.0), measured, 4)
+    allowed = largest_change(search, [column], measured(0.0)[0], measured, 4)
     assert allowed.value == pytest.approx(0.25, abs=1e-4)
     assert 0.5 * (allowed.high - allowed.low) == pytest.approx(3.182 * 0.005, rel=0.01)
 
@@ -158,9 +160,62 @@ def test_the_first_of_several_limits_decides() -> None:
     columns = [Column("a", "a", "root", worse="high"), Column("b", "b", worse="low")]
     search = Search("path", 0.0, -1.0, {"a": 0.8, "b": 0.7})
 
-    def measured(value: float) -> dict[str, Estimate]:
-        return {"a": Estimate(value**2, 0.0), "b": Estimate(1.0 + 0.5 * value, 0.0)}
+    def measured(value: float) -> tuple[dict[str, Estimate], str]:
+        return {"a": Estimate(value**2, 0.0), "b": Estimate(1.0 + 0.5 * value, 0.0)}, ""
 
-    allowed = largest_change(search, columns, measured(0.0), measured, 4)
+    allowed = largest_change(search, columns, measured(0.0)[0], measured, 4)
     assert allowed.column == "b"
     assert allowed.value == pytest.approx(-0.6, abs=1e-3)
+
+
+LIGHT = Column("light_ratio", "light", worse="low")
+UNKNOWN = Estimate(math.nan, math.nan)
+
+
+def limit_of_a_line(is_known: Callable[[float], bool], far: float = 1.0, error: float = 0.0) -> tuple[Allowed, int]:
+    """Search along 1 − 2 x for 0.5, which is at x = 0.25, where some cameras are not known; and count the cameras."""
+    measured: list[float] = []
+
+    def measure(value: float) -> tuple[dict[str, Estimate], str]:
+        measured.append(value)
+        known = is_known(value)
+        return {"light_ratio": Estimate(1.0 - 2.0 * value, error) if known else UNKNOWN}, "" if known else "dark"
+
+    search = Search("path", 0.0, far, {"light_ratio": 0.5})
+    return largest_change(search, [LIGHT], {"light_ratio": Estimate(1.0, error)}, measure, 4), len(measured)
+
+
+@pytest.mark.parametrize("hole", [(0.3, 1.0), (0.7, 0.9), (0.26, 0.4), (0.01, 0.2), (0.5, 2.0)])
+def test_what_is_not_known_is_gone_round_to_the_limit(hole: tuple[float, float]) -> None:
+    found, cameras = limit_of_a_line(lambda x: not hole[0] < x < hole[1])
+    assert found.value == pytest.approx(0.25, abs=1e-4)
+    assert found.low < 0.25 < found.high
+    assert (found.column, found.unknown) == ("light_ratio", "")
+    assert found.high - found.low < 1e-3
+    assert cameras < 30
+
+
+@pytest.mark.parametrize("far", [1.0, 0.4])
+def test_a_limit_among_what_is_not_known_lies_within_the_interval_and_is_named(far: float) -> None:
+    """From 0.2 to 0.5 nothing is known: the limit is neither held there nor reached."""
+    found, cameras = limit_of_a_line(lambda x: not 0.2 < x < 0.5, far)
+    assert found.unknown == "dark"
+    assert found.value == found.low <= 0.2
+    assert found.high >= min(0.5, far)
+    assert found.column == ("light_ratio" if far > 0.5 else "")
+    assert cameras < 30
+
+
+def test_what_noise_hides_is_no_limit() -> None:
+    """At random two of three cameras are not known: in 200 searches, none states an interval without the limit."""
+    for seed in range(200):
+        draw = random.Random(seed)
+        found, cameras = limit_of_a_line(lambda _, draw=draw: draw.random() < 1.0 / 3.0)  # type: ignore[misc]
+        assert found.low <= 0.25 <= found.high
+        assert cameras < 80
+
+
+def test_a_known_camera_before_the_unknown_ends_the_interval_unless_its_own_error_reaches_the_limit() -> None:
+    sure, unsure = (limit_of_a_line(lambda x: x <= 0.2, error=error)[0] for error in (1e-3, 0.1))
+    assert sure.low == sure.value <= 0.2
+    assert unsure.low < unsure.value

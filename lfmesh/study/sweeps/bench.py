@@ -1,0 +1,198 @@
+"""A bench: cameras of a unit are adjusted, searched, traced and compared with the reference.
+
+A metric that is not known of a camera, whatever the cause, is NaN and has a reason.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError, LfmeshError
+from lfmesh.scene import Scene
+from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, metric_of, pictures_of
+from lfmesh.study.metrics.pictures import Camera, Films, Taken, in_a_line, taken
+from lfmesh.study.sweeps.statistics import Estimate, combined
+from lfmesh.study.tolerances.compensators import compensated
+from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
+
+if TYPE_CHECKING:
+    from lfmesh.study.sweeps.unit import Traced, Unit
+
+Array = NDArray[np.float64]
+
+
+class OnTheWay(NamedTuple):
+    """Cameras of which a metric is not known, among those that a search and adjustments trace.
+
+    Attributes
+    ----------
+    unknown, cameras : int
+    reason : str
+        Of the first.
+    """
+
+    unknown: int
+    cameras: int
+    reason: str
+
+
+class Compared(NamedTuple):
+    """Metrics of a camera beside the reference.
+
+    Attributes
+    ----------
+    columns : dict of (n,) float64
+        Pseudo-values by the columns; NaN where a metric cannot be had.
+    unknown : dict of str
+        Why, by the metric.
+    maps : dict of (rows, columns, 2) float64
+    has_none : bool
+        No metric could be computed.
+    """
+
+    columns: dict[str, Array]
+    unknown: dict[str, str]
+    maps: dict[str, Array]
+    has_none: bool = False
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A place where cameras are adjusted, traced and compared with the reference of a unit."""
+
+    unit: "Unit"
+    reference: "Traced"
+    seen: dict[str, list[str]] = field(default_factory=dict)
+    """Of every camera that was judged, by the metric, why it is not known, or ""."""
+
+    def on_the_way(self) -> dict[str, OnTheWay]:
+        """Return the metrics that are not known of some of the cameras that were judged."""
+        lacking = {name: [why for why in reasons if why] for name, reasons in self.seen.items()}
+        return {name: OnTheWay(len(whys), len(self.seen[name]), whys[0]) for name, whys in lacking.items() if whys}
+
+    def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Taken:
+        """Trace what some metrics need."""
+        return taken(in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
+
+    def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> Compared:
+        """Compare a camera with the reference by some metrics; one that is not known leaves the others as they are."""
+        known = self.reference
+        count = len(self.unit.replicates)
+        pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)
+        columns: dict[str, Array] = {}
+        unknown: dict[str, str] = {}
+        failed = 0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for name in metrics:
+                try:
+                    values = METRICS[name].compute(pair)
+                except FileError:
+                    raise
+                except LfmeshError as error:
+                    failed += 1
+                    unknown[name] = in_a_line(error)
+                    values = np.full((count, len(METRICS[name].columns)), np.nan)
+                own_columns = METRICS[name].columns
+                columns |= {each.name: np.ascontiguousarray(values[:, k]) for k, each in enumerate(own_columns)}
+                if not all(each.knows(combined(columns[each.name])) for each in own_columns):
+                    unknown.setdefault(name, METRICS[name].unseen)
+        return Compared(columns, unknown, pair.maps, failed == len(metrics))
+
+    def judged(self, scene: Scene, metrics: tuple[str, ...]) -> Compared:
+        """Trace a camera, and compare it with the reference by some metrics; none is known of what cannot be traced."""
+        camera = Camera(scene, self.unit.camera.edge_distance_mm)
+        try:
+            found = self.compared(camera, self.traced(camera, metrics), metrics)
+        except FileError:
+            raise
+        except LfmeshError as error:
+            none = np.full(len(self.unit.replicates), np.nan)
+            unknown = dict.fromkeys(metrics, in_a_line(error))
+            found = Compared({column.name: none for column in columns_of(metrics)}, unknown, {})
+        for name in metrics:
+            self.seen.setdefault(name, []).append(found.unknown.get(name, ""))
+        return found
+
+    def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
+        """Return a camera as its compensators leave it, and their changes.
+
+        Raises
+        ------
+        LfmeshError
+            The metric of a compensator can be had of no camera within its range.
+        """
+        columns = {column.name: column for column in columns_of(self.unit.metrics)}
+        lacking: dict[str, str] = {}
+        had: set[str] = set()
+
+        def merit(adjusted: Scene, name: str) -> float:
+            found = self.judged(adjusted, (metric_of(name),))
+            mean = combined(found.columns[name])
+            if not columns[name].knows(mean):
+                lacking.setdefault(name, found.unknown[metric_of(name)])
+                return math.nan
+            had.add(name)
+            return columns[name].harm(mean.value)
+
+        adjusted, changes = compensated(scene, self.unit.compensators, merit)
+        for name, reason in lacking.items():
+            if name not in had:
+                raise LfmeshError(f"cannot be adjusted by {name}: {reason}")
+        return adjusted, tuple(changes)
+
+    def searched(self, search: Search) -> Allowed:
+        """Find the largest change that keeps the limits, of cameras that are adjusted.
+
+        Raises
+        ------
+        LfmeshError
+            A metric that has a limit is not known of the reference, or of no camera beside it.
+        """
+        columns = [column for column in columns_of(self.unit.metrics) if column.name in search.limits]
+        metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
+
+        def measured(value: float) -> tuple[dict[str, Estimate], str]:
+            try:
+                scene, _ = self.adjusted(self.unit.camera.scene.changed({search.path: value}))
+            except FileError:
+                raise
+            except LfmeshError as error:
+                # A camera that cannot be had, or not adjusted, neither keeps a limit nor breaks one.
+                return dict.fromkeys(search.limits, Estimate(math.nan, math.nan)), in_a_line(error)
+            found = self.judged(scene, metrics)
+            return _means(found), in_words(found.unknown)
+
+        reference = self.compared(self.unit.reference, self.reference.films, metrics)
+        means = _means(reference)
+        for column in columns:
+            if not column.knows(means[column.name]):
+                name = metric_of(column.name)
+                why = reference.unknown[name]
+                raise LfmeshError(f"{name}, which has a limit, cannot be had of the reference camera: {why}")
+        allowed = largest_change(search, columns, means, measured, len(self.unit.replicates))
+        if allowed.unknown and allowed.value == search.start and not allowed.column:
+            raise LfmeshError(
+                f"the largest change cannot be searched, as limits have no known value: {allowed.unknown}"
+            )
+        return allowed
+
+
+def in_words(unknown: Mapping[str, str]) -> str:
+    """Return which metrics are not known and why; "" where there are none."""
+    return "; ".join(f"{name}: {reason}" for name, reason in unknown.items())
+
+
+def _means(found: Compared) -> dict[str, Estimate]:
+    return {name: combined(values) for name, values in found.columns.items()}
+
+
+def in_threads(camera: Camera, threads: int) -> Camera:
+    """Return a camera that is traced in some threads; 0: as its scene says."""
+    scene = camera.scene
+    if threads in (0, scene.transport.threads):
+        return camera
+    return Camera(scene.changed({"transport.threads": threads}), camera.edge_distance_mm)

@@ -225,7 +225,9 @@ def _figure(
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}):
+    style = {"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}
+    # Labels and names are the user's, who may write $ and ^ in them.
+    with mpl.rc_context({**style, "text.parse_math": False}):
         figure = Figure(figsize=size, layout=layout)
         FigureCanvasSVG(figure)
         draw(figure)

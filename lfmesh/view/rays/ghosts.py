@@ -11,7 +11,7 @@ import math
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,8 +138,10 @@ class GhostMatrix:
         shown = np.ma.masked_equal(percent, 0.0)
         image = axes.imshow(shown, norm=norm, cmap="viridis", interpolation="nearest", aspect="auto")
         small = min(10.0, 160.0 / count)
-        axes.set_xticks(range(count), self.labels, rotation=90 if count > PRINTED else 0, fontsize=small)
-        axes.set_yticks(range(count), self.labels, fontsize=small)
+        # Names of surfaces, and of what is in the title, are the user's.
+        own: dict[str, Any] = {"parse_math": False}
+        axes.set_xticks(range(count), self.labels, rotation=90 if count > PRINTED else 0, fontsize=small, **own)
+        axes.set_yticks(range(count), self.labels, fontsize=small, **own)
         axes.set_xlabel("second reflection")
         axes.set_ylabel("first reflection")
         axes.set_xticks(np.arange(count + 1) - 0.5, minor=True)
@@ -150,7 +152,7 @@ class GhostMatrix:
         whole = f"{plain(percent.sum(), 3)} %" + (f" ± {plain(noise, 1)} %" if noise > 0.0 else "")
         title = f"ghosts of two reflections: {whole} of the power on the sensor"
         lines = [line for text in (title, self.source) for line in textwrap.wrap(text, LETTERS_A_LINE)]
-        axes.set_title("\n".join(lines), fontsize=10, loc="left")
+        axes.set_title("\n".join(lines), fontsize=10, loc="left", **own)
         if count <= PRINTED:
             for i, j in zip(*np.nonzero(percent), strict=True):
                 dark = norm(percent[i, j]) < 0.6

@@ -95,7 +95,8 @@ class Overlay:
         self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False
     ) -> vtkTextActor:
         text = vtkTextActor()
-        text.SetInput(words)
+        # VTK takes what stands between two $ for mathematics, unless they are escaped.
+        text.SetInput(words.replace("$", r"\$"))
         text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
         text.SetPosition(*place)
         look = text.GetTextProperty()

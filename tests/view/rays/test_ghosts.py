@@ -1,5 +1,7 @@
 """The matrix of ghosts holds the two-reflection paths, each at the pair of surfaces that light meets in turn."""
 
+from dataclasses import replace
+
 import numpy as np
 import PIL.Image
 import pytest
@@ -8,6 +10,7 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import load_lens
+from lfmesh.view.figure_file import encoded_figure
 from lfmesh.view.rays.ghosts import ghost_matrix, in_cell
 from lfmesh.view.rays.launch import from_field_point, from_pixels
 from lfmesh.view.rays.paths import standard_errors
@@ -79,6 +82,14 @@ def test_the_figure_names_rows_columns_and_colours(rays):
     place = np.unravel_index(matrix.power.argmax(), matrix.power.shape)
     share, error = (100.0 * values[place] / matrix.total for values in (matrix.power, matrix.error))
     assert in_cell(share, error) in numbers
+
+
+def test_names_of_surfaces_are_no_mathematics(rays):
+    matrix = ghost_matrix(rays)
+    named = replace(matrix, labels=["a$b^$", *matrix.labels[1:]], source="$x^$ of y")
+    axes, _ = named.figure().axes
+    encoded_figure(axes.figure, "png", dpi=20)
+    assert axes.get_xticklabels()[0].get_text() == "a$b^$"
 
 
 def test_the_figure_fits_on_a_small_screen_and_its_numbers_into_their_cells(rays):

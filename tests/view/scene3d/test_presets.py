@@ -127,3 +127,16 @@ def test_the_scale_bar_is_as_long_as_it_says(world: lf.World, views: Callable[..
 )
 def test_round_lengths(most: float, least: str) -> None:
     assert in_words(round_length(most)) == least
+
+
+@pytest.mark.drawing
+def test_names_are_drawn_letter_by_letter(world: lf.World, views: Callable[..., View]) -> None:
+    """VTK takes what stands between two $ for mathematics; a single one it draws as it is."""
+    view = views(world)
+    pictures = []
+    for title in ("a $b_2$ c", "a $b_2 c"):
+        view.overlay.write(title, [], None)
+        lit = (shot(view)[:30].max(axis=2) > 200).any(axis=0)
+        pictures.append(np.flatnonzero(lit).max())
+    letter = pictures[0] / len("a $b_2$ c")
+    assert pictures[0] - pictures[1] > 0.4 * letter, "one letter more"

@@ -227,6 +227,11 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         ready = TEMPLATES[study.template](solved_camera(first).scene)
         first = first.changed(ready.changes)
         axes = (*ready.axes, *axes)
+        if study.is_drawn and not all(axis.is_spread for axis in ready.axes):
+            way = (
+                f"write its axes with lfmesh study --template {study.template} SCENE -o FILE and give each one of these"
+            )
+            raise refused(name, [f'template = "{study.template}": lists values, and {study.needs_spread}; {way}'])
     faults = [*path_faults(study.changes, first, "changes")]
     if not faults and study.changes:
         first = first.changed(study.changes)
@@ -463,14 +468,11 @@ def _checked(scene: Scene) -> Scene:
     SceneError
         It is not valid, or poses of elements make surfaces cross, which a build would refuse.
     """
-    ready = solved_camera(scene).scene if _has_meshes(scene) else solved(scene)
+    meshes = any(surface.refractor is not None for surface in scene.camera.lens.surfaces)
+    ready = solved_camera(scene).scene if meshes else solved(scene)
     if ready.camera.lens.elements:
         refuse_crossing_elements(ready.camera.lens)
     return ready
-
-
-def _has_meshes(scene: Scene) -> bool:
-    return any(surface.refractor is not None for surface in scene.camera.lens.surfaces)
 
 
 def _sizes(scene: Scene) -> dict[str, tuple[int, int]]:

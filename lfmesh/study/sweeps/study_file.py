@@ -108,6 +108,16 @@ class StudyFile(Model):
                 yield Fault(("axes", i, "path"), path, "is an axis already")
         yield from self._of_the_design()
 
+    @property
+    def is_drawn(self) -> bool:
+        """True if the design draws from the distributions of the axes, rather than taking their values."""
+        return self.design in ("latin_hypercube", "sobol")
+
+    @property
+    def needs_spread(self) -> str:
+        """What a design that draws says to listed values."""
+        return f'design = "{self.design}" needs a range, log_range, uniform or normal'
+
     def _of_scenes(self) -> Iterator[Fault]:
         if len(self.scenes or ()) < 2:
             yield Fault(("scenes",), list(self.scenes or ()), "must name two scenes at least")
@@ -116,7 +126,7 @@ class StudyFile(Model):
                 yield Fault((key,), None, "omit it: the scenes themselves are the points")
 
     def _of_the_design(self) -> Iterator[Fault]:
-        filling = self.design in ("latin_hypercube", "sobol")
+        filling = self.is_drawn
         if filling and self.count is None and self.scenes is None:
             yield Fault(("count",), None, f'missing: the number of points of design = "{self.design}"')
         if not filling and self.count is not None:
@@ -125,11 +135,7 @@ class StudyFile(Model):
             if axis.way is None:
                 continue
             if filling and not axis.is_spread:
-                yield Fault(
-                    ("axes", i, "values"),
-                    list(axis.values or ()),
-                    f'design = "{self.design}" needs a range, log_range, uniform or normal',
-                )
+                yield Fault(("axes", i, "values"), list(axis.values or ()), self.needs_spread)
             if filling and axis.count is not None:
                 yield Fault(("axes", i, "count"), axis.count, "omit it: the study's count holds for all axes")
             if not filling and axis.is_spread and axis.count is None:

@@ -264,3 +264,14 @@ def test_points_are_told_with_the_names_and_units_of_reports() -> None:
         "array: decentre = 0.0333333 mm",
         "largest change, array: decentre up to 0.0333333 mm",
     ]
+
+
+@pytest.mark.parametrize("design", ["sobol", "latin_hypercube"])
+def test_a_drawn_design_over_a_template_of_listed_values_is_refused_in_one_line(design: str) -> None:
+    with pytest.raises(lf.LfmeshError) as told:
+        lf.Study(small_scene(), design=design, count=8, metrics=["chief_rays"], template="assembly")
+    said = str(told.value)
+    assert said.startswith(
+        f'study: template = "assembly": lists values, and design = "{design}" needs a range, log_range'
+    )
+    assert len(said.splitlines()) == 1

@@ -14,10 +14,11 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.sweeps.figures import TITLE_LETTERS
-from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE
-from lfmesh.study.sweeps.sentences import in_short, written
-from lfmesh.study.sweeps.statistics import Estimate
+from lfmesh.study.sweeps.report import ABREAST, NO_FIGURE, page
+from lfmesh.study.sweeps.sentences import budget_in_words, in_short, written
+from lfmesh.study.sweeps.statistics import Estimate, share_of
 from lfmesh.study.sweeps.table import Row, Table
+from lfmesh.study.tolerances.budget import budget_of
 from lfmesh.study.tolerances.largest_change import Allowed
 from tests.conftest import chromium
 from tests.processor_time import HANGS_S
@@ -188,9 +189,9 @@ def test_best_and_worst_are_the_same_above_pictures_and_below(
     assert re.search(r"decentre may change by \+0\.\d+ \(\+[\d.e-]+ to \+[\d.e-]+\) mm, until a limit is reached", said)
 
 
-def of_values(limit: float, values: dict[float, tuple[float, float]]) -> Table:
+def of_values(limit: float, values: dict[float, tuple[float, float]], label: str = "decentre / mm") -> Table:
     """Return the table of a study of a decentre: NCC with its error at each value, the last of which is searched."""
-    axis = {"path": SHIFT, "values": list(values)[1:], "label": "decentre / mm"}
+    axis = {"path": SHIFT, "values": list(values)[1:], "label": label}
     plan = lf.Study(small_scene(), axes=[axis], metrics=["ncc"], limits={"ncc": limit}).plan
     far = max(values)
     rows = []
@@ -249,3 +250,54 @@ def test_a_psnr_is_said_to_have_no_sensitivity_as_it_is_infinite_at_the_referenc
     page = html.unescape((tmp_path / "report.html").read_text())
     assert "PSNR has no sensitivity, as it is infinite at the reference; with a limit of PSNR, its budget has" in page
     assert "it takes three points" not in page
+
+
+@pytest.mark.parametrize("label", ["gap a$b^$", "$x$ & $y_2$ / mm", "50 $"])
+def test_what_the_user_calls_an_axis_is_no_mathematics(label: str) -> None:
+    """matplotlib takes what stands between two $ for it, and fails where that is unbalanced."""
+    table = of_values(0.5, {0.0: (0.93, 0.006), 0.02: (0.9, 0.01), 0.04: (0.6, 0.01)}, label)
+    figures = re.findall(r"<svg.*?</svg>", page(table), flags=re.DOTALL)
+    assert any(label.split(" / ")[0] in html.unescape(figure) for figure in figures)
+
+
+UNKNOWN = (math.nan, math.nan)
+
+
+def drawn(values: list[tuple[float, float] | None]) -> Table:
+    """Return the table of cameras with all errors together: NCC with its error; None: it cannot be traced."""
+    axes = [{"path": SHIFT, "uniform": (-0.1, 0.1)}]
+    plan = lf.Study(
+        small_scene(), axes=axes, metrics=["ncc"], limits={"ncc": 0.8}, design="latin_hypercube", count=len(values)
+    ).plan
+    rows = []
+    for point, value in zip(plan.points, [(1.0, 0.0), *values], strict=False):
+        means = {} if value is None else {"ncc": Estimate(*value)}
+        why = {"ncc": "dark"} if value is not None and value[0] != value[0] else {}
+        rows.append(Row(point, means, means, fault="" if value is not None else "black", unknown=why))
+    return Table(plan, tuple(rows))
+
+
+def test_the_yields_interval_covers_cameras_that_are_not_known_as_good_and_as_bad() -> None:
+    good, bad, impossible = (0.9, 0.001), (0.7, 0.001), (1.5, 0.01)
+    for unknown in (UNKNOWN, None, impossible):
+        table = drawn([good] * 4 + [bad] * 2 + [unknown] * 2)
+        found = table.yield_share()
+        assert found is not None
+        assert (found.good, found.trials) == (4, 6)
+        assert (found.low, found.high) == (share_of(4, 8).low, share_of(6, 8).high)
+        said = " ".join(in_short(table))
+        assert "Yield: 4 of 6 cameras keep the limits, 66.7 %" in said
+        assert "of 2 more it is not known" in said
+        assert "is broken at 2 of 8 cameras; of 2 its value is not known." in said
+    nothing = drawn([UNKNOWN] * 3)
+    assert nothing.yield_share() == (0, 0, 0.0, 1.0)
+    assert "Yield: not known (95 % interval 0.0 to 100.0 %); of 3 more it is" in " ".join(in_short(nothing))
+
+
+def test_a_budget_leaves_cameras_out_that_are_not_known_and_counts_them() -> None:
+    known = [(0.99, 0.001), (0.9, 0.001), (0.95, 0.001), (0.92, 0.001), (0.97, 0.001)]
+    table = drawn([*known, UNKNOWN])
+    budget = budget_of(table, table.columns[0])
+    assert budget.left_out == 1
+    assert budget.drawn == pytest.approx(sum((value - 1.0) ** 2 for value, _ in known) / len(known))
+    assert "1 point, of which normalised cross-correlation is not known, left out." in budget_in_words(table, budget)

@@ -146,3 +146,28 @@ def test_what_is_adjusted_or_searched_by_a_metric_that_cannot_be_had_fails(tmp_p
     assert searched
     assert all(why.startswith("chief_rays, which has a limit, cannot be had of the reference") for why in searched)
     assert not any("reference camera itself" in line for line in in_short(table))
+
+
+def test_a_value_that_noise_or_darkness_hides_has_a_reason_as_one_that_cannot_be_computed(tmp_path: Path) -> None:
+    table = aside(40.0, metrics=("light", "ncc")).run(tmp_path, workers=0)
+    assert not table.failed
+    assert finite(table, "ncc") == [True, False]
+    assert dict(table.rows[1].unknown) == {"ncc": "there is no light, or not enough of it"}
+    assert "ncc: there is no light" in (tmp_path / "table.csv").read_text().splitlines()[-1]
+
+
+def test_cameras_that_are_not_known_on_the_way_of_an_adjustment_are_counted_and_not_the_best(tmp_path: Path) -> None:
+    """The adjustment tries the sensor 10 mm aside, where it is dark."""
+    best = {"path": ASIDE, "range": (-20.0, 20.0), "metric": "centres_rms_px"}
+    axes = [{"path": SHIFT, "values": [0.01]}]
+    study = lf.Study(small_scene(samples=8), axes=axes, metrics=["light", "centres"], compensators=[best])
+    table = study.run(tmp_path, workers=0)
+    assert not table.failed
+    assert finite(table, "centres_rms_px") == [True, True]
+    met = table.rows[1].on_the_way["centres"]
+    assert 0 < met.unknown < met.cameras
+    assert met.reason == BLACK
+    said = f"({met.unknown} of {met.cameras} cameras on the way): {BLACK}"
+    assert said in (tmp_path / "table.csv").read_text()
+    assert f"centres is not known of {met.unknown} of {met.cameras} cameras that searches" in " ".join(in_short(table))
+    assert [line["unknown"] for line in logged(tmp_path) if line["event"] == "unknown on the way"] == [met.unknown]

@@ -88,7 +88,7 @@ class Coverage:
     ----------
     sigmas : float
     found, expected : float
-        Share of the pixels, NaN of none; what Student's t says for the image's replicates.
+        Share of the pixels, NaN of none; what Student's t says for the image's groups of replicates.
     pixels : int
     """
 
@@ -225,7 +225,7 @@ def coverage(image: Image, reference: Image) -> list[Coverage]:
     known = (image.hits >= ENOUGH_HITS) & (noise > one_hit)
     wider = 1.0 + (reference.stderr[known] / image.error[known]) ** 2
     away = np.abs(image.mean - reference.mean)[known] / (image.stderr[known] * np.sqrt(wider))
-    freedom = image.replicates - 1
+    freedom = image.groups - 1
     return [
         Coverage(k, _share(away <= k), float(1.0 - 2.0 * stats.t.sf(k, freedom)), int(known.sum()))
         for k in (1.0, 2.0, 3.0)

@@ -91,7 +91,7 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
     first = 0
     for rows, error, pooled in image.errors_by_rows():
         here = lit[rows]
-        part = error[here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.replicates))
+        part = error[here] / (image.mean[rows][here] * typical_over_rms(pooled[here], image.groups))
         relative[first : first + len(part)] = part
         first += len(part)
     known = relative[np.isfinite(relative)]

@@ -45,6 +45,9 @@ class Camera:
 def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
     """Trace some replicates of some pictures; each of `PICTURES` is bitwise that of `lf.render` of the same scene.
 
+    Not of more than eight replicates of a scene with bands: those of `lf.render` depend on each other, and metrics take
+    products and spreads of independent ones.
+
     Warnings are those of `lf.render`, without what takes a whole image: the blind check, and errors of single pixels.
 
     Parameters
@@ -125,7 +128,7 @@ def _film_of(camera: Camera, name: str, replicates: Sequence[int]) -> Array:
 
 
 def _films(scene: Scene, replicates: Sequence[int]) -> Array:
-    tracer = Tracer(build(scene), check=False)
+    tracer = Tracer(build(scene), check=False, independent=True)
     warn_beforehand(tracer)
     films, layout = [], tracer.layout
     book, work = np.zeros(layout.book), Work(np.zeros(layout.counters, np.int64))

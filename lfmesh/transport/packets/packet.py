@@ -306,7 +306,9 @@ class PixelSamples(NamedTuple):
     channel: int = 0  # column of the film
     samples: int = 0  # of a pixel, by whose number its light is divided
     each: int = 0  # of a pixel, whose events share Sobol' sets; 0: random numbers
-    stream: np.uint64 = np.uint64(0)  # key of the replicate's random numbers at this wavelength
+    stream: np.uint64 = np.uint64(0)  # key of the random numbers of the group of replicates at this wavelength
+    first: int = 0  # number of the pixel's first sample among those of the group
+    step: int = 1  # from one sample to the next there
 
 
 @by_address
@@ -337,7 +339,8 @@ def sample_of(pixels: PixelSamples, packet: Any) -> tuple[np.uint64, int]:
         Whose events share Sobol' sets.
     packet : PACKET
     """
-    return derived(pixels.stream, packet.source & PIXEL_MASK), (packet.source >> SAMPLE_SHIFT) % pixels.each
+    sample = pixels.first + (packet.source >> SAMPLE_SHIFT) % pixels.each * pixels.step
+    return derived(pixels.stream, packet.source & PIXEL_MASK), sample
 
 
 @inlined

@@ -148,10 +148,10 @@ def _steepness(mean: Array, row: int, column: int, colour: int) -> float:
     return largest
 
 
-def typical_over_rms(pooled: NDArray[np.int64], replicates: int) -> Array:
-    """Return the median of `pooled_error` over its rms, for normal replicates, to correct a median of errors.
+def typical_over_rms(pooled: NDArray[np.int64], groups: int) -> Array:
+    """Return the median of `pooled_error` over its rms, for normal groups, to correct a median of errors.
 
-    Half of the variance follows χ² with the replicates' degrees of freedom ν, whose median is (1 − 2/(9 ν))³ (Wilson &
+    Half of the variance follows χ² with the groups' degrees of freedom ν, whose median is (1 − 2/(9 ν))³ (Wilson &
     Hilferty 1931); the other half is the mean over the pool, which soon equals the true value. Within 3 % of what
     random numbers give, from one pixel to a large pool.
 
@@ -159,9 +159,10 @@ def typical_over_rms(pooled: NDArray[np.int64], replicates: int) -> Array:
     ----------
     pooled : int64
         Number of pixels in each pool.
-    replicates : int
+    groups : int
+        Independent groups of replicates.
     """
-    own = (1.0 - 2.0 / (9.0 * (replicates - 1))) ** 3
+    own = (1.0 - 2.0 / (9.0 * (groups - 1))) ** 3
     return np.sqrt(0.5 * (own + 1.0 - (1.0 - own) / pooled**2))
 
 
@@ -197,18 +198,19 @@ class Certainty(NamedTuple):
     upper: Array
 
     @classmethod
-    def of(cls, parts: Sequence[Estimate], scene: Scene, replicates: int) -> "Certainty":
+    def of(cls, parts: Sequence[Estimate], scene: Scene, groups: int) -> "Certainty":
         """Return the certainty of an image that is the sum of some parts.
 
         Parameters
         ----------
         parts : sequence of Estimate
         scene : Scene
-        replicates : int
+        groups : int
+            Independent groups of replicates.
         """
         steps = neighbours(scene)
         errors = [error_of(part, steps) for part in parts]
-        upper = upper_bound(parts, errors, steps, replicates)
+        upper = upper_bound(parts, errors, steps, groups)
         for error in errors[1:]:
             np.hypot(errors[0], error, out=errors[0])
         return cls(errors[0], upper)
@@ -318,7 +320,7 @@ def _weigh(mean: Array, error: Array, steps: NDArray[np.int64], low: int, weight
                 weight[row - low, column, colour] = second
 
 
-def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArray[np.int64], replicates: int) -> Array:
+def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArray[np.int64], groups: int) -> Array:
     """Return an upper bound of each pixel, (H, W, wavelengths) float64, W, with a confidence of 95 % for each.
 
     Each part has a margin above its mean. Parts are independent, so the squares of the margins are added. With many
@@ -339,15 +341,16 @@ def upper_bound(parts: Sequence[Estimate], errors: Sequence[Array], steps: NDArr
         Of each part, see `error_of`.
     steps : (n, 2) int64
         See `neighbours`.
-    replicates : int
+    groups : int
+        Independent groups of replicates.
     """
     from scipy import special
 
-    quantile = float(special.stdtrit(replicates - 1, CONFIDENCE)) if replicates > 1 else np.nan
+    quantile = float(special.stdtrit(groups - 1, CONFIDENCE)) if groups > 1 else np.nan
     bound, squares = np.zeros((2, *parts[0].mean.shape))
     for part, error in zip(parts, errors, strict=True):
         # Without a spread, the bound rests on the hits alone.
-        few = np.arange(FEW_HITS if replicates > 1 else int(part.hits.max(initial=0)) + 1)
+        few = np.arange(FEW_HITS if groups > 1 else int(part.hits.max(initial=0)) + 1)
         # With as many hits as samples, the limit of the share is 1.
         missed = np.maximum(part.samples - few, 1.0)
         limit = np.where(few < part.samples, special.betaincinv(few + 1.0, missed, CONFIDENCE), 1.0)

@@ -25,6 +25,7 @@ from lfmesh.transport.render.certainty import (
     neighbours,
     upper_bound,
 )
+from lfmesh.transport.render.groups import Groups
 
 
 class UntracedLight(NamedTuple):
@@ -42,9 +43,9 @@ class Image(Pictured):
     ----------
     mean : (H, W, wavelengths) float64, W
     stderr : (H, W, wavelengths) float64, W
-        Standard error of `mean` from the spread of the independent replicates; NaN with fewer than two. It is 0 in a
-        pixel for which no path found light, and with few replicates often far too small. Weights 1/stderr² favour the
-        pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer hits
+        Standard error of `mean` from the spread of independent `groups` of replicates; NaN with fewer than two. It is 0
+        in a pixel for which no path found light, and with few replicates often far too small. Weights 1/stderr² favour
+        the pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer hits
         there are. Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
     scene : Scene
         The scene as rendered: every distance solved, files inlined.
@@ -115,6 +116,15 @@ class Image(Pictured):
         )
 
     @property
+    def groups(self) -> int:
+        """Number of independent groups of the finished replicates: one less are the degrees of freedom of `stderr`.
+
+        Each replicate is a group, but for scenes with bands. These have eight groups at most, whose replicates share
+        the wavelengths of their samples.
+        """
+        return Groups.of(self.scene).begun(self.replicates)
+
+    @property
     def complete(self) -> bool:
         """True if all replicates are finished."""
         transport = self.scene.transport
@@ -171,7 +181,7 @@ class Image(Pictured):
             return self.certainty.upper
         if self.hits is None:
             raise LfmeshError("an image without hits has no upper bound: it was not rendered, or by an older lfmesh")
-        return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.replicates)
+        return upper_bound([self._estimate(self.hits)], [self.error], neighbours(self.scene), self.groups)
 
     def with_light(self, light: UntracedLight) -> "Image":
         """Return the image with light that has no noise added to each pixel.

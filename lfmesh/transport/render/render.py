@@ -409,4 +409,4 @@ def _certainty(tracer: Tracer, first: StageSum) -> Certainty | None:
         )
         for mean, part in zip(first.means, tracer.parts, strict=True)
     ]
-    return Certainty.of(estimates, scene, first.count)
+    return Certainty.of(estimates, scene, tracer.groups.begun(first.count))

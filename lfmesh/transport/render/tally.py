@@ -238,7 +238,10 @@ class Tally:
 
 @dataclass
 class Mean:
-    """Running mean and sum of squared deviations over replicates (Welford 1962), with the sum of their hits."""
+    """Running mean and sum of squared deviations over replicates (Welford 1962), with the sum of their hits.
+
+    Of replicates in groups, the deviations are those of the sums of each group.
+    """
 
     mean: Array
     squares: Array
@@ -246,22 +249,28 @@ class Mean:
     count: int = 0
     final: bool = False
     """True once `squares` has become the variance."""
+    groups: Array | None = None
+    """Sums of the replicates of each group; None where each replicate is a group."""
 
     @classmethod
-    def empty(cls, shape: Shape) -> "Mean":
-        """Return the mean over no replicates."""
-        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32))
+    def empty(cls, shape: Shape, groups: int | None = None) -> "Mean":
+        """Return the mean over no replicates; `groups`: number of groups that they belong to in turn."""
+        sums = None if groups is None else np.zeros((groups, *shape))
+        return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.uint32), groups=sums)
 
     def add(self, film: Film) -> None:
         """Add one replicate's film."""
+        sample = film.power.reshape(self.mean.shape)
+        if self.groups is not None:
+            self.groups[self.count % len(self.groups)] += sample
         self.count += 1
         self.hits += film.hits.reshape(self.hits.shape)
         # Row by row, to avoid temporary arrays of the size of the film, which may be large.
-        sample = film.power.reshape(self.mean.shape)
         for mean, squares, row in zip(self.mean, self.squares, sample, strict=True):
             change = row - mean
             mean += change / self.count
-            squares += change * (row - mean)
+            if self.groups is None:
+                squares += change * (row - mean)
 
     def add_estimate(self, other: "Mean") -> None:
         """Add an independent estimate of other light: means, variances of the mean, and hits."""
@@ -271,9 +280,20 @@ class Mean:
         self.hits += other.hits
 
     def variance(self) -> Array:
-        """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates."""
+        """Return the variance of the mean, in place of `squares`; NaN from fewer than two replicates.
+
+        Of groups with sums S of m replicates each it is Σ (S − m mean)² / ((Σ m)² − Σ m²). That has no bias where the
+        variance of a sum goes as m, nor where all m are the same.
+        """
         if not self.final:
-            self.squares /= self.count * (self.count - 1) if self.count > 1 else np.nan
+            freedom = self.count * (self.count - 1)
+            if self.groups is not None:
+                sizes = [len(range(group, self.count, len(self.groups))) for group in range(len(self.groups))]
+                freedom = self.count**2 - sum(size**2 for size in sizes)
+                for sums, size in zip(self.groups, sizes, strict=True):
+                    for squares, row, mean in zip(self.squares, sums, self.mean, strict=True):
+                        squares += (row - size * mean) ** 2
+            self.squares /= freedom or np.nan
             self.final = True
         return self.squares
 
@@ -346,6 +366,8 @@ class Layout:
         Parts of the image, and number of those, the first ones, that start from pixels.
     blind : bool
         Whether the image is checked by samples without aim.
+    groups : int, optional
+        Number of groups that the replicates belong to in turn; None where each is a group.
     """
 
     shape: Shape
@@ -354,6 +376,7 @@ class Layout:
     parts: int = 1
     from_pixels: int = 1
     blind: bool = False
+    groups: int | None = None
 
     def tally(self, *, second: bool = False) -> Tally:
         """Return an empty tally of a replicate of the first or the second stage."""
@@ -363,7 +386,7 @@ class Layout:
 
     def stage(self, *, second: bool = False) -> StageSum:
         """Return the sum of the first or the second stage that has not begun."""
-        means = tuple(Mean.empty(self.shape) for _ in range(self._parts(second)))
+        means = tuple(Mean.empty(self.shape, self.groups) for _ in range(self._parts(second)))
         blind = BlindSamples(*self.shape) if self.blind and not second else None
         return StageSum(means, np.zeros(self.book), self._work(), blind)
 

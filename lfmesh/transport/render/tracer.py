@@ -23,6 +23,7 @@ from lfmesh.transport.packets.random import descendant, run_key
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.render.adaptive import Counts
 from lfmesh.transport.render.allocation import Measured, measured, shared
+from lfmesh.transport.render.groups import Groups
 from lfmesh.transport.render.parts import BOOKS, LAMP_BOOK, OWN_BOOK, Part, blind_part, parts_of
 from lfmesh.transport.render.plan import Block, Chunk, Plan
 from lfmesh.transport.render.tally import ChunkTally, Film, Layout, Piece, Work
@@ -31,6 +32,7 @@ from lfmesh.transport.sources.lights import LightSource
 from lfmesh.transport.sources.particles import ParticleSource
 from lfmesh.transport.sources.pixels import PixelSource
 from lfmesh.transport.sources.source import Launcher, Source
+from lfmesh.transport.sources.wavelengths import ALONE, Turn
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.threads import Threads
 from lfmesh.transport.world import World
@@ -62,6 +64,9 @@ class Tracer:
         Adjoint: start paths from scrambled Sobol' points instead of random ones.
     check : bool
         Compare the image with blind samples.
+    independent : bool
+        Each replicate takes the wavelengths of bands by itself, so that any two of them are independent. If not, those
+        of a group share them, see `render.groups`.
     """
 
     world: World
@@ -69,6 +74,7 @@ class Tracer:
     aimed: bool = True
     stratified: bool = True
     check: bool = True
+    independent: bool = False
     _launchers: dict[int, Launcher] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -107,11 +113,17 @@ class Tracer:
         return Plan(self.parts, self.pixels, self.world.lines, self.samples, self.chunk, replicates)
 
     @property
+    def groups(self) -> Groups:
+        """Groups of the replicates."""
+        return (Groups.single if self.independent else Groups.of)(self.world.scene)
+
+    @property
     def layout(self) -> Layout:
         """Sizes of all sums of the render."""
         from_pixels = sum(part.options.adjoint for part in self.parts)
         books = BOOKS, len(self.world.slots)
-        return Layout(self.shape, books, COUNTERS, len(self.parts), from_pixels, self.check and self.aimed)
+        groups = self.groups.count if self.groups.joined else None
+        return Layout(self.shape, books, COUNTERS, len(self.parts), from_pixels, self.check and self.aimed, groups)
 
     @cached_property
     def _blind_part(self) -> Part:
@@ -177,7 +189,8 @@ class Tracer:
         films : sequence of Film
             Of the parts that start from pixels.
         """
-        key = descendant(self.seed, replicate)
+        first, turn = self.groups.place(replicate)
+        key = descendant(self.seed, first)
         waiting: Waiting = deque()
         try:
             for chunk in chunks:
@@ -185,7 +198,7 @@ class Tracer:
                     yield self._oldest(waiting)
                 stream = descendant(key, chunk.part.number * self.channels + chunk.channel)
                 film = films[chunk.place] if chunk.part.options.adjoint else NO_FILM
-                waiting.append(pool.submit(self._trace, chunk, stream, film))
+                waiting.append(pool.submit(self._trace, chunk, stream, film, turn))
             while waiting:
                 yield self._oldest(waiting)
         finally:
@@ -216,10 +229,10 @@ class Tracer:
                 found.add(np.arange(film.origin, film.origin + at_once), channel, film.power[:, 0])
         return found
 
-    def _trace(self, chunk: Chunk, key: np.uint64, film: Film) -> ChunkTally:
+    def _trace(self, chunk: Chunk, key: np.uint64, film: Film, turn: Turn = ALONE) -> ChunkTally:
         """Trace one chunk in a thread of the pool."""
         began = time.perf_counter()
-        source = self._source(chunk, key, 0 if film.power.shape[1] == 1 else chunk.channel)
+        source = self._source(chunk, key, 0 if film.power.shape[1] == 1 else chunk.channel, turn=turn)
         space = self._launcher(chunk.part).trace(source, film=film if chunk.part.options.adjoint else None)
         work = Work(
             space.counts.copy(), chunk.packets, space.queries, space.embree_seconds, time.perf_counter() - began
@@ -296,14 +309,16 @@ class Tracer:
         self._source(chunk, key, 0, self.world.lines.middle).launch(work, range(count))
         return work, draw
 
-    def _source(self, chunk: Chunk, key: np.uint64, channel: int, nodes: Nodes | None = None) -> Source:
+    def _source(
+        self, chunk: Chunk, key: np.uint64, channel: int, nodes: Nodes | None = None, turn: Turn = ALONE
+    ) -> Source:
         """Return the source of a chunk's packets; `channel`: column of the film; `nodes`: in place of the channel's."""
         nodes = nodes or self.world.lines.nodes[chunk.channel]
         if chunk.part.particles is not None:
-            return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, nodes)
+            return ParticleSource(chunk.part.particles, chunk.first, chunk.count, chunk.samples, key, nodes, turn)
         if not chunk.part.options.adjoint:
-            return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, nodes)
-        return PixelSource(chunk.pixel_numbers(), chunk.samples, key, nodes, self.stratified, channel)
+            return LightSource(chunk.first, chunk.count, self.pixels * chunk.samples, key, nodes, turn)
+        return PixelSource(chunk.pixel_numbers(), chunk.samples, key, nodes, self.stratified, channel, turn)
 
     def _launcher(self, part: Part) -> Launcher:
         """Return the launcher of a part, which the first call makes."""

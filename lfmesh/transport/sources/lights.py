@@ -33,7 +33,7 @@ from lfmesh.transport.regions.targets import scatter
 from lfmesh.transport.regions.volumes import send_from_medium
 from lfmesh.transport.sources.lamp_rays import PLACE_U, PLACE_V, WAY_U, WAY_V, emitted
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.sources.wavelengths import order_of_packets
+from lfmesh.transport.sources.wavelengths import ALONE, Turn, order_of_packets
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, ObjectTables
@@ -61,6 +61,8 @@ class LightSource(Source):
         Key of the replicate's random numbers at this wavelength.
     nodes : Nodes
         Wavelengths of the channel, of which each packet takes one.
+    turn : Turn
+        Of the replicate in its group, which has the key.
     """
 
     first: int
@@ -68,6 +70,7 @@ class LightSource(Source):
     total: int
     key: np.uint64
     nodes: Nodes
+    turn: Turn = ALONE
 
     def __len__(self) -> int:
         return self.count
@@ -76,7 +79,7 @@ class LightSource(Source):
         """Start some of the packets, if there is any light."""
         tables = work.tables
         if len(tables.objects.sources):
-            numbers = np.arange(self.first + part.start, self.first + part.stop)
+            numbers = np.arange(self.first + part.start, self.first + part.stop) * self.turn.step + self.turn.first
             space = ObjectSpace(work.options, work.flow(), tables.frames, tables.objects, tables.aim.entrance)
             launch_forward(
                 *order_of_packets(self.nodes, numbers, self.key), self.total, self.key, space, work.template,

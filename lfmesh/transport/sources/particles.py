@@ -32,7 +32,7 @@ from lfmesh.transport.packets.random import derived
 from lfmesh.transport.packets.sobol import owen_sobol
 from lfmesh.transport.paths.automaton import ON_IMAGE_PATH
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.sources.wavelengths import order_of_particles
+from lfmesh.transport.sources.wavelengths import ALONE, Turn, order_of_particles
 from lfmesh.transport.tables.lines import Nodes
 from lfmesh.transport.tables.particles import ParticleTables
 from lfmesh.transport.tables.tables import AIR, LensAim, ObjectTables
@@ -56,6 +56,8 @@ class ParticleSource(Source):
         Key of the replicate's random numbers at this wavelength.
     nodes : Nodes
         Wavelengths of the channel, of which each packet takes one.
+    turn : Turn
+        Of the replicate in its group, which has the key.
     """
 
     particles: ParticleTables
@@ -64,6 +66,7 @@ class ParticleSource(Source):
     samples: int
     key: np.uint64
     nodes: Nodes
+    turn: Turn = ALONE
 
     def __len__(self) -> int:
         return self.count
@@ -71,9 +74,11 @@ class ParticleSource(Source):
     def launch(self, work: Workspace, part: range) -> None:
         """Start some of the packets."""
         tables = work.tables
-        numbers = np.arange(self.first + part.start, self.first + part.stop)
+        count, turn = len(self.particles.points), self.turn
+        sample, particle = np.divmod(np.arange(self.first + part.start, self.first + part.stop), count)
+        numbers = (turn.first + sample * turn.step) * count + particle
         launch_particles(
-            *order_of_particles(self.nodes, numbers, len(self.particles.points), self.samples, self.key), self.samples,
+            *order_of_particles(self.nodes, numbers, count, self.samples * turn.step, self.key), self.samples,
             self.key, self.particles, tables.objects, tables.aim.entrance, tables.frames, work.flow(), work.template,
         )  # fmt: skip
 

@@ -80,10 +80,10 @@ def draw_numbers(
     """
     pixel_key = derived(replicate_key, entries.pixel[which])
     for i in range(count):
-        sample = entries.begin[which] + place
+        sample = entries.turn.first + (entries.begin[which] + place) * entries.turn.step
         room.keys[i] = derived(pixel_key, sample)
         if stratified:
-            if place == 0:
+            if place == 0 or entries.turn.step > 1:
                 for dimension in range(len(room.seeds)):
                     # Points come in Gray-code order, see `sobol.step`.
                     room.point[dimension] = sobol(sample ^ (sample >> 1), dimension)

@@ -77,7 +77,7 @@ from lfmesh.transport.sequences.image_path import follow_block
 from lfmesh.transport.sequences.kicks import draw_kick
 from lfmesh.transport.sources.pixel_starts import STARTS, StartRoom, begin_launch, draw_numbers, start_room
 from lfmesh.transport.sources.source import Source
-from lfmesh.transport.sources.wavelengths import Entries, entries_of_pixels
+from lfmesh.transport.sources.wavelengths import ALONE, Entries, Turn, entries_of_pixels
 from lfmesh.transport.tables.lines import FIRST, Nodes
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.pixel import area_of_sample
@@ -106,6 +106,8 @@ class PixelSource(Source):
         Start from scrambled Sobol' points in place of random ones.
     channel : int, optional
         Column of the film that light is added to; that of the first wavelength if left out.
+    turn : Turn
+        Of the replicate in its group, which has the key.
     """
 
     pixels: NDArray[np.int64]
@@ -114,6 +116,7 @@ class PixelSource(Source):
     nodes: Nodes = FIRST
     stratified: bool = True
     channel: int | None = None
+    turn: Turn = ALONE
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -128,10 +131,10 @@ class PixelSource(Source):
         channel = self.nodes.first if self.channel is None else self.channel
         into = work.options.pixels._replace(channel=channel, samples=self.samples)
         if self.stratified:
-            into = into._replace(stream=self.key, each=self.samples)
+            into = into._replace(stream=self.key, each=self.samples, first=self.turn.first, step=self.turn.step)
         work.options = work.options._replace(pixels=into)
         pixels = self.pixels[part.start : part.stop]
-        for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key):
+        for colour, entries in entries_of_pixels(self.nodes, pixels, self.samples, self.key, self.turn):
             self._launch(work, entries, colour)
         if work.tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.

@@ -1,4 +1,8 @@
-"""Wavelengths of a channel's samples: each takes one of the band's lines, and samples of one line start together."""
+"""Wavelengths of a channel's samples: each takes one of the band's lines, and samples of one line start together.
+
+Samples lie evenly over the band, from an offset on that random numbers give. Replicates may be a group, which takes the
+samples that a single replicate of its size would take, each every m-th of them.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -13,6 +17,17 @@ from lfmesh.transport.tables.lines import Nodes
 Numbers = NDArray[np.int64]
 
 
+class Turn(NamedTuple):
+    """A replicate's turn in a group: the samples that it takes of those of the whole group."""
+
+    first: int = 0  # number of its first sample
+    step: int = 1  # from each of its samples to the next: number of replicates of the group
+
+
+ALONE = Turn()
+"""Of a replicate that is a group by itself."""
+
+
 @by_address
 class Entries(NamedTuple):
     """Samples of pixels at one wavelength: of each entry some that follow each other."""
@@ -21,9 +36,12 @@ class Entries(NamedTuple):
     place: Numbers  # (n,) its place among the pixels that are launched together
     begin: Numbers  # (n,) number of the first sample
     taken: Numbers  # (n,) samples
+    turn: Turn
 
 
-def entries_of_pixels(nodes: Nodes, pixels: Numbers, samples: int, key: np.uint64) -> Iterator[tuple[int, Entries]]:
+def entries_of_pixels(
+    nodes: Nodes, pixels: Numbers, samples: int, key: np.uint64, turn: Turn = ALONE
+) -> Iterator[tuple[int, Entries]]:
     """Yield the samples of pixels, wavelength by wavelength, each with its column.
 
     Those of a pixel lie at even distances over the band, with an offset of the pixel's own.
@@ -36,19 +54,21 @@ def entries_of_pixels(nodes: Nodes, pixels: Numbers, samples: int, key: np.uint6
         Of each pixel.
     key : uint64
         Key of the random numbers.
+    turn : Turn
     """
     if len(nodes.until) == 1:
         place = np.arange(len(pixels))
-        yield nodes.first, Entries(pixels, place, np.zeros_like(place), np.full_like(place, samples))
+        yield nodes.first, Entries(pixels, place, np.zeros_like(place), np.full_like(place, samples), turn)
         return
-    columns = nodes.columns((np.arange(samples) / samples + wavelength_numbers(key, pixels)[:, None]) % 1.0)
+    places = (turn.first + np.arange(samples) * turn.step) / (samples * turn.step)
+    columns = nodes.columns((places + wavelength_numbers(key, pixels)[:, None]) % 1.0)
     fresh = np.ones(columns.shape, np.bool_)
     fresh[:, 1:] = columns[:, 1:] != columns[:, :-1]
     place, begin = np.nonzero(fresh)
     taken = np.diff(np.flatnonzero(fresh), append=columns.size)
     for some in _alike(columns[place, begin]):
         column = int(columns[place[some[0]], begin[some[0]]])
-        yield column, Entries(pixels[place[some]], place[some], begin[some], taken[some])
+        yield column, Entries(pixels[place[some]], place[some], begin[some], taken[some], turn)
 
 
 def order_of_particles(
@@ -63,9 +83,9 @@ def order_of_particles(
     ----------
     nodes : Nodes
     numbers : (m,) int64
-        Of the packets.
+        Of the packets, in the group of replicates.
     particles, samples : int
-        Number of particles, and of packets of each.
+        Number of particles, and of packets of each in the group.
     key : uint64
     """
     return _in_order(nodes, numbers, (numbers // particles) / samples + wavelength_numbers(key, numbers % particles))

@@ -62,7 +62,7 @@ class Transport(Model):
     `replicates`."""
     replicates: Annotated[Count, Field(le=MOST_REPLICATES)] = Field(default_factory=_usual_replicates)
     """Independent randomisations that share the samples; their spread is the standard error. 8 if omitted, 4 with
-    split = "transmit"."""
+    split = "transmit". With `camera.sensor.bands` more than 8 form 8 independent groups, whose spread it is."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None
     """Adjoint: relative standard error (no unit) up to which pixels get more than `samples`, in a second stage."""
     max_samples: Count = 4096

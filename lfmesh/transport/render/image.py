@@ -45,8 +45,8 @@ class Image(Pictured):
     stderr : (H, W, wavelengths) float64, W
         Standard error of `mean` from the spread of independent `groups` of replicates; NaN with fewer than two. It is 0
         in a pixel for which no path found light, and with few replicates often far too small. Weights 1/stderr² favour
-        the pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer hits
-        there are. Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
+        the pixels that missed the bright paths, so that a mean weighted with them is too dark, the more so the fewer
+        hits there are. Weights from `error` do so less; plain sums over blocks of pixels are unbiased.
     scene : Scene
         The scene as rendered: every distance solved, files inlined.
     ledger : Ledger

@@ -140,6 +140,15 @@ def glass_in_words(name: str | Dispersion) -> str:
     return f"{_short(page)}{_in_brackets(page)}"
 
 
+def medium_in_words(medium: Medium) -> str:
+    """Describe a medium: the name of its glass, its refractive index, or air."""
+    if medium is None:
+        return "air"
+    if isinstance(medium, float | int):
+        return f"n = {medium:g}"
+    return medium if isinstance(medium, str) else medium.in_words()
+
+
 def glass_name(name: str) -> str:
     """Return the name of a glass with its maker or catalogue, such as "SCHOTT/N-BK7" for "NBK7_SCHOTT".
 

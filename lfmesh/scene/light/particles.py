@@ -12,7 +12,7 @@ from lfmesh.errors import FileError, SceneError
 from lfmesh.optics.number_table import read_table
 from lfmesh.scene.light.spectra import Resolves
 from lfmesh.scene.light.spectra import Shape as SpectralShape
-from lfmesh.scene.media.phase import IsotropicPhase, MiePhase, Phase
+from lfmesh.scene.media.phase import IsotropicPhase, Phase
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
 from lfmesh.scene.quantities import Count, FilePath, NonNegative, Number, Positive, Text, Vector, Whole, no_direction
@@ -203,10 +203,9 @@ class Particles(Model):
         else:
             if self.intensity_w_sr is not None:
                 yield Fault(("intensity_w_sr",), self.intensity_w_sr, "a sheet lights them: give one of the two")
-            mie = isinstance(self.phase, MiePhase)
-            if mie and self.diameter_um is not None:
+            if self.phase.gives_size and self.diameter_um is not None:
                 yield Fault(("diameter_um",), self.diameter_um, "stands in phase, where its kind is mie; omit it here")
-            elif not mie and self.diameter_um is None:
+            elif not self.phase.gives_size and self.diameter_um is None:
                 yield Fault(("diameter_um",), None, "missing: particles in a sheet need it, or phase of kind mie")
         if self.frame and self.displacement is None:
             yield Fault(("frame",), self.frame, "needs displacement")

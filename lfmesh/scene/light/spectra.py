@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from lfmesh.errors import SceneError
@@ -124,12 +125,18 @@ class Resolves(Protocol):
         """Return the path of a file as one that can be opened."""
 
 
-def curve_of(spectrum: Spectrum, reach_nm: tuple[float, float], scene: Resolves, where: str) -> Curve:
-    """Return a spectrum as a curve.
+def spectral_in_words(value: float | Spectrum) -> str:
+    """Describe a spectral quantity: its number, or its spectrum."""
+    return value.in_words() if isinstance(value, Spectrum) else f"{value:g}"
+
+
+def curve_of(spectrum: float | Spectrum, reach_nm: tuple[float, float], scene: Resolves, where: str) -> Curve:
+    """Return a spectral quantity as a curve over wavelength.
 
     Parameters
     ----------
-    spectrum : Spectrum
+    spectrum : float or Spectrum
+        A number is the same at all wavelengths.
     reach_nm : (float, float)
         Wavelengths between which it is asked for.
     scene : Resolves
@@ -142,6 +149,8 @@ def curve_of(spectrum: Spectrum, reach_nm: tuple[float, float], scene: Resolves,
         It does not reach so far, or its file cannot be used.
     """
     first, last = reach_nm
+    if not isinstance(spectrum, Spectrum):
+        return Curve(_reach(first, last), np.full(2, spectrum, np.float64))
     if spectrum.blackbody_k is not None:
         return planck_curve(spectrum.blackbody_k, reach_nm)
     if spectrum.file is not None:
@@ -164,8 +173,13 @@ def planck_curve(temperature_k: float, reach_nm: tuple[float, float]) -> Curve:
     """Return the spectral radiance of a black body between two wavelengths, W/(m² sr nm)."""
     first, last = reach_nm
     # A black body far from its peak shines with next to nothing, which is no table of zeros.
-    w = np.linspace(first, last, PIECES + 1) if last > first else np.array([first, first * (1.0 + 1e-6)])
+    w = np.linspace(first, last, PIECES + 1) if last > first else _reach(first, last)
     return Curve(w, planck_radiance(w, temperature_k))
+
+
+def _reach(first_nm: float, last_nm: float) -> NDArray[np.float64]:
+    """Return the ends of a curve that holds some wavelengths, or one wavelength alone, (2,) nm."""
+    return np.array([first_nm, max(last_nm, first_nm * (1.0 + 1e-6))])
 
 
 @lru_cache(maxsize=256)

@@ -139,15 +139,12 @@ class MediumList:
     def _absorption(self, number: int, wavelengths_nm: tuple[float, ...]) -> Array:
         """Return the absorption coefficient of a medium at some wavelengths, 1/mm."""
         medium, dye = self.media[number], self.dyes[number]
-        if isinstance(dye, Spectrum):
-            where = f"{self.places(number, ())}: absorption_per_mm"
-            curve = curve_of(dye, (min(wavelengths_nm), max(wavelengths_nm)), self.scene, where)
-            return curve.at(wavelengths_nm)
-        if isinstance(dye, str):
+        if dye == "catalogue":
             return np.array(
                 [absorption_per_mm(str(catalogue_name(medium)), wavelength_nm) for wavelength_nm in wavelengths_nm]
             )
-        return np.full(len(wavelengths_nm), dye, np.float64)
+        where = f"{self.places(number, ())}: absorption_per_mm"
+        return curve_of(dye, (min(wavelengths_nm), max(wavelengths_nm)), self.scene, where).at(wavelengths_nm)
 
 
 def _dye_in_camera(scene: Scene, medium: Medium) -> Dye:

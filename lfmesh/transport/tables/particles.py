@@ -12,10 +12,9 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.phase import PhaseTables, phase_tables
 from lfmesh.scene import Scene
 from lfmesh.scene.light.particles import Particles, shining_particles, unit
-from lfmesh.scene.media.phase import MiePhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.lines import Lines
-from lfmesh.transport.tables.phases import phase_functions, sphere_of
+from lfmesh.transport.tables.phases import cross_sections_um2, phase_functions
 from lfmesh.transport.tables.spectra import spread
 from lfmesh.transport.tables.tables import Media
 
@@ -91,7 +90,7 @@ def _index_round(group: Particles, media: Media, numbers: Numbers, where: str) -
         Place of the particles in the scene, for messages.
     """
     indices = media.indices[np.unique(numbers)]
-    if isinstance(group.phase, MiePhase) and group.phase.surrounding_index is None and (indices != indices[0]).any():
+    if group.phase.depends_on_surroundings and (indices != indices[0]).any():
         found = ", ".join(f"{index:.6g}" for index in indices[:, 0])
         raise SceneError(
             f"{where}: its particles lie in media of the refractive indices {found}, by which spheres scatter "
@@ -104,10 +103,9 @@ def _power(group: Particles, lines: Lines, where: str, index: Array) -> Array:
     """Return the power of a particle over its strength, (wavelengths,): sr of all directions, or mm² that scatter."""
     if group.sheet is None:
         return np.full(len(lines.wavelengths_nm), 4.0 * np.pi)
-    if isinstance(group.phase, MiePhase):
-        pairs = zip(lines.wavelengths_nm, index.tolist(), strict=True)
-        spheres = [sphere_of(group.phase, wavelength, f"{where}.phase", n) for wavelength, n in pairs]
-        return np.array([sphere.scattering_um2 * UM2 for sphere in spheres])
+    cross_section = cross_sections_um2(group.phase, lines.wavelengths_nm, f"{where}.phase", index)
+    if cross_section is not None:
+        return cross_section * UM2
     diameter = group.diameter_um or 0.0
     return np.full(len(lines.wavelengths_nm), 0.25 * np.pi * diameter**2 * UM2)
 

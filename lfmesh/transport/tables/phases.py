@@ -3,7 +3,7 @@
 from typing import assert_never
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.optics.mie import MieSphere, mie_sphere
@@ -17,6 +17,8 @@ from lfmesh.scene.media.phase import (
     RayleighPhase,
     TabulatedPhase,
 )
+
+Array = NDArray[np.float64]
 
 
 def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: float = 1.0) -> MieSphere:
@@ -44,6 +46,31 @@ def sphere_of(phase: MiePhase, wavelength_nm: float, where: str, surrounding: fl
         return mie_sphere(phase.diameter_um, index, wavelength_nm, round_them, phase.sigma)
     except ValueError as error:
         raise SceneError(f"{where}.diameter_um = {phase.diameter_um:g}: {error}") from None
+
+
+def cross_sections_um2(
+    phase: Phase, wavelengths_nm: tuple[float, ...], where: str, surrounding: ArrayLike = 1.0
+) -> Array | None:
+    """Return the scattering cross sections of spheres at some wavelengths, (wavelengths,) µm².
+
+    None where the phase function does not give the size of what scatters.
+
+    Parameters
+    ----------
+    phase : Phase
+    wavelengths_nm, where, surrounding
+        As for `phase_functions`.
+
+    Raises
+    ------
+    SceneError
+        As in `sphere_of`.
+    """
+    if not isinstance(phase, MiePhase):
+        return None
+    indices = np.broadcast_to(surrounding, len(wavelengths_nm)).tolist()
+    pairs = zip(wavelengths_nm, indices, strict=True)
+    return np.array([sphere_of(phase, wavelength, where, index).scattering_um2 for wavelength, index in pairs])
 
 
 def phase_functions(

@@ -26,11 +26,9 @@ def reflectance_at(scene: Scene, number: int, wavelengths_nm: tuple[float, ...])
     SceneError, FileError
         It is not known there, or is above 1.
     """
-    value = scene.targets[number].material.reflectance
-    if not isinstance(value, Spectrum):
-        return np.full(len(wavelengths_nm), value, np.float64)
     where = f"targets[{number}].material.reflectance"
-    curve = curve_of(value, (min(wavelengths_nm), max(wavelengths_nm)), scene, where)
+    reach_nm = min(wavelengths_nm), max(wavelengths_nm)
+    curve = curve_of(scene.targets[number].material.reflectance, reach_nm, scene, where)
     if curve.values.max() > 1.0:
         at = curve.wavelengths_nm[curve.values.argmax()]
         raise SceneError(f"{where}: value {curve.values.max():g} at {at:g} nm: a reflectance is from 0 to 1")
@@ -58,10 +56,33 @@ def radiance_at(scene: Scene, number: int, lines: Lines) -> Array:
     if material.temperature_k is not None:
         black = planck_curve(material.temperature_k, scene.reach_nm)
         return np.asarray(lines.mean(black) * lines.weight_nm)
-    value = material.radiance_w_m2_sr
+    return emission_at(scene, material.radiance_w_m2_sr, material.spectrum, lines, where, "radiance_w_m2_sr")
+
+
+def emission_at(
+    scene: Scene, value: float | Spectrum, shape: Spectrum | None, lines: Lines, where: str, key: str
+) -> Array:
+    """Return the emission that each line stands for, (lines,), in the unit of the emission.
+
+    Parameters
+    ----------
+    scene : Scene
+    value : float or Spectrum
+        A number is the emission at each wavelength, or with bands over their whole range; a spectrum is per nm.
+    shape : Spectrum or None
+        Spectrum by which a number is spread over the bands; evenly if None.
+    lines : Lines
+    where, key : str
+        Place in the scene of what emits, and the key of `value` there, for messages.
+
+    Raises
+    ------
+    SceneError, FileError
+        As `spread` and `curve_of` do.
+    """
     if not isinstance(value, Spectrum):
-        return spread(scene, value, material.spectrum, lines, f"{where}.spectrum")
-    curve = curve_of(value, scene.reach_nm, scene, f"{where}.radiance_w_m2_sr")
+        return spread(scene, value, shape, lines, f"{where}.spectrum")
+    curve = curve_of(value, scene.reach_nm, scene, f"{where}.{key}")
     return np.asarray(lines.mean(curve) * lines.weight_nm)
 
 

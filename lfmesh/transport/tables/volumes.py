@@ -25,7 +25,7 @@ from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FR
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions
-from lfmesh.transport.tables.spectra import spread
+from lfmesh.transport.tables.spectra import emission_at, spread
 from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, Media, SingleScatter
 
 Array = NDArray[np.float64]
@@ -144,10 +144,8 @@ def volume_tables(
         row["slot"] = slots[i]
         own = frame.frame(medium.rotation_deg, medium.position_mm)
         row["to_own"] = frame.compose(frame.inverse(own), moves[OBJECT_FRAME, WORLD_FRAME])
-        _set_bounds(row, medium)
-        corners = None
-        if isinstance(medium.bounds, MeshBounds):
-            corners = _shell(scene, medium.bounds, row)
+        corners = _set_bounds(scene, medium, row)
+        if corners is not None:
             shells.append(corners)
             with_shell.append(i)
         if body is not None and medium.bounds is None and medium.grid is None:
@@ -182,7 +180,9 @@ def volume_tables(
             row["emits"] = OF_VOXELS
             spectrum = W_MM3 * spread(scene, 1.0, medium.spectrum, lines, f"{where}.spectrum")
         else:
-            spectrum = W_MM3 * _emission(scene, medium, lines, where)
+            spectrum = W_MM3 * emission_at(
+                scene, medium.emission_w_mm3_sr, medium.spectrum, lines, where, "emission_w_mm3_sr"
+            )
         if body is not None:
             row["inside"] = hosts.rank[body]
         if row["emits"] in (OF_BODY, BY_TEMPERATURE):
@@ -326,7 +326,8 @@ def _brightness(row: np.void, grid: VoxelGrid | None, absorption: Array, spectru
     return emission.ravel() / len(some)
 
 
-def _set_bounds(row: np.void, medium: Medium) -> None:
+def _set_bounds(scene: Scene, medium: Medium, row: np.void) -> Array | None:
+    """Set the bounds of a medium; return the corners of a mesh that bounds it in its own frame, (m, 3, 3) mm."""
     match medium.bounds:
         case Box(size_mm=size):
             row["bounds"], row["size"] = BOX, np.multiply(0.5, size)
@@ -334,18 +335,15 @@ def _set_bounds(row: np.void, medium: Medium) -> None:
             row["bounds"], row["size"] = SPHERE, (radius, radius, radius)
         case Cylinder(radius_mm=radius, height_mm=height):
             row["bounds"], row["size"] = CYLINDER, (radius, radius, 0.5 * height)
+        case MeshBounds(file=file, units=units, node=node, tolerance_mm=tolerance):
+            mesh = bounding_mesh(scene.resolve(str(file)), units, node, tolerance)
+            corners = np.asarray(mesh.vertices[mesh.faces])
+            row["bounds"], row["box"] = SHELL, (corners.min(axis=(0, 1)), corners.max(axis=(0, 1)))
+            return corners
         case _:
             row["bounds"], row["size"] = IN_FRONT if medium.grid is None else BOX, (np.inf, np.inf, np.inf)
     row["box"] = -row["size"], row["size"]
-
-
-def _shell(scene: Scene, bounds: MeshBounds, row: np.void) -> Array:
-    """Let a closed mesh bound a medium; return the corners of its facets in the medium's own frame, (m, 3, 3) mm."""
-    mesh = bounding_mesh(scene.resolve(str(bounds.file)), bounds.units, bounds.node, bounds.tolerance_mm)
-    corners = np.asarray(mesh.vertices[mesh.faces])
-    row["bounds"] = SHELL
-    row["box"] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    return corners
+    return None
 
 
 def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
@@ -410,22 +408,11 @@ def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:
 
 def _coefficient(scene: Scene, value: float | Spectrum, lines: Lines, where: str) -> Array:
     """Return a coefficient at each line, 1/mm."""
-    if not isinstance(value, Spectrum):
-        return np.full(len(lines.wavelengths_nm), value, np.float64)
     ends = min(lines.wavelengths_nm), max(lines.wavelengths_nm)
     found = curve_of(value, ends, scene, where).at(lines.wavelengths_nm)
     if (found < 0.0).any():
         raise SceneError(f"{where}: value {found.min():g}: a coefficient is 0 or more")
     return found
-
-
-def _emission(scene: Scene, medium: Medium, lines: Lines, where: str) -> Array:
-    """Return the emission that each line stands for, W/(mm³ sr)."""
-    value = medium.emission_w_mm3_sr
-    if not isinstance(value, Spectrum):
-        return spread(scene, value, medium.spectrum, lines, f"{where}.spectrum")
-    curve = curve_of(value, scene.reach_nm, scene, f"{where}.emission_w_mm3_sr")
-    return np.asarray(lines.mean(curve) * lines.weight_nm)
 
 
 def corners_of(row: np.void) -> Array | None:

@@ -16,7 +16,7 @@ from lfmesh.geometry.array.lenslets import faces_at, shape_of, type_of
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.sag import normals
 from lfmesh.geometry.surfaces.surface import in_place
-from lfmesh.optics.glass import Medium, refractive_index
+from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
 from lfmesh.transport.events.interface import shares
 from lfmesh.transport.packets.packet import BACK_FACE, CAMERA_FRAME, CURVED_FACE, SENSOR_FRAME, WORLD_FRAME, Event
 from lfmesh.transport.tables.cover import FRONT_ROW, REAR_ROW
@@ -128,7 +128,8 @@ def history(rays: Rays, path: int) -> list[Step]:
         steps.append(
             Step(
                 name, label(name), event, rays.position[vertex], incidence, reflectance, transmittance,
-                _in_words(medium), refractive_index(medium, wavelength), power, power / left if left > 0.0 else 1.0,
+                medium_in_words(medium), refractive_index(medium, wavelength),
+                power, power / left if left > 0.0 else 1.0,
             )
         )  # fmt: skip
     return steps
@@ -235,11 +236,3 @@ def _medium_beyond(rays: Rays, vertex: int, in_objects: bool) -> Medium:
     """Return the medium on the far side of an interface, or round a start; targets emit into what they stand in."""
     known, number = rays.world.media, max(int(rays.beyond[vertex]), AIR)
     return known.media[known.before_lens if in_objects and number == AIR else number]
-
-
-def _in_words(medium: Medium) -> str:
-    if medium is None:
-        return "air"
-    if isinstance(medium, float | int):
-        return f"n = {medium:g}"
-    return medium if isinstance(medium, str) else medium.in_words()

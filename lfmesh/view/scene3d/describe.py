@@ -3,10 +3,10 @@
 import math
 
 from lfmesh.errors import LfmeshError
-from lfmesh.optics.glass import Medium, refractive_index
+from lfmesh.optics.glass import Medium, medium_in_words, refractive_index
 from lfmesh.scene import Surface
-from lfmesh.scene.light.spectra import Spectrum
-from lfmesh.scene.media.media import MeshBounds
+from lfmesh.scene.light.spectra import Spectrum, spectral_in_words
+from lfmesh.scene.model import Model
 from lfmesh.transport.world import World
 from lfmesh.view.rays.names import label, lens_names
 
@@ -95,9 +95,8 @@ def _poses(world: World, numbers: tuple[int, int]) -> Rows:
 def _medium(world: World, medium: Medium) -> str:
     wavelength = world.scene.primary_nm
     index = f"n = {refractive_index(medium, wavelength):.6g} at {wavelength:g} nm"
-    if medium is None or isinstance(medium, float | int):
-        return index
-    return f"{medium if isinstance(medium, str) else medium.in_words()}, {index}"
+    words = medium_in_words(medium)
+    return index if index.startswith(words) else f"{words}, {index}"
 
 
 def _stop(world: World) -> Rows:
@@ -151,11 +150,11 @@ def _target(world: World, number: int) -> Rows:
     if target.refractor is not None:
         return [*rows, ("glass", _medium(world, target.refractor.medium))]
     material = target.material
-    rows += [("reflectance", _spectral(material.reflectance))] if material.reflectance else []
+    rows += [("reflectance", spectral_in_words(material.reflectance))] if material.reflectance else []
     if material.radiance_w_m2_sr:
         per = " nm" if isinstance(material.radiance_w_m2_sr, Spectrum) else ""
-        rows += [("radiance", f"{_spectral(material.radiance_w_m2_sr)} W/(m² sr{per})")]
-    rows += [("spectrum", _spectral(material.spectrum))] if material.spectrum else []
+        rows += [("radiance", f"{spectral_in_words(material.radiance_w_m2_sr)} W/(m² sr{per})")]
+    rows += [("spectrum", spectral_in_words(material.spectrum))] if material.spectrum else []
     rows += [("temperature", f"{material.temperature_k:g} K")] if material.temperature_k else []
     if material.gloss is not None:
         boundary = material.gloss.metal or f"index {material.gloss.index:g}"
@@ -167,15 +166,10 @@ def _target(world: World, number: int) -> Rows:
 
 def _light(world: World, number: int) -> Rows:
     light = world.scene.lights[number]
-    fields = light.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
-    values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [
         ("light", f"{light.kind}, lights[{number}]"),
-        *(
-            (key, " ".join(part if isinstance(part, str) else f"{part:g}" for part in value))
-            for key, value in values.items()
-        ),
-        *([("spectrum", _spectral(light.spectrum))] if light.spectrum is not None else []),
+        *_fields(light),
+        *([("spectrum", spectral_in_words(light.spectrum))] if light.spectrum is not None else []),
     ]
 
 
@@ -186,8 +180,8 @@ def _medium_round(world: World, number: int) -> Rows:
     return [
         ("medium", medium.name or f"media[{number}]"),
         ("inside", medium.inside or ("air" if outside is None else _medium(world, outside))),
-        *((key, _spectral(value)) for key, value in values if value),
-        *([("bounds", str(medium.bounds.file))] if isinstance(medium.bounds, MeshBounds) else []),
+        *((key, spectral_in_words(value)) for key, value in values if value),
+        *([("bounds", medium.bounds.kind), *_fields(medium.bounds)] if medium.bounds is not None else []),
         *([("grid", medium.grid.file)] if medium.grid is not None else []),
     ]
 
@@ -199,12 +193,11 @@ def _particles(world: World, number: int) -> Rows:
     return [("particles", f"{len(table.points):,} that shine"), ("packets", f"{table.samples} each")]
 
 
-def _spectral(value: float | Spectrum) -> str:
-    """Return a spectral quantity in a few words."""
-    if not isinstance(value, Spectrum):
-        return f"{value:g}"
-    if value.blackbody_k is not None:
-        return f"black body of {value.blackbody_k:g} K"
-    if value.values is not None and value.wavelengths_nm is not None:
-        return f"table of {len(value.values)} values, {value.wavelengths_nm[0]:g} to {value.wavelengths_nm[-1]:g} nm,"
-    return value.name or value.file or ""
+def _fields(model: Model) -> Rows:
+    """Return the fields of a table that are given, but for its kind and spectrum."""
+    fields = model.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
+    values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
+    return [
+        (key, " ".join(part if isinstance(part, str) else f"{part:g}" for part in value))
+        for key, value in values.items()
+    ]

@@ -17,8 +17,8 @@ from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.tessellation import element
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import DirectionalLight, DiskLight, SpotLight
-from lfmesh.scene.light.spectra import Spectrum
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.spectra import reflectance_at
 from lfmesh.transport.tables.tables import MlaTables
 from lfmesh.transport.world import World
 from lfmesh.view.scene3d import array_shape
@@ -289,17 +289,10 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
         return Part(name, "target", body, {"lighting": False}, picture=srgb_encode(target.texture))
     body = polydata(target.mesh.vertices, target.mesh.faces)
     creases = creases_of(body)
-    grey = float(srgb_encode(np.array(_grey(model.material.reflectance)))) / 255.0
+    grey = float(srgb_encode(reflectance_at(world.scene, number, (world.scene.primary_nm,))[0])) / 255.0
     glows = model.material.emits
     paint = "#ffe9b0" if glows else (max(0.25, grey),) * 3
     return Part(name, "target", smooth(body), {"color": paint, "ambient": 1.0 if glows else 0.25}, creases, "#10151c")
-
-
-def _grey(reflectance: float | Spectrum) -> float:
-    """Return a reflectance to draw a target with: of a table the mean, of a file a middling one."""
-    if not isinstance(reflectance, Spectrum):
-        return reflectance
-    return float(np.mean(reflectance.values)) if reflectance.values else 0.5
 
 
 def scene_size_mm(world: World) -> float:

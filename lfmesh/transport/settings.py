@@ -57,12 +57,11 @@ def options_of(world: World, *, tracing: bool = False, record: bool = False, **o
         adjoint=transport.method == "adjoint" and not tracing,
         tracing=tracing,
         record=record,
-        # Light may go from target to target, unless there is only a single flat sheet far from the lens, and no medium
-        # sends it there.
+        # Light may go from target to target, unless all facets lie in one plane, far from the lens, and no medium sends
+        # it there.
         bounce=not tracing
         and (
-            len(tables.objects.one_sided) > 1
-            or bool((tables.objects.facets["body"] >= 0).sum() > 2)
+            not world.is_flat
             or (tables.objects.volumes is not None and (tables.objects.volumes.scatters or tables.objects.volumes.emit))
             or (transport.split != "transmit" and _is_near_lens(world))
         ),

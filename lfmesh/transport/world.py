@@ -13,6 +13,7 @@ from lfmesh.geometry.array.array_mesh import mla_mesh
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.meshes.flatness import in_one_plane
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, joined
 from lfmesh.geometry.objects.targets import TargetMesh, target_mesh
@@ -176,6 +177,13 @@ class World(Shown):
         """Bounds of lens, housing and targets, for rays that need not ask Embree."""
         targets = [target.mesh for target in self.targets]
         return surroundings_of(self.tables.lens, self.lens_shape, self.housing, targets, self.tables.frames)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether all facets of all targets lie in one plane, so that no light goes from target to target."""
+        return in_one_plane(
+            np.concatenate([np.zeros((0, 3, 3)), *(t.mesh.vertices[t.mesh.faces] for t in self.targets)])
+        )
 
     @property
     def mesh_names(self) -> list[str]:

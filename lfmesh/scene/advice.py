@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
-from lfmesh.scene.distance import reach_in_words
+from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
@@ -36,10 +36,11 @@ def warnings(scene: Scene, facts: "FirstOrder") -> tuple[str, ...]:
     return (
         *(str(each) for each in doubtful(scene, facts)),
         *_focus(scene, facts),
+        *_stop_in_image(scene, facts),
         *_covering(facts),
         *_between_sections(scene),
         *_sections(facts),
-        *_apertures(scene, facts),
+        *(_apertures(scene, facts) if facts.working_f_number else ()),
         *_beyond_norm(scene),
         *_thin_layers(scene),
         *_micro_images(scene, facts),
@@ -125,12 +126,8 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     if facts.efl_mm < 0 and facts.bfl_mm < 0:
         yield f"the lens diverges (focal length {facts.efl_mm:.4g} mm): it forms no real image of an object"
     elif distance < 0:
-        inside = facts.rear_principal_plane_z_mm + facts.efl_mm - facts.image_z_mm
-        yield (
-            f"the {plane} stands {inside:.4g} mm inside the focal length: the camera is focused beyond "
-            "infinity, and no object is sharp"
-        )
-    elif focus is not None and math.isfinite(facts.ffl_mm) and focus <= -facts.ffl_mm:
+        yield from _beyond_infinity(facts, plane)
+    elif focus is not None and 0.0 < facts.efl_mm < math.inf and focus <= -facts.ffl_mm:
         yield (
             f"focus_mm = {given:g} is inside the focal length: the front focal point lies "
             f"{-facts.ffl_mm:.4g} mm before the lens"
@@ -143,8 +140,33 @@ def _focus(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             yield _refocus_lenslets(scene, facts, focus)
             return
         yield (
-            f"focus_mm = {given:g}, but the distances given focus on {distance + beyond:.6g} mm; omit "
+            f"focus_mm = {given:g}, but the distances given focus on {length_in_words(distance + beyond)}; omit "
             f"{'mla' if scene.camera.mla is not None else 'sensor'}.distance_mm to have it solved"
+        )
+
+
+def _beyond_infinity(facts: "FirstOrder", plane: str) -> Iterator[str]:
+    """Say that array or sensor has the image of no real object, and what is sharp all the same."""
+    sharp = "is sharp" if facts.microlens_f_number is None or facts.focused else "can be refocused"
+    reach = f"what {sharp}: {reach_in_words(facts.near_mm, facts.far_mm)}"
+    if math.isinf(facts.efl_mm):
+        yield f"the lens is afocal, and only light that converges has its image on the {plane}; {reach}"
+        return
+    inside = facts.rear_principal_plane_z_mm + facts.efl_mm - facts.image_z_mm
+    if inside > 0.0:
+        where = f"{inside:.4g} mm inside the focal length: the camera is focused beyond infinity"
+    else:
+        where = "where the lens images no object before it"
+    yield f"the {plane} stands {where}; {reach}"
+
+
+def _stop_in_image(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
+    """Say that the stop limits the field in place of the light, where it is imaged onto the array or sensor."""
+    if facts.working_f_number == 0.0:
+        plane = "array" if scene.camera.mla is not None else "sensor"
+        yield (
+            f"the stop is imaged onto the {plane}: it limits the field, not the cone of light, and there is neither an "
+            "f-number nor a micro-image; mark another surface as the stop"
         )
 
 
@@ -155,7 +177,8 @@ def _refocus_lenslets(scene: Scene, facts: "FirstOrder", focus_mm: float) -> str
     behind = lens.image_mm(focus_mm) + middle.main_image_mm - (facts.lenslets_z_mm or 0.0) + lens.length_mm
     distance = (camera.mla.distance_mm if camera.mla is not None and camera.mla.distance_mm else 0.0) + behind
     found = (
-        f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at {facts.object_distance_mm:.6g} mm"
+        f"focus_mm = {camera.focus_mm:g}, but the lenslets image what is in focus at "
+        f"{length_in_words(facts.object_distance_mm)}"
     )
     if camera.focus_from == "first_vertex" and 0.0 < distance < math.inf:
         return f"{found}; give mla.distance_mm = {distance:.6g}"
@@ -268,7 +291,7 @@ def _micro_images(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
         facts.microlens_f_number,
     )
     mla = scene.camera.mla
-    if mla is None or diameter is None or pitch is None or microlens is None:
+    if mla is None or diameter is None or pitch is None or microlens is None or facts.working_f_number == 0.0:
         return
     if abs(quotient(facts.working_f_number, microlens) - 1) > _F_NUMBER_TOLERANCE:
         yield (
@@ -385,16 +408,10 @@ def _reach_mm(target: Target) -> float | None:
 
 def half_field_mm(z_mm: float, facts: "FirstOrder") -> tuple[float, float]:
     """Return half the width and height seen at a plane, in mm, by the chief rays of the entrance pupil's middle."""
-    focus_z, pupil_z = -facts.object_distance_mm, facts.entrance_pupil_z_mm
-    if not math.isfinite(focus_z):
-        scale = quotient(abs(z_mm - pupil_z), abs(facts.efl_mm))
-        width, height = (size * scale for size in facts.field_of_view_mm)
-    else:
-        scale = abs(quotient(z_mm - pupil_z, focus_z - pupil_z)) if math.isfinite(pupil_z) else 1.0
-        width, height = (size * scale for size in facts.field_of_view_mm)
+    width, height = facts.field.size_mm(z_mm)
     # The pupil is not a point: off the plane in focus, the edge of the field is as soft as the beam is wide
     # there.
-    blur = facts.entrance_pupil_diameter_mm * abs(1 - scale) if math.isfinite(scale) else 0.0
+    blur = facts.field.beam_mm(z_mm)
     return (width + blur) / 2, (height + blur) / 2
 
 

@@ -3,6 +3,13 @@
 import math
 
 
-def reach_in_words(near_mm: float, far_mm: float) -> str:
-    """Return "480 mm to 1200 mm", or "480 mm to infinity"."""
-    return f"{near_mm:.4g} mm to " + (f"{far_mm:.4g} mm" if math.isfinite(far_mm) else "infinity")
+def length_in_words(length_mm: float) -> str:
+    """Return "480 mm", or "infinity"."""
+    return f"{length_mm:.6g} mm" if math.isfinite(length_mm) else "infinity"
+
+
+def reach_in_words(near_mm: float, far_mm: float, digits: int = 4) -> str:
+    """Return "480 mm to 1200 mm", "480 mm to infinity", or that no distance is in reach, as both are infinite."""
+    if not math.isfinite(near_mm):
+        return "no distance"
+    return f"{near_mm:.{digits}g} mm to " + (f"{far_mm:.{digits}g} mm" if math.isfinite(far_mm) else "infinity")

@@ -57,9 +57,8 @@ class Upright:
         distance = lens.object_mm(image)
         if 0.0 < distance < np.inf:
             return cls(lens.magnification(distance) < 0.0)
-        # A chief ray that rises comes from an object at negative heights.
-        height_over_angle = (lens.from_stop.b + lens.from_stop.d * image) / lens.to_stop.a
-        return cls(height_over_angle > 0.0)
+        # A chief ray that rises comes from a distant object at negative heights.
+        return cls(lens.chief_scale_mm(np.inf, image) < 0.0)
 
     @property
     def senses(self) -> tuple[float, float]:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.first_order.conjugates import along_shifts
+from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
 from lfmesh.scene.first_order.kick_error import KickError, kick_error
 from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
@@ -63,15 +65,14 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     entrance_z, entrance_diameter = lens.entrance_pupil(stop_radius)
     exit_z, exit_diameter = lens.exit_pupil(stop_radius)
     plane = image_plane_mm(camera, wavelength)
-    pupil_to_plane = lens.length_mm + plane - exit_z if math.isfinite(exit_z) else math.inf
 
-    def cone(distance_mm: float) -> float:
-        angle = lens.whole(lens.marginal_ray(distance_mm, stop_radius)).angle
-        return 1 / (2 * abs(angle)) if angle else math.inf
+    def cone(image_mm: float) -> float:
+        return abs(lens.chief_height_mm(image_mm)) / (2.0 * stop_radius)
 
-    f_number = cone(lens.object_mm(plane))
-    micro = micro_image(camera, wavelength, pupil_to_plane, f_number)
-    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, f_number), pupil_to_plane)
+    f_number = cone(plane)
+    per_pupil = quotient(lens.from_stop.d, lens.chief_height_mm(plane))
+    micro = micro_image(camera, wavelength, per_pupil, f_number)
+    focused = focused_lenslets(camera, wavelength, lens, quotient(1.0, f_number), per_pupil)
     standard = micro is not None and not focused
     image, sample = plane, camera.mla.pitch_mm if camera.mla is not None and standard else camera.sensor.pixel_mm
     kind = STANDARD if standard else CONVENTIONAL
@@ -80,26 +81,17 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         image, sample = plane - middle.main_image_mm, sample * abs(middle.virtual_depth)
         kind = KEPLERIAN if middle.main_image_mm > 0.0 else GALILEAN
     distance = lens.object_mm(image)
-    magnification = lens.magnification(distance)
-    depth = _refocus_depth_mm(camera, wavelength, f_number)
-
-    def reach(behind_mm: float, before_mm: float) -> tuple[float, float]:
-        return _distances(lens, image, pupil_to_plane, behind_mm, before_mm)
-
-    near, far = reach(depth, -depth)
-    refocused: tuple[tuple[float, float, float], ...] = ()
+    magnification = lens.magnification_onto(image)
+    near, far, refocused = _refocus_range(camera, wavelength, lens, f_number)
     if focused:
         near, far = min(at.near_mm for at in focused), max(at.far_mm for at in focused)
-    elif camera.mla is not None:
-        sharp = camera.mla.pitch_mm * f_number
-        # The farthest photograph is one of infinity, not of image points before its own.
-        infinity = lens.bfl_mm - image
-        infinity /= 1 + quotient(infinity, pupil_to_plane)
-        planes = ((near, depth), (distance, 0.0), (far, max(-depth, infinity)))
-        refocused = tuple((plane, *reach(at + sharp, at - sharp)) for plane, at in planes)
-    seen = quotient(pupil_to_plane + image - plane, pupil_to_plane) if math.isfinite(pupil_to_plane) else 1.0
+        refocused = ()
+    across = (
+        Paraxial.of(camera.lens, wavelength, section_x=True) if camera.lens.number_off_revolution is not None else lens
+    )
+    field = FieldOfView.of(camera, (across, lens), (plane, image), stop_radius)
     longest = scene.reach_nm[1]
-    airy = airy_disk_mm(longest, cone(distance))
+    airy = airy_disk_mm(longest, cone(image))
     # A lenslet diffracts at its clear aperture, and its micro-images stand a pitch apart.
     clear = (camera.mla.clear_diameter_mm or camera.mla.pitch_mm) if camera.mla else math.nan
     own = micro[0] * camera.mla.pitch_mm / clear if micro and camera.mla else None
@@ -110,7 +102,7 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         bfl_mm=lens.bfl_mm,
         ffl_mm=lens.ffl_mm,
         front_principal_plane_z_mm=lens.front_principal_mm,
-        rear_principal_plane_z_mm=lens.length_mm + lens.bfl_mm - lens.efl_mm,
+        rear_principal_plane_z_mm=lens.rear_principal_mm,
         entrance_pupil_z_mm=entrance_z,
         entrance_pupil_diameter_mm=entrance_diameter,
         exit_pupil_z_mm=exit_z,
@@ -125,7 +117,8 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         micro_image_pitch_px=micro[1] if micro else None,
         micro_image_diameter_px=micro[2] if micro else None,
         object_sampling_mm=_on_object(sample, magnification),
-        field_of_view_mm=_field_of_view_mm(camera, quotient(magnification, seen)),
+        field_of_view_mm=field.size_mm(-distance),
+        field=field,
         airy_wavelength_nm=longest,
         airy_disk_mm=airy,
         airy_disk_samples=airy / sample,
@@ -134,23 +127,18 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
         kick_error=None,
         near_mm=near,
         far_mm=far,
-        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard else None,
-        views_across=micro[2] if micro and standard else None,
+        view_spacing_mm=quotient(entrance_diameter, micro[2]) if micro and standard and f_number else None,
+        views_across=micro[2] if micro and standard and f_number else None,
         refocused_mm=refocused,
         cover_shift_mm=cover_shift_mm(camera.sensor, wavelength) if camera.sensor.cover is not None else None,
         by_wavelength=tuple(_by_wavelength(scene, lens, distance)),
         focused=focused,
-        lenslet_sections=tuple(lenslet_sections(camera, wavelength, exit_z, lens.length_mm, f_number)),
+        lenslet_sections=tuple(lenslet_sections(camera, wavelength, lens, f_number)),
         object_index=lens.indices[0],
         poses=tuple(_pose_lines(camera)),
     )
-    if camera.lens.number_off_revolution is not None:
-        across = Paraxial.of(camera.lens, wavelength, section_x=True)
-        width = _field_of_view_mm(camera, quotient(across.chief_scale_mm(distance, image), distance * seen))[0]
-        facts = replace(
-            facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image,
-            field_of_view_mm=(width, facts.field_of_view_mm[1]),
-        )  # fmt: skip
+    if across is not lens:
+        facts = replace(facts, efl_x_mm=across.efl_mm, image_x_shift_mm=across.image_mm(distance) - image)
     return facts
 
 
@@ -187,28 +175,23 @@ def _refocus_depth_mm(camera: Camera, wavelength_nm: float, f_number: float) -> 
     return camera.mla.pitch_mm * lenslet_to_sensor_mm(camera, wavelength_nm) / pixel
 
 
-def _distances(
-    lens: Paraxial, image_mm: float, pupil_to_image_mm: float, behind_mm: float, before_mm: float
-) -> tuple[float, float]:
-    """Return the nearest and the farthest object distance that two image points are the images of, in mm.
+def _refocus_range(
+    camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
+) -> tuple[float, float, tuple[tuple[float, float, float], ...]]:
+    """Return the ends of the range that can be refocused, and the depth of field of photographs of it, in mm.
 
-    The points lie where views a distance u apart on the pupil shift against each other by u t / D on the image plane, D
-    from the pupil: t / (1 - t/D) behind it. For a distant pupil t is the distance itself.
-
-    Parameters
-    ----------
-    lens : Paraxial
-    image_mm : float
-        Of the image plane behind the last vertex.
-    pupil_to_image_mm : float
-    behind_mm, before_mm : float
-        t of the two.
+    The range is that of the shifts up to `_refocus_depth_mm` of the plane of lenslets or sensor.
     """
-    share = quotient(behind_mm, pupil_to_image_mm)
-    near = lens.object_mm(image_mm + behind_mm / (1 - share)) if share < 1 else -lens.ffl_mm
-    far = lens.object_mm(image_mm + quotient(before_mm, 1 - quotient(before_mm, pupil_to_image_mm)))
-    # Past infinity the conjugates come round as virtual objects, with negative distances.
-    return near if near > 0 else math.inf, far if far > near > 0 else math.inf
+    shifts = along_shifts(lens, image_plane_mm(camera, wavelength_nm))
+    depth = abs(_refocus_depth_mm(camera, wavelength_nm, f_number))
+    near, far = shifts.between_mm(-depth, depth)
+    if camera.mla is None:
+        return near, far, ()
+    sharp = camera.mla.pitch_mm * f_number
+    # The farthest photograph is one of infinity, not of image points before its own.
+    farthest, nearest = shifts.real(-depth, depth) or (-depth, depth)
+    planes = (near, nearest), (shifts.object_mm(0.0), 0.0), (far, farthest)
+    return near, far, tuple((plane, *shifts.between_mm(at - sharp, at + sharp)) for plane, at in planes)
 
 
 def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Iterator[AtWavelength]:
@@ -224,13 +207,6 @@ def _by_wavelength(scene: Scene, primary: Paraxial, distance_mm: float) -> Itera
 
 def _on_object(size_mm: float, magnification: float) -> float:
     return quotient(size_mm, abs(magnification))
-
-
-def _field_of_view_mm(camera: Camera, magnification: float) -> tuple[float, float]:
-    width, height = camera.sensor.size_mm
-    if camera.mla is not None:
-        width, height = min(width, camera.mla.size_mm[0]), min(height, camera.mla.size_mm[1])
-    return _on_object(width, magnification), _on_object(height, magnification)
 
 
 def _pose_lines(camera: Camera) -> Iterator[str]:

@@ -19,14 +19,12 @@ from typing import TypeVar
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics
+from lfmesh.scene.first_order.conjugates import along_depths
 from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 
 FOCUSED_BLUR_PX = 1.0
 """Lenslets that blur the image of a distant pupil by more image the main image, not the pupil."""
-
-PUPIL_IMAGED = 1e-12
-"""In place of 1/v = 0, of lenslets that image a pupil at infinity."""
 
 COVERING = {
     ("square", 1): math.sqrt(0.5),
@@ -72,7 +70,7 @@ Type = TypeVar("Type", LensletOptics, FocusedLenslets)
 
 
 def focused_lenslets(
-    camera: Camera, wavelength_nm: float, lens: Paraxial, cone: float, pupil_mm: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, cone: float, per_pupil: float
 ) -> tuple[FocusedLenslets, ...]:
     """Return the lenslets of a focused plenoptic camera by type; nothing of another camera.
 
@@ -87,8 +85,8 @@ def focused_lenslets(
         The camera's, at this wavelength.
     cone : float
         Diameter of the exit pupil over its distance from the lenslets.
-    pupil_mm : float
-        This distance; inf for a telecentric lens.
+    per_pupil : float, 1/mm
+        1 over this distance; 0 for a telecentric lens.
     """
     mla = camera.mla
     if mla is None or mla.cylinder_axis is not None:
@@ -98,7 +96,7 @@ def focused_lenslets(
     blur = abs(_per_depth(camera, wavelength_nm, middle)) * mla.pitch_mm / camera.sensor.pixel_mm
     if not blur > FOCUSED_BLUR_PX or not lenslet_to_sensor_mm(camera, wavelength_nm, middle) > 0.0:
         return ()
-    return tuple(_of_type(camera, wavelength_nm, at, lens, (cone, pupil_mm)) for at in types)
+    return tuple(_of_type(camera, wavelength_nm, at, lens, (cone, per_pupil)) for at in types)
 
 
 def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | None:
@@ -120,8 +118,8 @@ def sensor_over_focal_length(camera: Camera, wavelength_nm: float) -> float | No
 
 
 def _per_depth(camera: Camera, wavelength_nm: float, at: LensletOptics) -> float:
-    """Return 1/v = d/f − 1, which is never quite zero."""
-    return lenslet_to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0 or PUPIL_IMAGED
+    """Return 1/v = d/f − 1; 0 of lenslets that image a pupil at infinity."""
+    return lenslet_to_sensor_mm(camera, wavelength_nm, at) * at.power_per_mm - 1.0
 
 
 def _of_type(
@@ -132,37 +130,34 @@ def _of_type(
     to_sensor, per_depth = lenslet_to_sensor_mm(camera, wavelength_nm, at), _per_depth(camera, wavelength_nm, at)
     plane = (mla.distance_mm or math.nan) + at.front_principal_mm
 
-    def object_mm(per_depth: float) -> float:
-        return lens.object_mm(plane - to_sensor / per_depth)
-
-    focus = object_mm(per_depth)
+    depths = along_depths(lens, plane, to_sensor, per_depth)
+    main_image = quotient(to_sensor, per_depth)
+    focus = lens.object_mm(plane - main_image) if math.isfinite(main_image) else -lens.ffl_mm
     focus = focus if focus > 0.0 else math.inf
     sharp = FOCUSED_BLUR_PX * sensor.pixel_mm / mla.pitch_mm
-    before = per_depth > 0.0
-    # As 1/v falls, planes lie farther off. Past v = 0, and past infinity, they come round from the other side.
-    near = object_mm(per_depth + sharp) if before or per_depth + sharp < 0.0 else math.nan
-    far = object_mm(per_depth - sharp) if not before or per_depth - sharp > 0.0 else math.nan
+    # As 1/v falls, planes lie farther off.
+    near, far = depths.between_mm(per_depth - sharp, per_depth + sharp)
     # What a lenslet sees of the main image's cone: at most its own pitch wide.
-    cone, pupil_mm = min(pupil[0], mla.pitch_mm / to_sensor), math.copysign(pupil[1], per_depth)
-    main_image = to_sensor / per_depth
+    cone = min(pupil[0], mla.pitch_mm / to_sensor)
     apart = 2.0 * COVERING[mla.layout, mla.types] * mla.pitch_mm
-    covering = quotient(apart, cone + apart / pupil_mm) / to_sensor
-    covered = object_mm(math.copysign(1.0 / covering, per_depth)) if 0.0 < covering < math.inf else math.nan
-    is_farther = (covering > abs(1.0 / per_depth)) == before
-    wide = abs(main_image) * cone / (1.0 - main_image / pupil[1]) / mla.pitch_mm
+    covering = quotient(apart, cone + apart * math.copysign(1.0, per_depth) * pupil[1]) / to_sensor
+    covered = depths.object_mm(math.copysign(1.0 / covering, per_depth)) if 0.0 < covering < math.inf else math.nan
+    is_farther = (covering * abs(per_depth) > 1.0) == (per_depth > 0.0)
+    wide = abs(quotient(to_sensor * cone, per_depth - to_sensor * pupil[1])) / mla.pitch_mm
     cell = mla.row_pitch_mm / mla.pitch_mm
     return FocusedLenslets(
         focal_length_mm=at.focal_length_mm,
         to_sensor_mm=to_sensor,
         main_image_mm=main_image,
-        virtual_depth=1.0 / per_depth,
+        virtual_depth=quotient(1.0, per_depth),
         in_focus_mm=focus,
-        near_mm=near if 0.0 < near < focus else max(-lens.ffl_mm, 0.0),
-        far_mm=far if far > focus else math.inf,
+        near_mm=near,
+        far_mm=far,
         covering_depth=covering,
         covering_mm=covered if (covered > focus if is_farther else 0.0 < covered < focus) else math.inf,
         seen_by=math.pi / 4.0 * wide**2 / cell / mla.types,
-        sampling_mm=quotient(sensor.pixel_mm / abs(per_depth), abs(lens.magnification(object_mm(per_depth)))),
+        # The size of the object over that of its image, times the virtual depth.
+        sampling_mm=quotient(sensor.pixel_mm, abs(depths.r + depths.s * per_depth)),
     )
 
 

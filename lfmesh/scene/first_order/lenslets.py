@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lfmesh.scene.camera.camera import Camera
 from lfmesh.scene.camera.lenslet_optics import LensletOptics, lenslet_optics, sections
-from lfmesh.scene.first_order.paraxial import quotient
+from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import cover_shift_mm, rear_principal_mm
 
 
@@ -47,7 +47,7 @@ def lenslet_to_sensor_mm(camera: Camera, wavelength_nm: float, at: LensletOptics
 
 
 def micro_image(
-    camera: Camera, wavelength_nm: float, pupil_to_image_mm: float, f_number: float
+    camera: Camera, wavelength_nm: float, per_pupil: float, f_number: float
 ) -> tuple[float, float, float] | None:
     """Return microlens f-number, and pitch and diameter of the micro-images in pixels.
 
@@ -56,8 +56,8 @@ def micro_image(
     camera : Camera
         Solved.
     wavelength_nm : float
-    pupil_to_image_mm : float
-        From the exit pupil to the lenslets.
+    per_pupil : float, 1/mm
+        1 over the distance from the exit pupil to the lenslets; 0 for a telecentric lens.
     f_number : float
         Of the cone of light that meets at a lenslet.
     """
@@ -67,13 +67,13 @@ def micro_image(
     to_sensor = lenslet_to_sensor_mm(camera, wavelength_nm)
     return (
         to_sensor / pitch,
-        pitch / pixel * (1 + quotient(to_sensor, pupil_to_image_mm)),
+        pitch / pixel * (1 + to_sensor * per_pupil),
         quotient(to_sensor, f_number) / pixel,
     )
 
 
 def lenslet_sections(
-    camera: Camera, wavelength_nm: float, exit_z_mm: float, lens_length_mm: float, f_number: float
+    camera: Camera, wavelength_nm: float, lens: Paraxial, f_number: float
 ) -> Iterator[LensletSection]:  # fmt: skip
     """Yield the lenslets section by section, where they are cylinders or stand on both faces.
 
@@ -82,8 +82,8 @@ def lenslet_sections(
     camera : Camera
         Solved.
     wavelength_nm : float
-    exit_z_mm, lens_length_mm : float
-        The exit pupil, and the last vertex of the lens, from the first one.
+    lens : Paraxial
+        The camera's, at this wavelength.
     f_number : float
         Of the cone of light that meets at a lenslet.
     """
@@ -95,9 +95,9 @@ def lenslet_sections(
         number = pitch = diameter = None
         if at.power_per_mm != 0.0:
             inside = lenslet_to_sensor_mm(camera, wavelength_nm, at)
-            pupil = lens_length_mm + (mla.distance_mm or math.nan) + at.front_principal_mm - exit_z_mm
+            height = lens.chief_height_mm((mla.distance_mm or math.nan) + at.front_principal_mm)
             apart = mla.pitch_mm if section == "x" else mla.row_pitch_mm
-            pitch = apart / sensor.pixel_mm * (1 + (quotient(inside, pupil) if math.isfinite(exit_z_mm) else 0.0))
+            pitch = apart / sensor.pixel_mm * (1 + quotient(inside * lens.from_stop.d, height))
             diameter = quotient(inside, f_number) / sensor.pixel_mm
             number = inside / apart
         name = section if len(sections(mla)) > 1 else ""

@@ -46,6 +46,9 @@ class Matrix(NamedTuple):
 
 NOTHING = Matrix(1.0, 0.0, 0.0, 1.0)
 
+ROUNDED = 2.0**-47
+"""A sum that is smaller than this, over the sum of its terms' sizes, is rounding: 64 times that of one addition."""
+
 
 def gap(length_mm: float, index: float = AIR) -> Matrix:
     """Return the matrix of a distance in a medium."""
@@ -104,6 +107,13 @@ class Paraxial:
             power += self.thin_powers[number]
         return Matrix(1.0, 0.0, -power, 1.0)
 
+    def _refraction_size(self, number: int) -> Matrix:
+        """Matrix of surface `number` with the size of every term in place of the term."""
+        power = (self.indices[number + 1] + self.indices[number]) * abs(self.curvatures[number])
+        if self.thin_powers:
+            power += abs(self.thin_powers[number])
+        return Matrix(1.0, 0.0, power, 1.0)
+
     def heights_mm(self, ray: Ray) -> list[float]:
         """Return the height at every surface of a ray given at the first vertex."""
         heights = []
@@ -154,11 +164,24 @@ class Paraxial:
         """From the first vertex to just behind the last."""
         return self.to_stop.then(self.from_stop)
 
-    def _run(self, first: int, last: int, last_refracts: bool = True) -> Matrix:
+    @cached_property
+    def _sizes(self) -> tuple[Matrix, Matrix]:
+        """`to_stop` and `from_stop` with the sizes of all terms added: rounding is in proportion to these."""
+        return self._run(0, self.stop, last_refracts=False, size=True), self._run(
+            self.stop, len(self.curvatures) - 1, size=True
+        )
+
+    @cached_property
+    def _whole_size(self) -> Matrix:
+        return self._sizes[0].then(self._sizes[1])
+
+    def _run(self, first: int, last: int, last_refracts: bool = True, size: bool = False) -> Matrix:
+        refraction = self._refraction_size if size else self.refraction
         matrix = NOTHING
         for number in range(first, last):
-            matrix = matrix.then(self.refraction(number)).then(gap(self.gaps_mm[number], self.indices[number + 1]))
-        return matrix.then(self.refraction(last)) if last_refracts else matrix
+            length = abs(self.gaps_mm[number]) if size else self.gaps_mm[number]
+            matrix = matrix.then(refraction(number)).then(gap(length, self.indices[number + 1]))
+        return matrix.then(refraction(last)) if last_refracts else matrix
 
     @property
     def length_mm(self) -> float:
@@ -168,29 +191,34 @@ class Paraxial:
     @property
     def efl_mm(self) -> float:
         """Effective focal length, that on the side of the image; inf for an afocal lens."""
-        return _ratio(-1.0, self.whole.c)
+        return _ratio(-1.0, self.whole.c, self._whole_size.c)
 
     @property
     def bfl_mm(self) -> float:
-        """From the last vertex to the rear focal point."""
-        return _ratio(-self.whole.a, self.whole.c)
+        """From the last vertex to the rear focal point; inf for an afocal lens."""
+        return _ratio(-self.whole.a, self.whole.c, self._whole_size.c)
 
     @property
     def ffl_mm(self) -> float:
         """From the first vertex to the front focal point: negative where that lies before the lens."""
-        return self.indices[0] * _ratio(self.whole.d, self.whole.c)
+        return self.indices[0] * _ratio(self.whole.d, self.whole.c, self._whole_size.c)
 
     @property
     def front_principal_mm(self) -> float:
-        """From the first vertex to the front principal plane."""
-        return self.ffl_mm + self.indices[0] * self.efl_mm
+        """From the first vertex to the front principal plane; inf for an afocal lens."""
+        return self.indices[0] * _ratio(self.whole.d - 1.0, self.whole.c, self._whole_size.c)
+
+    @property
+    def rear_principal_mm(self) -> float:
+        """From the first vertex to the rear principal plane; inf for an afocal lens."""
+        return self.length_mm + _ratio(1.0 - self.whole.a, self.whole.c, self._whole_size.c)
 
     def image_mm(self, object_mm: float) -> float:
         """Return the image distance behind the last vertex of an object this far before the first."""
         if math.isinf(object_mm):
             return self.bfl_mm
-        m, reduced = self.whole, object_mm / self.indices[0]
-        return _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d)
+        m, reduced, size = self.whole, object_mm / self.indices[0], self._whole_size
+        return _ratio(-(m.a * reduced + m.b), m.c * reduced + m.d, size.c * abs(reduced) + size.d)
 
     def object_mm(self, image_mm: float) -> float:
         """Return the object distance before the first vertex whose image lies this far behind the last.
@@ -198,14 +226,30 @@ class Paraxial:
         It is negative for a virtual object: an image between the lens and its rear focal point.
         """
         m = self.whole
-        distance = self.indices[0] * _ratio(-(m.b + m.d * image_mm), m.a + m.c * image_mm)
-        return abs(distance) if math.isinf(distance) else distance
+        return self.indices[0] * quotient(-(m.b + m.d * image_mm), self.magnification_onto(image_mm))
 
     def magnification(self, object_mm: float) -> float:
         """Return the transverse magnification of an object this far off; negative for an inverted image."""
         if math.isinf(object_mm):
             return 0.0
-        return _ratio(1.0, self.whole.c * object_mm / self.indices[0] + self.whole.d)
+        reduced, size = object_mm / self.indices[0], self._whole_size
+        return _ratio(1.0, self.whole.c * reduced + self.whole.d, size.c * abs(reduced) + size.d)
+
+    def magnification_onto(self, image_mm: float) -> float:
+        """Return the transverse magnification of what is imaged this far behind the last vertex; 0 in the focus."""
+        size = self._whole_size
+        value = self.whole.a + self.whole.c * image_mm
+        return 0.0 if abs(value) <= ROUNDED * (size.a + size.c * abs(image_mm)) else value
+
+    def chief_height_mm(self, image_mm: float) -> float:
+        """Return the height, behind the last vertex, of the ray through the middle of the stop with a slope of 1 there.
+
+        The slope is reduced. By the optical invariant, it is also twice the stop's radius times the f-number of the
+        cone of light that the stop lets through to the axis there; 0 in the exit pupil.
+        """
+        size = self._sizes[1]
+        value = self.from_stop.b + self.from_stop.d * image_mm
+        return 0.0 if abs(value) <= ROUNDED * (size.b + size.d * abs(image_mm)) else value
 
     def chief_scale_mm(self, object_mm: float, image_mm: float) -> float:
         """Return the height at which the chief ray of an object point with a slope of one meets a plane, in mm.
@@ -217,43 +261,44 @@ class Paraxial:
         image_mm : float
             Of the plane behind the last vertex.
         """
-        vergence, before, index = quotient(1.0, object_mm), self.to_stop, self.indices[0]
-        height = quotient(index * before.b, before.a + index * before.b * vergence)
-        ray = self.whole(Ray(height, index * (vergence * height - 1.0)))
-        return ray.height_mm + image_mm * ray.angle
+        # Before the lens, the ray of `chief_height_mm` has the height −b at the first vertex, and the angle a.
+        before = self.to_stop
+        slope = quotient(before.b, object_mm) + before.a / self.indices[0]
+        return quotient(-self.chief_height_mm(image_mm), slope)
 
     def axial_ray(self, object_mm: float) -> Ray:
         """Return some ray from the axial point of an object, at the first vertex."""
         return Ray(1.0, 0.0) if math.isinf(object_mm) else Ray(object_mm / self.indices[0], 1.0)
 
     def marginal_ray(self, object_mm: float, stop_radius_mm: float) -> Ray:
-        """Return the axial object point's ray, at the first vertex, that grazes the edge of the stop."""
+        """Return the axial object point's ray, at the first vertex, that grazes the edge of the stop.
+
+        Where the stop lies in an image of the object, no ray does: height and angle are inf.
+        """
         ray = self.axial_ray(object_mm)
-        scale = _ratio(stop_radius_mm, self.to_stop(ray).height_mm)
-        return Ray(ray.height_mm * scale, ray.angle * scale)
+        size = self._sizes[0](Ray(abs(ray.height_mm), abs(ray.angle))).height_mm
+        scale = _ratio(stop_radius_mm, self.to_stop(ray).height_mm, size)
+        return Ray(math.inf, math.inf) if math.isinf(scale) else Ray(ray.height_mm * scale, ray.angle * scale)
 
     def entrance_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
         """Return z and diameter of the stop's image in object space, in mm; both inf if telecentric."""
-        m = self.to_stop
-        return self.indices[0] * _ratio(m.b, m.a), abs(_ratio(2 * stop_radius_mm, m.a))
+        m, size = self.to_stop, self._sizes[0]
+        return self.indices[0] * _ratio(m.b, m.a, size.a), abs(_ratio(2 * stop_radius_mm, m.a, size.a))
 
     def exit_pupil(self, stop_radius_mm: float) -> tuple[float, float]:
         """Return z and diameter of the stop's image in image space, in mm; both inf if telecentric."""
-        m = self.from_stop
-        return self.length_mm - _ratio(m.b, m.d), abs(_ratio(2 * stop_radius_mm, m.d))
+        m, size = self.from_stop, self._sizes[1]
+        z = -_ratio(m.b, m.d, size.d)
+        return self.length_mm + z if math.isfinite(z) else math.inf, abs(_ratio(2 * stop_radius_mm, m.d, size.d))
 
 
 def quotient(numerator: float, denominator: float) -> float:
-    """Divide, with x/0 = inf of the sign of x, and 0/0 = nan."""
+    """Divide; what has no bounds is inf, without a sign: infinity is one point of the axis. 0/0 is nan."""
     if denominator == 0:
-        return math.copysign(math.inf, numerator) if numerator else math.nan
+        return math.inf if numerator else math.nan
     return numerator / denominator
 
 
-def _ratio(numerator: float, denominator: float) -> float:
-    """Divide, with x/0 = inf of the sign of x.
-
-    A denominator that is only rounding of a sum that should vanish counts as 0: the numbers are mm and 1/mm
-    of camera lenses, far above it.
-    """
-    return math.copysign(math.inf, numerator) if abs(denominator) < 1e-14 else numerator / denominator
+def _ratio(numerator: float, denominator: float, size: float) -> float:
+    """Divide, with inf for a denominator that is a sum which should vanish; `size`: the sum of its terms' sizes."""
+    return math.inf if abs(denominator) <= ROUNDED * size else numerator / denominator

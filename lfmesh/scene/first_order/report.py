@@ -7,9 +7,12 @@ from typing import Any
 
 from lfmesh.notebook import Shown
 from lfmesh.optics.glass import AIR
+from lfmesh.scene.distance import reach_in_words
+from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import FocusedLenslets, middle_of
 from lfmesh.scene.first_order.kick_error import KickError
 from lfmesh.scene.first_order.lenslets import LensletSection
+from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.scene.literals import percent
 
 CONVENTIONAL, STANDARD = "conventional", "standard plenoptic"
@@ -82,6 +85,8 @@ class FirstOrder(Shown):
     focused one."""
     field_of_view_mm: tuple[float, float]
     """Width and height that array and sensor see of the plane in focus."""
+    field: FieldOfView
+    """The same at any distance, and the angles of view of far objects."""
     airy_wavelength_nm: float
     """The longest wavelength of the scene, for which the Airy disks are given: theirs are the largest."""
     airy_disk_mm: float
@@ -100,7 +105,7 @@ class FirstOrder(Shown):
     beyond the tables, and of lenslets with round apertures or cylinders. Of hexagons those of edges are not known."""
     near_mm: float
     """Nearest object distance that can be refocused sharply; conventional: the near end of the depth of field; focused:
-    of what lenslets of any type image sharply to a pixel."""
+    of what lenslets of any type image sharply to a pixel. inf, with `far_mm`, where no real object can be."""
     far_mm: float
     """The farthest one; inf where it reaches infinity."""
     view_spacing_mm: float | None = None
@@ -110,7 +115,8 @@ class FirstOrder(Shown):
     """Views side by side on the diameter of the pupil; of a standard plenoptic camera."""
     refocused_mm: tuple[tuple[float, float, float], ...] = ()
     """Planes refocused to, with the nearest and farthest distance that is then sharp to a lenslet: the near end of the
-    refocus range, the plane in focus, the far end. Of a photograph of all views."""
+    refocus range, the plane in focus, the far end. Of a photograph of all views. Both distances are inf where no real
+    object is sharp."""
     cover_shift_mm: float | None = None
     """Shift of the image away from the lens by the sensor's cover, t (1 - 1/n); None without a cover. The sensor
     stays where the scene puts it; the other figures are those behind the cover."""
@@ -147,7 +153,6 @@ class FirstOrder(Shown):
         list of (str, str)
         """
         mla, standard = self.microlens_f_number is not None, self.kind == STANDARD
-        width, height = self.field_of_view_mm
         rows = [
             ("camera", self.kind),
             ("wavelength", f"{self.wavelength_nm:g} nm"),
@@ -171,14 +176,14 @@ class FirstOrder(Shown):
         if mla:
             rows += [
                 ("microlens f-number", f"{self.microlens_f_number:.4g}"),
-                ("micro-image pitch", f"{self.micro_image_pitch_px:.6g} pixels"),
-                ("micro-image diameter", f"{self.micro_image_diameter_px:.4g} pixels"),
+                ("micro-image pitch", _pixels(self.micro_image_pitch_px, 6)),
+                ("micro-image diameter", _pixels(self.micro_image_diameter_px, 4)),
             ]
             rows += [_section_row(at) for at in self.lenslet_sections]
             rows += [row for at in self.focused for row in _focused_rows(at, len(self.focused) > 1)]
         rows += [
             ("object sampling", f"{_mm(self.object_sampling_mm)} a {'lenslet' if standard else 'pixel'}"),
-            ("field of view", f"{_mm(width)} × {_mm(height)}"),
+            ("field of view", self._field_in_words()),
             (
                 "Airy disk, lens",
                 f"{_um(self.airy_disk_mm)}, {self.airy_disk_samples:.3g} {'lenslets' if standard else 'pixels'}, "
@@ -186,15 +191,14 @@ class FirstOrder(Shown):
             ),
             *([("Airy disk, lenslet", self._lenslet_disk)] if mla else []),
             *self._waves_in_words(),
-            ("refocus range" if standard else "depth of field", f"{_mm(self.near_mm)} to {_mm(self.far_mm)}"),
+            ("refocus range" if standard else "depth of field", reach_in_words(self.near_mm, self.far_mm, digits=6)),
         ]
         if self.view_spacing_mm is not None:
-            rows.append(
-                ("views", f"{_mm(self.view_spacing_mm)} apart on the entrance pupil, {self.views_across:.3g} across")
-            )
+            rows.append(("views", f"{self._view_step} apart on the entrance pupil, {self.views_across:.3g} across"))
         rows += [
-            ("depth of field", f"{_mm(near)} to {_mm(far)} when refocused to {_mm(plane)}")
+            ("depth of field", f"{reach_in_words(near, far, digits=6)} when refocused to {_mm(plane)}")
             for plane, near, far in self.refocused_mm
+            if plane > 0.0 and math.isfinite(near)
         ]
         rows += [
             (
@@ -213,6 +217,15 @@ class FirstOrder(Shown):
             rows.append(("", "the figures above are those of the camera without poses"))
         return rows
 
+    def _field_in_words(self) -> str:
+        """Return the field of view on the plane in focus; its angles where that lies at infinity."""
+        if math.isfinite(self.object_distance_mm):
+            width, height = self.field_of_view_mm
+            return f"{_mm(width)} × {_mm(height)}"
+        if not math.isfinite(self.field.slope[1]):
+            return "without bounds"
+        return " × ".join(f"{angle:.4g}°" for angle in self.field.angles_deg)
+
     def _object_medium_in_words(self) -> Iterator[tuple[str, str]]:
         """Yield the medium before the lens, where it is not air, and the focal length on its side."""
         if self.object_index != AIR:
@@ -222,6 +235,15 @@ class FirstOrder(Shown):
     def _lenslets_in_words(self) -> str:
         """Return where the lenslets of a focused camera stand."""
         return f", lenslets at z = {_mm(self.lenslets_z_mm or math.nan)}" if self.focused else ""
+
+    @property
+    def _view_step(self) -> str:
+        """Distance of neighbouring views, in words: an angle on a pupil at infinity."""
+        if self.view_spacing_mm is not None and math.isfinite(self.view_spacing_mm):
+            return _mm(self.view_spacing_mm)
+        # By the optical invariant, the cone before the lens is the one behind it times the magnification.
+        lenslets = self.working_f_number * self.object_index * (self.views_across or math.nan)
+        return f"{math.degrees(quotient(abs(self.magnification), lenslets)):.4g}°"
 
     @property
     def _lenslet_disk(self) -> str:
@@ -246,6 +268,8 @@ class FirstOrder(Shown):
                 f"{'' if better else ': no nearer'}",
             )
         lit = self.views_across if self.views_across is not None else math.nan
+        if not self.focused and self.views_across is None:
+            return
         where = f"{lit:.3g} lenslets across at the ends of the refocus range"
         if self.focused:
             where = f"{middle_of(self.focused).seen_by:.3g} lenslets where it is sharp"
@@ -274,7 +298,7 @@ class FirstOrder(Shown):
         names = ("by_wavelength", "focused", "lenslet_sections")
         nested = {name: tuple(asdict(at) for at in values[name]) for name in names}
         error = None if self.kick_error is None else self.kick_error._asdict()
-        return values | nested | {"kick_error": error}
+        return values | nested | {"kick_error": error, "field": self.field._asdict()}
 
 
 def _section_row(at: LensletSection) -> tuple[str, str]:
@@ -311,6 +335,10 @@ def _focused_rows(at: FocusedLenslets, several: bool) -> Iterator[tuple[str, str
 
 def _mm(length: float) -> str:
     return f"{length:.6g} mm" if math.isfinite(length) else "infinity"
+
+
+def _pixels(count: float | None, digits: int) -> str:
+    return f"{count:.{digits}g} pixels" if count is not None and math.isfinite(count) else "infinite"
 
 
 def _um(length_mm: float) -> str:

@@ -1,0 +1,134 @@
+"""Object distances along a range of image points, as ratios: infinity is a point of the axis like any other.
+
+A lens maps the axis projectively. With the matrices of the lens, T from its first vertex to the stop, F from there to
+behind the last vertex and M = F T, and the height h = F_b + i F_d at which the ray through the middle of the stop with
+the slope 1 meets the plane i behind the last vertex, the image point at which views a distance u apart on the exit
+pupil shift by u t / D on that plane, D behind the pupil, has the object distance
+
+    x = −n ((M_b + M_d i) h − t T_b) / ((M_a + M_c i) h − t T_a).
+
+No term of it is infinite for a telecentric or an afocal lens, nor where the image point lies in the exit pupil. It
+falls as t grows, since its derivative is −n h² over the square of the denominator.
+"""
+
+import math
+from typing import NamedTuple
+
+from lfmesh.scene.first_order.paraxial import ROUNDED, Paraxial, quotient
+
+NOTHING = math.inf, math.inf
+"""Near and far end of a range without a real object."""
+
+
+class Conjugates(NamedTuple):
+    """Object distances (p + q t) / (r + s t), which fall as t grows; those of real objects are positive, or infinite.
+
+    Attributes
+    ----------
+    p, q, r, s : float
+    least, most : float
+        Range of t beyond whose ends images would have to come round through infinity.
+    """
+
+    p: float
+    q: float
+    r: float
+    s: float
+    least: float = -math.inf
+    most: float = math.inf
+
+    def object_mm(self, t: float) -> float:
+        """Return the object distance at t, in mm; negative for a virtual object."""
+        return quotient(_sum(self.p, self.q * t), _sum(self.r, self.s * t))
+
+    def real(self, low: float, high: float) -> tuple[float, float] | None:
+        """Return the part of a range of t in which objects are real; None where none are.
+
+        As t grows, real objects fill one stretch, from infinity to the first vertex. It may pass through t = ∞: of the
+        two parts of the range it then fills, the one nearer to the middle is returned.
+
+        Parameters
+        ----------
+        low, high : float
+        """
+        middle = 0.5 * (low + high)
+        low, high = max(low, self.least), min(high, self.most)
+        if self.q == self.s == 0.0 and not self.object_mm(middle) > 0.0:
+            return None
+        farthest = -self.r / self.s if self.s else -math.inf
+        nearest = -self.p / self.q if self.q else math.inf
+        if farthest < nearest:
+            parts = [(max(low, farthest), min(high, nearest))]
+        else:
+            parts = [(low, min(high, nearest)), (max(low, farthest), high)]
+        parts = [part for part in parts if part[0] <= part[1]]
+        return min(parts, key=lambda part: max(part[0] - middle, middle - part[1]), default=None)
+
+    def between_mm(self, low: float, high: float) -> tuple[float, float]:
+        """Return the nearest and the farthest distance of real objects in a range of t, in mm.
+
+        Parameters
+        ----------
+        low, high : float
+            As for `real`.
+
+        Returns
+        -------
+        near_mm, far_mm : float
+            `NOTHING` without a real object.
+        """
+        part = self.real(low, high)
+        if part is None:
+            return NOTHING
+        near, far = (self.object_mm(end) for end in reversed(part))
+        # Rounding may put an end that lies at infinity, or at the first vertex, just beyond it.
+        near = near if near > 0.0 else 0.0
+        return near, far if far >= near else math.inf
+
+
+def along_shifts(lens: Paraxial, image_mm: float) -> Conjugates:
+    """Return the object distances along the shift t of a plane behind the last vertex; see the head of this module."""
+    to_stop, whole = lens.to_stop, lens.whole
+    index, height = lens.indices[0], lens.chief_height_mm(image_mm)
+    if height == 0.0:
+        # The plane is the exit pupil: all of its views are of the entrance pupil alone.
+        return Conjugates(p=-index * to_stop.b, q=0.0, r=to_stop.a, s=0.0)
+    infinite = quotient(height, lens.from_stop.d)
+    return Conjugates(
+        p=-index * (whole.b + whole.d * image_mm) * height,
+        q=index * to_stop.b,
+        r=lens.magnification_onto(image_mm) * height,
+        s=-to_stop.a,
+        least=infinite if infinite < 0.0 else -math.inf,
+        most=infinite if infinite >= 0.0 else math.inf,
+    )
+
+
+def along_depths(lens: Paraxial, lenslets_mm: float, to_sensor_mm: float, per_depth: float) -> Conjugates:
+    """Return the object distances along the inverse virtual depth t of lenslets, their image points d/t before them.
+
+    Parameters
+    ----------
+    lens : Paraxial
+    lenslets_mm : float
+        Of the lenslets behind the last vertex.
+    to_sensor_mm : float
+        d, from the lenslets to the sensor.
+    per_depth : float
+        t of the plane in focus.
+    """
+    whole, index = lens.whole, lens.indices[0]
+    return Conjugates(
+        p=index * whole.d * to_sensor_mm,
+        q=-index * (whole.b + whole.d * lenslets_mm),
+        r=-whole.c * to_sensor_mm,
+        s=lens.magnification_onto(lenslets_mm),
+        least=0.0 if per_depth > 0.0 else -math.inf,
+        most=0.0 if per_depth <= 0.0 else math.inf,
+    )
+
+
+def _sum(first: float, second: float) -> float:
+    """Add, with 0 for what is only rounding."""
+    total = first + second
+    return 0.0 if abs(total) <= ROUNDED * max(abs(first), abs(second)) else total

@@ -1,0 +1,91 @@
+"""The field of view at any distance, as lines along the chief rays of the picture's edges: no plane is an exception."""
+
+import math
+from typing import NamedTuple
+
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.first_order.paraxial import Paraxial
+
+UNBOUNDED = math.inf, math.inf
+"""Size at the vertex and slope of a field, or of a beam, that the stop does not limit."""
+
+
+class FieldOfView(NamedTuple):
+    """Width and height that array and sensor see at a plane z before the lens, and the beam: |at_vertex + slope z|.
+
+    Attributes
+    ----------
+    at_vertex_mm : (width, height)
+        At z = 0, in mm; inf where the middle of the stop is imaged onto array or sensor.
+    slope : (width, height)
+        Change of the same a mm of z; inf likewise.
+    beam_at_vertex_mm, beam_slope : float
+        The same of the diameter of the beam that meets a point of the array or sensor, by which the edge is soft.
+    """
+
+    at_vertex_mm: tuple[float, float]
+    slope: tuple[float, float]
+    beam_at_vertex_mm: float
+    beam_slope: float
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        sections: tuple[Paraxial, Paraxial],
+        planes_mm: tuple[float, float],
+        stop_radius_mm: float,
+    ) -> "FieldOfView":
+        """Compute the field of a solved camera.
+
+        Parameters
+        ----------
+        camera : Camera
+        sections : (Paraxial, Paraxial)
+            The lens in the sections x–z and y–z.
+        planes_mm : (float, float)
+            Of array or sensor, and of the image of the plane in focus, behind the last vertex.
+        stop_radius_mm : float
+        """
+        sizes = camera.sensor.size_mm
+        if camera.mla is not None:
+            sizes = min(sizes[0], camera.mla.size_mm[0]), min(sizes[1], camera.mla.size_mm[1])
+        plane_mm, image_mm = planes_mm
+        edges = []
+        for size, lens in zip(sizes, sections, strict=True):
+            height, before, index = lens.chief_height_mm(plane_mm), lens.to_stop, lens.indices[0]
+            edge = (-size * before.b / height, size * before.a / (height * index)) if height else UNBOUNDED
+            edges.append(edge)
+        (width, width_slope), (height, height_slope) = edges
+        lens = sections[1]
+        diameter, cone = 2.0 * stop_radius_mm, lens.chief_height_mm(image_mm)
+        beam = UNBOUNDED
+        if cone:
+            beam = (
+                diameter * (lens.whole.b + lens.whole.d * image_mm) / cone,
+                -diameter * lens.magnification_onto(image_mm) / (cone * lens.indices[0]),
+            )
+        return cls((width, height), (width_slope, height_slope), *beam)
+
+    def size_mm(self, z_mm: float) -> tuple[float, float]:
+        """Return width and height at a plane z, in mm; at infinity inf, unless the entrance pupil is there too."""
+        width, height = (_on(*edge, z_mm) for edge in zip(self.at_vertex_mm, self.slope, strict=True))
+        return width, height
+
+    def beam_mm(self, z_mm: float) -> float:
+        """Return the diameter, at a plane z, of the beam that meets a point of array or sensor, in mm."""
+        return _on(self.beam_at_vertex_mm, self.beam_slope, z_mm)
+
+    @property
+    def angles_deg(self) -> tuple[float, float]:
+        """Full angles of view of far objects, horizontal and vertical, in degrees."""
+        width, height = (math.degrees(2.0 * math.atan(0.5 * abs(slope))) for slope in self.slope)
+        return width, height
+
+
+def _on(at_vertex: float, slope: float, z_mm: float) -> float:
+    if slope == 0.0:
+        return abs(at_vertex)
+    if not math.isfinite(slope) or not math.isfinite(at_vertex) or not math.isfinite(z_mm):
+        return math.inf
+    return abs(at_vertex + slope * z_mm)

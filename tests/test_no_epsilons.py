@@ -52,6 +52,7 @@ DIMENSIONLESS = {
     "transport/events/ground.py": {"LOWEST"},
     "transport/events/volume.py": {"CLEAR_DEPTH"},
     "transport/lights/lamps_on_line.py": {"NARROWEST"},
+    "transport/lights/places.py": {"GRAIN"},
     "transport/events/polarisation.py": {"NORMAL2"},
     "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
@@ -71,7 +72,7 @@ DIMENSIONLESS = {
     "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/sources/face_starts.py": {"ON_FACE"},
-    "transport/tables/lights.py": {"ALONG_X", "MM2"},
+    "transport/tables/lights.py": {"MM2"},
     "transport/packets/random.py": {"_UNIT"},
     "transport/packets/sobol.py": {"_UNIT"},
 }

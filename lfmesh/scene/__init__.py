@@ -16,7 +16,9 @@ from lfmesh.scene.light.lights import (
     DiskLight,
     Light,
     LinearPolarisation,
+    LineLight,
     PointLight,
+    RectangleLight,
     SpotLight,
 )
 from lfmesh.scene.materials.coatings import Coating, Layer
@@ -49,6 +51,7 @@ __all__ = [
     "Layer",
     "Lens",
     "Light",
+    "LineLight",
     "LinearPolarisation",
     "Liquid",
     "Material",
@@ -61,6 +64,7 @@ __all__ = [
     "Plane",
     "PointLight",
     "Pose",
+    "RectangleLight",
     "Refractor",
     "Scene",
     "Sensor",

@@ -564,8 +564,7 @@ class Scene(Model, Shown):
         """Yield what asks for polarised light where there is none, or has no known phases where there is."""
         if not self.transport.polarisation:
             states: list[tuple[Location, Any]] = [
-                (("lights", i, "polarisation"), getattr(light, "polarisation", None))
-                for i, light in enumerate(self.lights)
+                (("lights", i, "polarisation"), light.state) for i, light in enumerate(self.lights)
             ]
             for where, value in ((("camera", "polariser_deg"), self.camera.polariser_deg), *states):
                 if value is not None:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_normals, joined
+from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, crossings, facet_normals, joined
 from lfmesh.geometry.meshes.winding import shells, winding
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
-from lfmesh.optics.scattering import tangents
-from lfmesh.scene import DirectionalLight, DiskLight, Light, Scene
+from lfmesh.scene import Light, Scene
+from lfmesh.scene.light.region import Region
 from lfmesh.scene.literals import plain
 from lfmesh.transport.close_faces import refuse_close_faces
 from lfmesh.transport.events.bodies import MOST_AT_ONCE, MOST_BODIES
@@ -41,9 +41,6 @@ AS_CLOSE = 2.0
 
 MOST_TRIED, MOST_ANGLES = 512, 3_000_000
 """Largest number of facets of a body at which other bodies are tested, and of solid angles computed for them."""
-
-DISK_RINGS, DISK_SPOKES = 4, 32
-"""Points of a disk lamp that are tested for being in glass."""
 
 
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
@@ -409,24 +406,51 @@ def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) ->
 
 
 def _refuse_lamp_inside(parts: Shells, names: dict[int, str], number: int, light: Light) -> None:
-    """Refuse a lamp in glass."""
-    if isinstance(light, DirectionalLight):
+    """Refuse a lamp in glass, with its middle or with any part of it: then a surface of the glass passes through it."""
+    region = light.region
+    if region is None:
         return
-    points = [np.array(light.position_mm, dtype=np.float64)]
-    if isinstance(light, DiskLight):
-        across = tangents(*(np.array(light.direction) / np.linalg.norm(light.direction)))
-        u, v = np.array(across[:3]), np.array(across[3:])
-        for r in light.radius_mm * np.arange(1, DISK_RINGS + 1) / DISK_RINGS:
-            for phi in 2.0 * np.pi * np.arange(DISK_SPOKES) / DISK_SPOKES:
-                points.append(points[0] + r * (np.cos(phi) * u + np.sin(phi) * v))
-    body = _holding(parts, np.array(points))
+    body = _holding(parts, region.centre_mm[None])
+    if body is None and region.size_mm > 0.0:
+        body = next((i for i, own in parts.items() if _meets(own, region)), None)
     if body is not None:
-        size = f" with radius_mm = {light.radius_mm:g}" if isinstance(light, DiskLight) else ""
         raise SceneError(
-            f"lights[{number}].position_mm = {list(light.position_mm)}{size} lies inside "
-            f"{names[body]}; a lamp must stand in air: move it, or give the body a hollow round it, a surface that "
-            "faces inwards"
+            f"lights[{number}].{light.place_in_words} lies inside {names[body]}; a lamp must stand in air: move it, or "
+            "give the body a hollow round it, a surface that faces inwards"
         )
+
+
+def _meets(own: Sequence[Array], region: Region) -> bool:
+    """Tell whether a lamp with a size, whose middle is outside a body, reaches into its glass, deeper than contact."""
+    low, high = _box(own)
+    if (np.abs(0.5 * (low + high) - region.centre_mm) > 0.5 * (high - low) + region.size_mm).any():
+        return False
+    facets = np.concatenate(own)
+    deep = CUT * min(float((high - low).max()), region.size_mm)
+    ends = region.corners_mm
+    if len(ends) == 2:
+        # Whether the line is in glass changes only where it meets the surface.
+        shares, inside = crossings(facets, *ends)
+        places = np.unique([0.0, *shares[inside], 1.0])
+        middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) * region.size_mm > deep]
+        return bool((_turns(own, ends[0] + middles[:, None] * (ends[1] - ends[0])) != 0).any())
+    # Facets that pass through the plane of the lamp, and the segments in which they do.
+    normal = np.cross(*region.half_mm)
+    height = (facets - region.centre_mm) @ (normal / np.linalg.norm(normal))
+    passes = (height.min(axis=1) < -deep) & (height.max(axis=1) > deep)
+    facets, height = facets[passes], height[passes]
+    # The corner that is alone on its side comes first: both edges from there meet the plane.
+    above = height > 0.0
+    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
+    order = (alone[:, None] + np.arange(3)) % 3
+    facets, height = (np.take_along_axis(each, index, axis=1) for each, index in (
+        (facets, order[:, :, None]), (height, order)
+    ))  # fmt: skip
+    start, end = (
+        facets[:, 0] + (height[:, 0] / (height[:, 0] - height[:, k]))[:, None] * (facets[:, k] - facets[:, 0])
+        for k in (1, 2)
+    )
+    return bool(region.holds(start, end, np.full(len(facets), deep)).any())
 
 
 def _holding(parts: Shells, points: Array) -> int | None:

@@ -133,3 +133,60 @@ def distance_mm(corners: Array, point: Array) -> float:
 
     found = closest_point(corners, np.tile(point, (len(corners), 1)))
     return float(np.linalg.norm(found - point, axis=1).min(initial=np.inf))
+
+
+def distance_of_segment_mm(corners: Array, start: Array, end: Array) -> float:
+    """Return the distance of a segment from the nearest of some facets, in mm: 0 where it passes through one.
+
+    Parameters
+    ----------
+    corners : (n, 3, 3) float64, mm
+    start, end : (3,) float64, mm
+    """
+    nearest = min(distance_mm(corners, start), distance_mm(corners, end))
+    if not len(corners) or np.array_equal(start, end):
+        return nearest
+    if crossings(corners, start, end)[1].any():
+        return 0.0
+    way = end - start
+    for k in range(3):
+        edge, from_start = corners[:, (k + 1) % 3] - corners[:, k], corners[:, k] - start
+        # Where the lines of both are nearest; the ends of either are compared beside it.
+        a, b, c = float(way @ way), edge @ way, np.einsum("ij,ij->i", edge, edge)
+        d, e = from_start @ way, np.einsum("ij,ij->i", from_start, edge)
+        scale = a * c - b * b
+        on_edge = np.divide(b * d - a * e, scale, out=np.zeros(len(corners)), where=scale > 0.0).clip(0.0, 1.0)
+        on_way = ((d + on_edge * b) / a).clip(0.0, 1.0)
+        on_edge = np.divide(on_way * b - e, c, out=np.zeros(len(corners)), where=c > 0.0).clip(0.0, 1.0)
+        apart = from_start + on_edge[:, None] * edge - on_way[:, None] * way
+        nearest = min(nearest, float(np.linalg.norm(apart, axis=1).min()))
+    return nearest
+
+
+def crossings(corners: Array, start: Array, end: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the share of a segment at which it meets the plane of each facet, and whether it meets the facet there.
+
+    Parameters
+    ----------
+    corners : (n, 3, 3) float64, mm
+    start, end : (3,) float64, mm
+
+    Returns
+    -------
+    shares : (n,) float64
+        nan where it is parallel.
+    inside : (n,) bool
+        Facets with their borders; False where the segment lies in the plane.
+    """
+    way = end - start
+    a, b, c = np.moveaxis(corners, 1, 0)
+    # Moeller and Trumbore 1997: shares of the edges, and of the way.
+    across = np.cross(way, c - a)
+    scale = np.einsum("ij,ij->i", b - a, across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.einsum("ij,ij->i", start - a, across) / scale
+        other = np.cross(start - a, b - a)
+        v = other @ way / scale
+        share = np.einsum("ij,ij->i", c - a, other) / scale
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (share > 0.0) & (share < 1.0)
+    return share, inside

@@ -261,23 +261,23 @@ def _lamps(scene: Scene, target: Target, body: TargetMesh, to_world: Array) -> t
 
 def _lit(light: Light, points: Array, normals: Array, radii: Array) -> NDArray[np.bool_]:
     """Tell of each facet, given its centre and radius, whether a lamp is before it and shines its way."""
-    if light.kind == "directional":
-        return normals @ np.asarray(light.direction) < 0.0
-    away = points - np.asarray(light.position_mm)
-    if light.kind == "disk":
-        # A wide lamp reaches what its centre does not.
-        near = np.einsum("ij,ij->i", normals, -away) + light.radius_mm > 0.0
-        return near & (away @ _unit(light.direction) + radii > 0.0)
-    before = np.einsum("ij,ij->i", normals, -away) > 0.0
-    if light.kind == "spot" and light.half_angle_deg is not None:
-        distance = np.linalg.norm(away, axis=1)
-        off_axis = np.arccos(np.clip(away @ _unit(light.direction) / np.maximum(distance, SMALLEST), -1.0, 1.0))
-        half = np.arcsin(np.minimum(1.0, radii / np.maximum(distance, SMALLEST)))
-        half[radii >= distance] = np.pi
-        return before & (off_axis - half <= math.radians(light.half_angle_deg))
-    return before
+    region = light.region
+    if region is None:
+        return np.asarray(normals @ light.axes[2] < 0.0)
+    away = points - region.centre_mm
+    # A wide lamp reaches what its centre does not.
+    before = np.einsum("ij,ij->i", normals, -away) + region.reach_mm(normals) > 0.0
+    if light.heading is None:
+        return np.asarray(before)
+    around, distance = radii + region.size_mm, np.linalg.norm(away, axis=1)
+    ahead = away @ light.heading
+    off_axis = np.arccos(np.clip(ahead / np.maximum(distance, SMALLEST), -1.0, 1.0))
+    half = np.arcsin(np.minimum(1.0, around / np.maximum(distance, SMALLEST)))
+    half[around >= distance] = np.pi
+    one_sided = light.spread_deg <= RIGHT_DEG
+    return np.asarray(
+        before & (off_axis - half <= math.radians(light.spread_deg)) & ((ahead + radii > 0.0) | (not one_sided))
+    )
 
 
-def _unit(direction: tuple[float, float, float]) -> Array:
-    vector = np.asarray(direction, dtype=np.float64)
-    return vector / np.abs(vector).max() / np.linalg.norm(vector / np.abs(vector).max())
+RIGHT_DEG = 90.0

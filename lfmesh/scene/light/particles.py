@@ -12,6 +12,7 @@ from lfmesh.errors import FileError, SceneError
 from lfmesh.optics.number_table import read_table
 from lfmesh.scene.light.spectra import Resolves
 from lfmesh.scene.light.spectra import Shape as SpectralShape
+from lfmesh.scene.light.turns import rotation, turned_about
 from lfmesh.scene.media.phase import IsotropicPhase, Phase
 from lfmesh.scene.model import Fault, Model
 from lfmesh.scene.objects.targets import Box, Cylinder, Sphere
@@ -255,7 +256,7 @@ def particle_places(group: Particles, scene: Resolves) -> tuple[Array, Array]:
         own = columns[3] if needs_own else None
     else:
         points = _drawn(group)
-    points = points @ _rotation(group.rotation_deg).T + np.array(group.position_mm)
+    points = points @ rotation(group.rotation_deg).T + np.array(group.position_mm)
     points = displaced_places(group, points, scene)
     if group.sheet is not None:
         return points, group.sheet.irradiance_w_mm2(points)
@@ -289,21 +290,6 @@ def _drawn(group: Particles) -> Array:
             r, phi = radius * np.sqrt(u[:, 0]), 2.0 * np.pi * u[:, 1]
             return np.stack([r * np.cos(phi), r * np.sin(phi), height * (u[:, 2] - 0.5)], axis=1)
     raise AssertionError("particles without places")
-
-
-def _rotation(tilt_deg: Vector) -> Array:
-    """Return the rotation by three angles, about x first, then y, then z, as `geometry.frame` has it for targets."""
-    turn = np.eye(3)
-    for axis, angle in enumerate(tilt_deg):
-        turn = _about(np.eye(3)[axis], np.deg2rad(angle)) @ turn
-    return turn
-
-
-def _about(axis: Array, angle: float) -> Array:
-    """Return the rotation about a unit axis by an angle, rad (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + 2.0 * np.sin(0.5 * angle) ** 2 * cross @ cross)
 
 
 def displaced_places(group: Particles, points: Array, scene: Resolves) -> Array:
@@ -345,7 +331,7 @@ def displacements(group: Particles, points: Array, scene: Resolves) -> Array:
             return np.tile(np.array(vector), (len(points), 1))
         case RotationDisplacement(center_mm=center, axis=axis, angle_deg=angle):
             off = points - np.array(center)
-            return off @ (_about(unit(axis), np.deg2rad(angle)) - np.eye(3)).T
+            return off @ (turned_about(unit(axis), np.deg2rad(angle)) - np.eye(3)).T
         case VortexDisplacement(center_mm=center, axis=axis, core_mm=core, circulation_mm2=circulation):
             along = unit(axis)
             off = points - np.array(center)

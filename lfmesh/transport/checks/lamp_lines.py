@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.optics.light_profile import LightProfile, read_profile
-from lfmesh.scene import Scene
-from lfmesh.scene.light.lights import PointLight, SpotLight
+from lfmesh.scene import Light, Scene
 from lfmesh.scene.light.spectra import curve_of
-from lfmesh.transport.tables.lights import axes_of
 
 Array = NDArray[np.float64]
 
@@ -32,9 +30,9 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
     lines = []
     for number, light in enumerate(scene.lights):
         where = f"lights[{number}]"
-        if isinstance(light, PointLight | SpotLight) and light.profile is not None:
-            profile = read_profile(scene.resolve(light.profile))
-            lines.append(f"{where} profile: {light.profile}, {_in_words(profile, light.power_w)}")
+        if light.ies is not None:
+            profile = read_profile(scene.resolve(light.ies))
+            lines.append(f"{where} profile: {light.ies}, {_in_words(profile, light.strength)}")
             if targets and not _shines_on(profile, light, targets):
                 lines.append(f"Note: {where}: its profile sends no light towards a corner of any target")
         if scene.passbands:
@@ -53,12 +51,15 @@ def _in_words(profile: LightProfile, power_w: float) -> str:
     )
 
 
-def _shines_on(profile: LightProfile, light: PointLight | SpotLight, targets: list[TargetMesh]) -> bool:
-    """Return whether a profile shines towards a corner or the middle of any facet."""
-    x, y, down = axes_of(light)
+def _shines_on(profile: LightProfile, light: Light, targets: list[TargetMesh]) -> bool:
+    """Return whether a profile shines from a corner of its lamp towards a corner or the middle of any facet."""
+    if light.region is None:
+        return True
+    x, y, down = light.axes
     for target in targets:
         corners = target.mesh.vertices[target.mesh.faces]
-        points = np.concatenate([target.mesh.vertices, corners.mean(axis=1)]) - np.array(light.position_mm)
+        facets = np.concatenate([target.mesh.vertices, corners.mean(axis=1)])
+        points = np.concatenate([facets - corner for corner in light.region.corners_mm])
         far = np.linalg.norm(points, axis=1)
         points = points[far > 0.0] / far[far > 0.0, None]
         if not len(points):

@@ -1,7 +1,7 @@
-"""Radiant intensity of lamps that shine from a point, and directions that are drawn by it.
+"""Radiant intensity of lamps, and directions that are drawn by it.
 
-Only this module knows how such a lamp spreads its light over its directions: `intensity` has a branch for each kind,
-and so has `drawn_by_intensity`, which must draw what that gives.
+Only this module knows how a lamp spreads its light over its directions, the same way from each of its points:
+`intensity` has a branch for each law, and so has `drawn_by_intensity`, which must draw what that gives.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by, piece_with
 from lfmesh.optics.scattering import near
-from lfmesh.transport.tables.lights import POINT, SPOT, Profiles
+from lfmesh.transport.tables.lights import CONE, EVEN, LAMBERT, SINE, Profiles
 
 MOST_STEPS = 64
 """Of Newton's method, or of halving, after which an angle is known to its last digits."""
@@ -19,7 +19,7 @@ MOST_STEPS = 64
 
 @inlined
 def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -> float:
-    """Return the radiant intensity of a light that shines from a point, W/sr.
+    """Return the radiant intensity of a lamp, W/sr: of a lamp with a size, as if all of it were at one of its points.
 
     Parameters
     ----------
@@ -28,10 +28,16 @@ def intensity(profiles: Profiles, light: Any, dx: float, dy: float, dz: float) -
     dx, dy, dz : float
         Unit direction of the light.
     """
-    if light.kind == POINT:
+    if light.emission == EVEN:
         return light.peak
-    if light.kind == SPOT:
-        ex, ey, ez = dx - light.direction[0], dy - light.direction[1], dz - light.direction[2]
+    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+    if light.emission == LAMBERT:
+        return light.peak * max(0.0, dx * ax + dy * ay + dz * az)
+    if light.emission == SINE:
+        nx, ny, nz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+        return light.peak * np.sqrt(nx * nx + ny * ny + nz * nz)
+    if light.emission == CONE:
+        ex, ey, ez = dx - ax, dy - ay, dz - az
         # 1 − cos of the angle from the axis.
         height = 0.5 * (ex * ex + ey * ey + ez * ez)
         if height <= light.inner:
@@ -66,7 +72,7 @@ def _profile_at(profiles: Profiles, light: Any, dx: float, dy: float, dz: float)
 
 @kernel
 def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tuple[float, float, float]:
-    """Return a random direction of a spot or a profiled light, with a density of its intensity over its power.
+    """Return a random direction of a lamp's light, with a density of its intensity over its power.
 
     Parameters
     ----------
@@ -76,7 +82,17 @@ def drawn_by_intensity(profiles: Profiles, light: Any, u: float, v: float) -> tu
         Random numbers, uniform in [0, 1).
     """
     axis, across = light.direction, light.across
-    if light.kind == SPOT:
+    if light.emission == EVEN:
+        return near(axis[0], axis[1], axis[2], 2.0 * u, 2.0 * np.pi * v)
+    if light.emission == LAMBERT:
+        return near(axis[0], axis[1], axis[2], u / (1.0 + np.sqrt(1.0 - u)), 2.0 * np.pi * v)
+    if light.emission == SINE:
+        # The cosine is a coordinate of a random point in a circle; where that lies on its chord tells the azimuth.
+        cosine, on_chord = np.sqrt(u) * np.cos(2.0 * np.pi * v), np.sqrt(u) * np.sin(2.0 * np.pi * v)
+        half_chord = np.sqrt(1.0 - cosine * cosine)
+        turn = on_chord / half_chord if half_chord > 0.0 else 0.0
+        return near(axis[0], axis[1], axis[2], 1.0 - cosine, np.pi * (1.0 + turn))
+    if light.emission == CONE:
         # The number of 1 − cos of the angle if the soft edge were as bright as the inside: it fades to the right.
         height = 0.5 * u * (light.inner + light.outer)
         if height > light.inner:

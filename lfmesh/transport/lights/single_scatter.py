@@ -23,12 +23,12 @@ from lfmesh.transport.events.bodies import bodies_round
 from lfmesh.transport.events.crossing import LIGHT_U, draw_two
 from lfmesh.transport.events.scattering_point import scattered_at, scattering_point
 from lfmesh.transport.events.volume import Line, Passage
-from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from, point_of_light
+from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from
 from lfmesh.transport.lights.lamps_on_line import NARROWEST, lit_part
+from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.lights.shadow import Way, send
 from lfmesh.transport.packets.packet import NO_SURFACE, PAST_LAMP, TO_LAMP, Flow, Options
 from lfmesh.transport.packets.random import uniform
-from lfmesh.transport.tables.lights import DIRECTIONAL
 from lfmesh.transport.tables.single_scatter import DENSE, angle_beyond, drawn_angle, light_beyond, phase_at
 from lfmesh.transport.tables.tables import ObjectTables, SingleScatter
 from lfmesh.transport.tables.volumes import Volumes
@@ -173,16 +173,16 @@ def gather(
 def _brightness(objects: ObjectTables, number: int, colour: int, far: float) -> float:
     """Return what a lamp is drawn in proportion to, for a point at a distance: the brightness of the light round it."""
     light: Any = objects.lights[number]
-    if light.kind == DIRECTIONAL or far <= 0.0:
+    if not light.placed or far <= 0.0:
         return 0.0
     return light.power * objects.light_spectra[number, colour] / far
 
 
 @inlined
 def _distance(light: Any, place: tuple[float, float, float]) -> float:
-    """Return the distance of a lamp from a point, mm; that of a disk from all its points is about as large."""
+    """Return the distance of a lamp from a point, mm; that of one with a size from all its points is about as large."""
     px, py, pz = light.position[0] - place[0], light.position[1] - place[1], light.position[2] - place[2]
-    return np.sqrt(px * px + py * py + pz * pz + light.radius * light.radius)
+    return np.sqrt(px * px + py * py + pz * pz + light.size * light.size)
 
 
 @kernel

@@ -7,8 +7,8 @@ import numpy as np
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import near, tangents
 from lfmesh.transport.lights.intensity import drawn_by_intensity, intensity
+from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.packets.random import start
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, POINT
 from lfmesh.transport.tables.tables import ObjectTables
 
 # Dimensions of the numbers that a light's packet starts from; dimension 0 chooses the light.
@@ -21,7 +21,8 @@ def emitted(
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return a random ray of a light towards the sphere that is aimed at, around the targets or around glass only.
 
-    A light of a narrow cone or profile is not aimed: its rays follow its intensity, wherever that sends them.
+    A light that sends most of its light into less than the sphere covers is not aimed: its rays follow its intensity,
+    wherever that sends them.
 
     Parameters
     ----------
@@ -38,33 +39,25 @@ def emitted(
         Share of the packet's power that goes this way: the density of the light's rays over that with which the ray
         was drawn.
     """
-    ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
-    x, y, z = light.position[0], light.position[1], light.position[2]
     radius = objects.lit_radius
     mx, my, mz = objects.lit_middle[0], objects.lit_middle[1], objects.lit_middle[2]
-    if light.kind != DISK and light.kind != DIRECTIONAL:
-        if light.kind != POINT and light.power <= light.peak * 4.0 * np.pi * _cone_share(
-            x - mx, y - my, z - mz, radius
-        ):
-            dx, dy, dz = drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
-            return x, y, z, dx, dy, dz, 1.0
-        dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
-        if light.kind != POINT:
-            share *= 4.0 * np.pi * intensity(objects.profiles, light, dx, dy, dz) / light.power
-        return x, y, z, dx, dy, dz, share
-    r = (radius if light.kind == DIRECTIONAL else light.radius) * np.sqrt(start(key, PLACE_U))
-    phi = 2.0 * np.pi * start(key, PLACE_V)
-    px, py, pz, qx, qy, qz = tangents(ax, ay, az)
-    a, b = r * np.cos(phi), r * np.sin(phi)
-    if light.kind == DIRECTIONAL:
+    if not light.placed:
+        ax, ay, az = light.direction[0], light.direction[1], light.direction[2]
+        r, phi = radius * np.sqrt(start(key, PLACE_U)), 2.0 * np.pi * start(key, PLACE_V)
+        px, py, pz, qx, qy, qz = tangents(ax, ay, az)
+        a, b = r * np.cos(phi), r * np.sin(phi)
         # Start in front of everything that may cast a shadow.
         x, y, z = mx + a * px + b * qx, my + a * py + b * qy, mz + a * pz + b * qz
         back = objects.outer_radius + (x * ax + y * ay + z * az)
         return x - back * ax, y - back * ay, z - back * az, ax, ay, az, 1.0
-    x, y, z = x + a * px + b * qx, y + a * py + b * qy, z + a * pz + b * qz
+    x, y, z = point_of_light(light, start(key, PLACE_U), start(key, PLACE_V))
+    if light.gain * _cone_share(x - mx, y - my, z - mz, radius) > 1.0:
+        dx, dy, dz = drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
+        return x, y, z, dx, dy, dz, 1.0
     dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
-    # Lambert's density over that of uniform directions in the cone: cos θ / π over 1 / (4π share).
-    return x, y, z, dx, dy, dz, 4.0 * share * max(0.0, dx * ax + dy * ay + dz * az)
+    # The density of the light over that of uniform directions.
+    share *= light.gain * (intensity(objects.profiles, light, dx, dy, dz) / light.peak)
+    return x, y, z, dx, dy, dz, share
 
 
 @kernel

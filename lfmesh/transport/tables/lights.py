@@ -1,7 +1,7 @@
-"""The table of lights as kernels read it.
+"""The table of lights as kernels read it: a row of properties for each, by which they are asked, whatever they are.
 
-A new light has its model in `scene/light/lights.py`, its kind and its row here, and its intensity in
-`transport/lights/intensity.py`.
+The law of a lamp's intensity is a number that only `transport/lights/intensity.py` reads, the shape of the region that
+it shines from one that only `transport/lights/places.py` reads.
 """
 
 from typing import Any, NamedTuple
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.light_profile import LightProfile, read_profile
-from lfmesh.scene import Scene
-from lfmesh.scene.light.lights import DirectionalLight, DiskLight, Light, PointLight, SpotLight
+from lfmesh.optics.scattering import tangents
+from lfmesh.scene import Light, Scene
+from lfmesh.scene.light.region import Region
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.spectra import spread
 
@@ -21,20 +22,31 @@ Array = NDArray[np.float64]
 
 LIGHT = np.dtype(
     [
-        ("kind", "i8"),
-        ("position", "f8", (3,)),
-        ("direction", "f8", (3,)),  # unit, along which the light travels; a profile's vertical angle 0
-        ("across", "f8", (2, 3)),  # unit, a profile's horizontal angles 0 and 90 degrees
-        ("radius", "f8"),
+        ("emission", "i8"),  # law of the intensity; asked by `transport/lights/intensity.py` alone
+        ("shape", "i8"),  # of the region that it shines from; asked by `transport/lights/places.py` alone
+        ("position", "f8", (3,)),  # mm, middle of the region
+        ("direction", "f8", (3,)),  # unit axis, along which the light travels; a profile's vertical angle 0
+        ("across", "f8", (2, 3)),  # unit axes of the region, and a profile's horizontal angles 0 and 90 degrees
+        ("half", "f8", (2,)),  # mm, half of the region's extent along these axes
+        ("area", "f8"),  # mm², of a region that has one
+        ("size", "f8"),  # mm, radius of a sphere round the middle that holds the region; 0: a point, or no place
+        ("spine", "f8", (3,)),  # mm, half a segment round the middle that all of the region is near to
+        ("thickness", "f8"),  # mm, how near
         ("power", "f8"),  # W; directional: irradiance in W/m²
-        ("peak", "f8"),  # W/sr, largest intensity of what shines from a point
-        ("inner", "f8"),  # SPOT: 1 − cos of the angles at which the soft edge begins and ends
-        ("outer", "f8"),
+        ("peak", "f8"),  # W/sr, largest intensity
+        ("gain", "f8"),  # that over the mean intensity of all directions
+        ("inner", "f8"),  # CONE: 1 − cos of the angle at which the soft edge begins
+        ("outer", "f8"),  # 1 − cos of the angle from the axis beyond which nothing shines; 2: all round
         ("profile", "i8"),  # PROFILED: number of the profile
+        ("placed", "?"),  # it is somewhere; else it is parallel light
     ]
 )
 
-POINT, DIRECTIONAL, DISK, SPOT, PROFILED = 0, 1, 2, 3, 4
+EVEN, CONE, LAMBERT, SINE, PROFILED = range(5)
+LAWS = {"even": EVEN, "cone": CONE, "lambert": LAMBERT, "sine": SINE, "profile": PROFILED}
+
+STRAIGHT, ROUND = range(2)
+"""Shapes of regions: points, lines and rectangles; disks."""
 
 MM2 = 1e-6
 """One mm² in m²."""
@@ -76,60 +88,63 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
     lights = scene.lights
     spectra = np.ones((len(lights), len(lines.wavelengths_nm)))
     table = np.zeros(len(lights), LIGHT)
-    table["direction"] = (0.0, 0.0, 1.0)
     profiles: list[LightProfile] = []
     for number, (row, light, spectrum) in enumerate(zip(table, lights, spectra, strict=True)):
-        total = light.irradiance_w_m2 if isinstance(light, DirectionalLight) else light.power_w
-        power = spread(scene, total, light.spectrum, lines, f"lights[{number}].spectrum")
+        power = spread(scene, light.strength, light.spectrum, lines, f"lights[{number}].spectrum")
         row["power"] = power.max()
         spectrum[:] = power / power.max()
-        if isinstance(light, DirectionalLight):
-            row["kind"] = DIRECTIONAL
-        else:
-            row["kind"] = POINT
-            row["peak"] = row["power"] / (4.0 * np.pi)
-            row["position"] = frame.points(to_object, [light.position_mm])[0]
-        if isinstance(light, DirectionalLight | DiskLight | SpotLight):
-            d = frame.directions(to_object, [light.direction])[0]
-            row["direction"] = d / np.linalg.norm(d)
-        if isinstance(light, DiskLight):
-            row["kind"], row["radius"] = DISK, light.radius_mm
-        elif isinstance(light, PointLight | SpotLight) and light.profile is not None:
-            profile = read_profile(scene.resolve(light.profile))
-            row["kind"], row["profile"], row["peak"] = PROFILED, len(profiles), row["power"] * profile.intensity.max()
-            x, y, down = frame.directions(to_object, axes_of(light))
-            row["direction"], row["across"] = down, (x, y)
-            profiles.append(profile)
-        elif isinstance(light, SpotLight) and light.half_angle_deg is not None:
-            row["kind"] = SPOT
-            # 1 − cos without the digits that the difference would lose in a narrow cone.
-            inner, outer = (
-                2.0 * np.sin(0.5 * np.deg2rad(light.half_angle_deg - edge)) ** 2 for edge in (light.edge_deg, 0.0)
-            )
-            row["inner"], row["outer"] = inner, outer
-            # ∫ dω is 2π times that over the cone, and half as much over the soft edge.
-            row["peak"] = row["power"] / (np.pi * (inner + outer))
+        x, y, z = frame.directions(to_object, light.axes)
+        row["across"], row["direction"] = (x, y), z / np.linalg.norm(z)
+        _set_region(row, light.region, to_object)
+        if light.ies is not None:
+            profiles.append(read_profile(scene.resolve(light.ies)))
+        _set_emission(row, light, profiles)
     return table, spectra, _profile_tables(profiles)
 
 
-def axes_of(light: Light) -> Array:
-    """Return the directions of a profile's horizontal angles 0 and 90 degrees and of its vertical angle 0, world."""
-    if not isinstance(light, SpotLight):
-        turn = frame.rotation(getattr(light, "rotation_deg", (0.0, 0.0, 0.0)))
-        return np.asarray(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]) @ turn.T)
-    down = np.array(light.direction) / np.linalg.norm(light.direction)
-    side = np.array([1.0, 0.0, 0.0]) - down[0] * down
-    if np.linalg.norm(side) < ALONG_X:
-        side = np.array([0.0, 1.0, 0.0]) - down[1] * down
-    side /= np.linalg.norm(side)
-    other = np.cross(side, down)
-    turn_rad = np.deg2rad(light.turn_deg)
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    return np.array([c * side + s * other, c * other - s * side, down])
+def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
+    """Fill in where a lamp is, and bounds of that."""
+    if region is None:
+        return
+    row["placed"] = True
+    row["position"] = frame.points(to_object, [region.centre_mm])[0]
+    row["half"], row["size"] = region.lengths_mm, region.size_mm
+    row["spine"] = frame.directions(to_object, [region.spine_mm])[0]
+    row["thickness"] = region.thickness_mm
+    one, other = region.lengths_mm
+    row["area"] = 4.0 * one * other
+    if region.is_round:
+        row["shape"], row["area"] = ROUND, np.pi * one * other
+        row["across"] = np.reshape(tangents(*row["direction"]), (2, 3))
+    elif one > 0.0:
+        row["across"][0] = frame.directions(to_object, region.half_mm[:1] / one)[0]
 
 
-ALONG_X = 1e-6
-"""Sine of the angle from the x axis below which a spot is taken to point along it."""
+def _set_emission(row: Any, light: Light, profiles: list[LightProfile]) -> None:
+    """Fill in how a lamp spreads its light over the directions; its own profile is the last."""
+    row["emission"] = LAWS[light.emission]
+    row["outer"] = _height(light.spread_deg)
+    solid_angle = 4.0 * np.pi  # that the whole power would fill at the largest intensity
+    if light.emission == "profile":
+        profile = profiles[-1]
+        row["profile"] = len(profiles) - 1
+        lit = np.flatnonzero(profile.intensity.any(axis=0))
+        row["outer"] = _height(np.rad2deg(profile.vertical[min(lit[-1] + 1, len(profile.vertical) - 1)]))
+        solid_angle = 1.0 / profile.intensity.max()
+    elif light.emission == "lambert":
+        solid_angle = np.pi
+    elif light.emission == "sine":
+        solid_angle = np.pi**2
+    elif light.emission == "cone":
+        row["inner"] = _height(light.even_deg)
+        # ∫ dω is 2π times that over the cone, and half as much over the soft edge.
+        solid_angle = np.pi * (row["inner"] + row["outer"])
+    row["peak"], row["gain"] = row["power"] / solid_angle, 4.0 * np.pi / solid_angle
+
+
+def _height(angle_deg: float) -> float:
+    """Return 1 − cos of an angle, without the digits that the difference would lose in a narrow cone."""
+    return float(2.0 * np.sin(0.5 * np.deg2rad(angle_deg)) ** 2)
 
 
 def _profile_tables(profiles: list[LightProfile]) -> Profiles:
@@ -159,15 +174,14 @@ def power_towards(light: Any, middle: Array, radius: float) -> tuple[float, floa
         Centre of the sphere.
     radius : float, mm
     """
-    if light["kind"] == DIRECTIONAL:
+    if not light["placed"]:
         power = light["power"] * np.pi * radius**2 * MM2
         return power, power
-    distance = float(np.linalg.norm(light["position"] - middle))
+    # The sphere is no nearer to any point of the lamp.
+    distance = float(np.linalg.norm(light["position"] - middle)) - float(light["size"])
     seen = 1.0
     if distance > radius:
         # 0.5 · (1 − cos) without cancellation for a far lamp.
         ratio2 = (radius / distance) ** 2
         seen = 0.5 * ratio2 / (1.0 + np.sqrt(1.0 - ratio2))
-    if light["kind"] == DISK:
-        return light["power"] * seen, light["power"]
     return min(light["power"], light["peak"] * 4.0 * np.pi * seen), light["power"]

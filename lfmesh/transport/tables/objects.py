@@ -25,7 +25,7 @@ from lfmesh.transport.tables.frames import frame_table
 from lfmesh.transport.tables.gloss_places import media_round_gloss
 from lfmesh.transport.tables.hosts import hosts_of
 from lfmesh.transport.tables.lens import curved
-from lfmesh.transport.tables.lights import DIRECTIONAL, MM2, light_tables, power_towards
+from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
 from lfmesh.transport.tables.scattering import scattering_tables
@@ -339,7 +339,7 @@ def with_volumes(
         return tables
     volumes = volumes._replace(near_lamps=single_scatter_tables(volumes, tables.lights, tables.outer_radius))
     reach, endless = reach_of(volumes)
-    if endless and (tables.lights["kind"] == DIRECTIONAL).any():
+    if endless and not tables.lights["placed"].all():
         raise SceneError(
             "media: a directional light comes from afar, and nothing of it through a medium without bounds; give "
             "the medium bounds, or another light"

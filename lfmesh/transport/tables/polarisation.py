@@ -15,7 +15,6 @@ from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.kernels.by_address import by_address
 from lfmesh.optics.coatings import Stack
 from lfmesh.scene import Scene
-from lfmesh.scene.light.lights import DirectionalLight, PointLight
 from lfmesh.scene.materials.coatings import UNCOATED
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import SENSOR_FRAME, WORLD_FRAME
@@ -103,6 +102,6 @@ def _states_of_lights(scene: Scene) -> Array:
     """Return Q, U and V over I of the light of each lamp, (lights, 3)."""
     states = np.zeros((len(scene.lights), 3))
     for state, light in zip(states, scene.lights, strict=True):
-        if isinstance(light, PointLight | DirectionalLight) and light.polarisation is not None:
-            state[:] = light.polarisation.stokes
+        if light.state is not None:
+            state[:] = light.state.stokes
     return states

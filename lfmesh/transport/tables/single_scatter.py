@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.search import piece_with
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
-from lfmesh.transport.tables.lights import DIRECTIONAL
 from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, SingleScatter
 from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of
 
@@ -50,14 +49,14 @@ def single_scatter_tables(volumes: Volumes, lights: NDArray[np.void], size: floa
     """
     rows = volumes.rows
     scattering = np.where((rows["inside"] == 0)[:, None], volumes.scattering, 0.0)
-    if not volumes.scatters or not scattering.any() or not (lights["kind"] != DIRECTIONAL).any():
+    if not volumes.scatters or not scattering.any() or not lights["placed"].any():
         return NOTHING_NEAR_LAMPS
     for number, row in enumerate(rows):
         if row["scattering"] != NOT_IN_GRID:
             voxels = int(np.prod(row["cells"]))
             scattering[number] *= volumes.values[row["scattering"] : row["scattering"] + voxels].max()
     extents = _extents(rows)
-    far = max(size, float(np.linalg.norm(lights["position"][lights["kind"] != DIRECTIONAL], axis=1).max()))
+    far = max(size, float(np.linalg.norm(lights["position"][lights["placed"]], axis=1).max()))
     depth = float((scattering * np.minimum(extents, far)[:, None]).sum(axis=0).max())
     if min(depth / DENSE, 1.0) ** 2 < WORTH:
         return NOTHING_NEAR_LAMPS

@@ -303,8 +303,8 @@ def _points_of_scene(world: World) -> Floats:
         points.append(frames.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], [[0.0, 0.0, -focus]]))
     points += [target.mesh.vertices for target in world.targets]
     points.append(corners_round(world.particles))
-    lamps = [light.position_mm for light in world.scene.lights if light.kind != "directional"]
-    return np.concatenate([*points, np.array(lamps, dtype=np.float64).reshape(-1, 3)])
+    points += [light.region.corners_mm for light in world.scene.lights if light.region is not None]
+    return np.concatenate(points)
 
 
 def _sphere_round(points: Floats) -> tuple[Floats, float]:

@@ -16,7 +16,7 @@ from lfmesh.geometry.meshes.mesh import Mesh, joined
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.surfaces.tessellation import element
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene import DirectionalLight, DiskLight, SpotLight
+from lfmesh.scene.light.region import Region
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.spectra import reflectance_at
 from lfmesh.transport.tables.tables import MlaTables
@@ -308,34 +308,35 @@ def _lights(world: World) -> Iterator[Part]:
     lamp = {"color": "#ffd24a", "lighting": False}
     for number, light in enumerate(world.scene.lights):
         name = f"lights[{number}]"
-        if isinstance(light, DirectionalLight):
-            yield Part(name, "light", _parallel_arrows(world, light, size), lamp)
-        elif isinstance(light, DiskLight):
-            along = np.array(light.direction) / np.linalg.norm(light.direction)
-            disk = pv.Disc(
-                center=light.position_mm, inner=0.0, outer=light.radius_mm, normal=along, c_res=48
-            ).triangulate()
-            arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
-            yield Part(name, "light", disk.append_polydata(arrow), lamp)
-        else:
-            body = pv.Sphere(radius=0.25 * size, center=light.position_mm)
-            if isinstance(light, SpotLight):
-                along = np.array(light.direction) / np.linalg.norm(light.direction)
-                arrow = pv.Arrow(start=light.position_mm, direction=along, scale=2.0 * size).triangulate()
-                body = body.merge(arrow).extract_surface()
-            yield Part(
-                name,
-                "light",
-                body,
-                lamp,
-                _spikes(light.position_mm, size),
-                "#ffd24a",
-            )
+        if light.region is None:
+            yield Part(name, "light", _parallel_arrows(world, light.axes[2], size), lamp)
+            continue
+        body = _body_of_lamp(light.region, size)
+        if light.heading is not None:
+            arrow = pv.Arrow(start=light.region.centre_mm, direction=light.heading, scale=2.0 * size).triangulate()
+            body = body.append_polydata(arrow)
+        spikes = None if light.region.size_mm > 0.0 else _spikes(tuple(light.region.centre_mm), size)
+        yield Part(name, "light", body, lamp, spikes, "#ffd24a")
 
 
-def _parallel_arrows(world: World, light: DirectionalLight, size: float) -> pv.PolyData:
+def _body_of_lamp(region: Region, size: float) -> pv.PolyData:
+    """Return a ball for a point, a thin tube for a line, and the shape itself for a flat lamp."""
+    corners = region.corners_mm
+    if len(corners) == 1:
+        return pv.Sphere(radius=0.25 * size, center=region.centre_mm)
+    if len(corners) == 2:
+        return pv.Tube(pointa=corners[0], pointb=corners[1], radius=0.1 * size, n_sides=16).triangulate()
+    if region.is_round:
+        turns = 2.0 * np.pi * np.arange(ROUND_SIDES) / ROUND_SIDES
+        corners = region.centre_mm + np.column_stack([np.cos(turns), np.sin(turns)]) @ region.half_mm
+    return pv.PolyData(corners, faces=[len(corners), *range(len(corners))]).triangulate()
+
+
+ROUND_SIDES = 48
+
+
+def _parallel_arrows(world: World, along: Array, size: float) -> pv.PolyData:
     """Return three thin parallel arrows that end before the middle of the targets, or before the lens without any."""
-    along = np.array(light.direction) / np.linalg.norm(light.direction)
     across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     across /= np.linalg.norm(across)
     middles = [target.mesh.vertices.mean(axis=0) for target in world.targets]

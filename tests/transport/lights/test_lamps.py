@@ -12,10 +12,9 @@ import lfmesh as lf
 from lfmesh.kernels.decorators import kernel
 from lfmesh.optics.scattering import tangents
 from lfmesh.transport.lights.intensity import intensity
-from lfmesh.transport.lights.lamps import _near_disk, illuminate
+from lfmesh.transport.lights.lamps import illuminate
 from lfmesh.transport.packets.random import derived, run_key, uniform
 from lfmesh.transport.sources.lamp_rays import emitted
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT
 from lfmesh.transport.tables.tables import ObjectTables
 
 Array = NDArray[np.float64]
@@ -39,6 +38,15 @@ LIGHTS: dict[str, dict[str, Any]] = {
                                         "direction": [0.0, 0.0, -1.0], "half_angle_deg": 5.0},
     "spot, narrower than the targets, soft": {"kind": "spot", "position_mm": [1.0, 0.0, -20.0], "power_w": 3.0,
                                               "direction": [0.0, 0.0, -1.0], "half_angle_deg": 5.5, "edge_deg": 3.0},
+    "line": {"kind": "line", "start_mm": [15.0, 5.0, -45.0], "end_mm": [-5.0, 20.0, -40.0], "power_w": 3.0},
+    "line through the plane that is lit": {"kind": "line", "start_mm": [1.0, 0.5, -50.0], "end_mm": [-1.5, -0.5, -68.0],
+                                           "power_w": 3.0},
+    "rectangle": {"kind": "rectangle", "position_mm": [15.0, 5.0, -45.0], "direction": [-1.0, 0.0, -1.0],
+                  "width_mm": 20.0, "height_mm": 3.0, "turn_deg": 30.0, "power_w": 3.0},
+    "rectangle whose back is turned to a part": {"kind": "rectangle", "position_mm": [1.5, 0.0, -57.0], "power_w": 3.0,
+                                                 "direction": [-1.0, 0.0, -0.5], "width_mm": 4.0, "height_mm": 9.0},
+    "rectangle with a profile": {"kind": "rectangle", "position_mm": [2.0, 1.0, -45.0], "direction": [-0.2, 0.0, -1.0],
+                                 "width_mm": 6.0, "height_mm": 3.0, "power_w": 3.0, "profile": "quarter.ies"},
     "profile, wider than the targets": {"kind": "point", "position_mm": [5.0, 9.0, -35.0], "power_w": 3.0,
                                         "profile": "quarter.ies", "rotation_deg": [60.0, 0.0, -10.0]},
     "profile, narrower than the targets": {"kind": "spot", "position_mm": [0.5, -0.5, -52.0], "power_w": 3.0,
@@ -51,6 +59,9 @@ IES = {
     "narrow.ies": HEAD + "1 -1 1 5 4 1 1 0 0 0 1 1 1\n0 5 12 30 180\n0 90 200 360\n"
     "900 800 100 5 0\n900 500 60 0 0\n900 700 200 5 0\n900 800 100 5 0\n",
 }
+MIDDLE = np.array([0.0, 0.0, 60.0])
+"""The origin of the world in the object frame, whose origin is the middle of the ball."""
+
 SIDE = 3.0
 """Half the side of the square that is lit, mm, in the plane z = 0 of the object frame."""
 
@@ -82,7 +93,8 @@ def asked(objects: ObjectTables, places: Array, key: np.uint64, told: Array) -> 
     for i in range(len(places)):
         own = derived(key, i)
         u, v = uniform(own, 5), uniform(own, 6)
-        _, _, uz, _, irradiance = illuminate(objects.profiles, objects.lights[0], places[i, 0], places[i, 1], 0.0, u, v)
+        place = places[i, 0], places[i, 1], 0.0
+        _, _, uz, _, irradiance = illuminate(objects.profiles, objects.lights[0], place, u, v, False)
         told[i] = irradiance * abs(uz)
 
 
@@ -109,7 +121,7 @@ def test_packets_bring_what_points_are_told(name: str, folder: Path) -> None:
     sent(objects, run_key(2), rays)
     by_points = quarters(*places.T, told * (2.0 * SIDE) ** 2 * 1e-6)
     light = objects.lights[0]
-    watts = light["power"] * (np.pi * objects.lit_radius**2 * 1e-6 if light["kind"] == DIRECTIONAL else 1.0)
+    watts = light["power"] * (np.pi * objects.lit_radius**2 * 1e-6 if not light["placed"] else 1.0)
     p, d, share = rays[:, :3], rays[:, 3:6], rays[:, 6]
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0, rtol=1e-14)
     t = -p[:, 2] / d[:, 2]
@@ -194,22 +206,37 @@ def test_a_profile_shines_as_its_file_says(folder: Path) -> None:
 
 
 @kernel
-def told_by_disk(light: NDArray[np.void], places: Array, key: np.uint64, told: Array) -> None:
-    """Write the irradiance that `_near_disk` gives points above a disk, from random points of it."""
+def told_near(objects: ObjectTables, places: Array, numbers: Array, told: Array) -> None:
+    """Write direction and irradiance that points of a medium are told, from random points of the first light."""
     for i in range(len(places)):
-        u, v = uniform(derived(key, i), 5), uniform(derived(key, i), 6)
-        told[i] = _near_disk(light[0], places[i, 0], places[i, 1], places[i, 2], places[i, 2], u, v)[4]
+        place = places[i, 0], places[i, 1], places[i, 2]
+        ux, uy, uz, _, irradiance = illuminate(
+            objects.profiles, objects.lights[0], place, numbers[i, 0], numbers[i, 1], True
+        )
+        told[i] = ux, uy, uz, irradiance
+
+
+def told(lamp: dict[str, Any], folder: Path, places: Array, seed: int = 8) -> tuple[Array, Array]:
+    """Return directions and irradiances at places of the world, from a random point of the lamp each."""
+    objects = tables_of(lamp, folder)
+    found = np.empty((len(places), 4))
+    told_near(objects, places + MIDDLE, np.random.default_rng(seed).random((len(places), 2)), found)
+    return found[:, :3], found[:, 3]
+
+
+def z_value(told: Array, expected: float) -> float:
+    """Return by how many standard errors a mean is off, with rounding."""
+    return abs(float(told.mean()) - expected) / (float(stats.sem(told)) + 1e-11 * abs(expected))
 
 
 @pytest.mark.parametrize("height", [1e-9, 1e-3, 0.3, 1.9])
 @pytest.mark.parametrize("aside", [0.0, 0.7, 1.0, 1.3])
-def test_points_as_near_to_a_disk_as_may_be_are_told_its_solid_angle(height: float, aside: float) -> None:
+def test_points_as_near_to_a_disk_as_may_be_are_told_its_solid_angle(height: float, aside: float, folder: Path) -> None:
     """Sixteen z-tests at a level of 0.001 together; no single draw brings more than four times what is stated."""
-    light, radius, power = np.zeros(1, LIGHT), 3.0, 2.0
-    light["kind"], light["radius"], light["power"], light["direction"] = DISK, radius, power, (0.0, 0.0, 1.0)
-    told = np.empty(40_000)
-    places = np.tile([aside * radius, 0.0, height * radius], (len(told), 1))
-    told_by_disk(light, places, run_key(8), told)
+    radius, power = 3.0, 2.0
+    lamp = {"kind": "disk", "position_mm": [0.0, 0.0, -60.0], "direction": [0.0, 0.0, 1.0], "radius_mm": radius,
+            "power_w": power}  # fmt: skip
+    _, found = told(lamp, folder, np.tile([aside * radius, 0.0, height * radius - 60.0], (40_000, 1)))
     # Solid angle of a disk over the height h: ∫ h / √(h² + ρ²) between its borders, over the turn about the foot.
     phi = 2.0 * np.pi * (np.arange(200_000) + 0.5) / 200_000
     root = 1.0 - (aside * np.sin(phi)) ** 2
@@ -218,5 +245,109 @@ def test_points_as_near_to_a_disk_as_may_be_are_told_its_solid_angle(height: flo
     sides = height / np.hypot(height, ends)
     omega = 2.0 * np.pi * np.where(root > 0.0, sides[0] - sides[1], 0.0).mean()
     expected = power / (np.pi * np.pi * radius**2) * 1e6 * omega
-    assert told.max() <= 4.0 * power / (np.pi * radius**2) * 1e6 * (1.0 + 1e-12)
-    assert abs(told.mean() - expected) < 4.0 * told.std() / np.sqrt(len(told)) + 1e-4 * expected
+    assert found.max() <= 4.0 * power / (np.pi * radius**2) * 1e6 * (1.0 + 1e-6)
+    assert abs(found.mean() - expected) < 4.0 * found.std() / np.sqrt(len(found)) + 1e-4 * expected
+
+
+TUBE = {"kind": "line", "start_mm": [-4.0, 0.0, -60.0], "end_mm": [4.0, 0.0, -60.0], "power_w": 2.0}
+PANEL = {"kind": "rectangle", "position_mm": [0.0, 0.0, -60.0], "direction": [0.0, 0.0, 1.0], "width_mm": 8.0,
+         "height_mm": 3.0, "power_w": 2.0}  # fmt: skip
+SCALES = [1e-9, 1e-4, 1.0, 1e4]
+"""Sizes of lamps, from a picometre to 80 m."""
+
+
+def scaled(lamp: dict[str, Any], k: float) -> dict[str, Any]:
+    """Return a lamp in a ball's middle that is k times as large."""
+    changes: dict[str, Any] = {key: k * lamp[key] for key in ("width_mm", "height_mm") if key in lamp}
+    changes |= {key: [k * lamp[key][0], 0.0, -60.0] for key in ("start_mm", "end_mm") if key in lamp}
+    return lamp | changes
+
+
+NEAR_PLACES = np.array([[0.0, 0.1, 1e-8], [3.9, 0.0, 1e-4], [1.0, -2.0, 0.5], [9.0, 0.3, 2.0], [-60.0, 30.0, 4.0],
+                        [4.5, 1e-6, 1e-7], [-3e4, 2e4, 5e4]])  # fmt: skip
+"""Places round a lamp, in its units: beside it, over its ends, along its axis, and far away."""
+
+
+@pytest.mark.parametrize("place", NEAR_PLACES.tolist())
+def test_a_tube_gives_each_point_its_irradiance_in_closed_form(place: list[float], folder: Path) -> None:
+    """∫ sin θ / r² along it is (sin β − sin α) / h, α and β the angles of its ends from the perpendicular of length h.
+
+    Near it every draw brings just that.
+    """
+    at = np.array(place)
+    h = np.hypot(at[1], at[2])
+    sines = (4.0 - at[0]) / np.hypot(4.0 - at[0], h) + (4.0 + at[0]) / np.hypot(4.0 + at[0], h)
+    if sines < 1e-6:
+        # Both ends on one side, nearly in line: without the digits that cancel.
+        sines = 0.5 * h**2 * abs(1.0 / (4.0 - at[0]) ** 2 - 1.0 / (4.0 + at[0]) ** 2)
+    places = np.tile(at - MIDDLE, (5_000, 1))
+    h = np.hypot(at[1], places[0, 2] + 60.0)
+    expected = 2.0 / np.pi**2 / (8.0 * h) * 1e6 * sines
+    _, found = told(TUBE, folder, places)
+    if np.linalg.norm(at) < 64.0:
+        np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert z_value(found, expected) < 4.0 or abs(found.mean() / expected - 1.0) < 1e-5
+
+
+def contour(corners: Array, normal: Array) -> float:
+    """Return Lambert's contour integral: the irradiance over the radiance on a plane at the origin, all before it."""
+    total = 0.0
+    for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        cross = np.cross(one, other)
+        length = np.linalg.norm(cross)
+        total += float(np.arctan2(length, one @ other)) * float(cross @ normal) / float(length)
+    return 0.5 * abs(total)
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.1, 1e-8], [3.9, 1.4, 1e-4], [1.0, -2.0, 0.5], [9.0, 0.3, 2.0],
+                                   [-60.0, 30.0, 4.0], [1e3, 2e3, 5e3]])  # fmt: skip
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_panel_gives_each_point_its_irradiance_by_lamberts_contour(
+    place: list[float], turned: bool, folder: Path
+) -> None:
+    """On a plane parallel to the panel, twelve z-tests at a level of 0.001 together; no draw above 2π its radiance."""
+    half = np.array([1.5, 4.0] if turned else [4.0, 1.5])
+    at = np.array(place)
+    places = np.tile(at - MIDDLE, (20_000, 1))
+    at[2] = places[0, 2] + 60.0
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0.0] - at
+    radiance = 2.0 / (np.pi * 24.0) * 1e6
+    expected = radiance * contour(corners, np.array([0.0, 0.0, 1.0]))
+    ways, found = told(PANEL | {"turn_deg": 90.0 * turned}, folder, places)
+    assert found.max() <= 2.0 * np.pi * radiance * (1.0 + 1e-9)
+    assert z_value(found * np.abs(ways[:, 2]), expected) < 4.0
+    assert told(PANEL, folder, places * [1, 1, -1] - 2.0 * MIDDLE)[1].max() == 0.0
+
+
+def halves(lamp: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the two halves of the tube or the panel, side by side."""
+    if lamp["kind"] == "line":
+        middle = {"end_mm": [0.0, 0.0, -60.0]}, {"start_mm": [0.0, 0.0, -60.0]}
+        return [lamp | {"power_w": 1.0} | part for part in middle]
+    return [lamp | {"power_w": 1.0, "width_mm": 4.0, "position_mm": [x, 0.0, -60.0]} for x in (-2.0, 2.0)]
+
+
+@pytest.mark.parametrize("lamp", [TUBE, PANEL], ids=lambda lamp: lamp["kind"])
+def test_a_lamp_in_two_halves_gives_the_same_light(lamp: dict[str, Any], folder: Path) -> None:
+    """Radiant vectors at random places, each component by a z-test; sixty at a level of 0.001 together."""
+    random = np.random.default_rng(2)
+    for place in random.normal(0.0, 4.0, (10, 3)):
+        places = np.tile(np.abs(place) - MIDDLE, (20_000, 1))
+        whole, *parts = (told(each, folder, places, seed) for seed, each in enumerate([lamp, *halves(lamp)]))
+        one = whole[0] * whole[1][:, None]
+        other = sum(ways * value[:, None] for ways, value in parts)
+        sigma = np.sqrt(stats.sem(one) ** 2 + stats.sem(other) ** 2)
+        scale = 1e-9 * np.abs(one).mean()
+        assert (np.abs(one.mean(axis=0) - other.mean(axis=0)) < 4.2 * sigma + scale).all()
+
+
+@pytest.mark.parametrize("lamp", [TUBE, PANEL], ids=lambda lamp: lamp["kind"])
+@pytest.mark.parametrize("k", SCALES)
+def test_irradiance_scales_with_the_lamp(lamp: dict[str, Any], k: float, folder: Path) -> None:
+    """A lamp k times as large, seen from k times as far, gives 1 / k² of the light, whatever k."""
+    at = np.array([1.0, 0.7, 2.0])
+    one, other = (
+        told(scaled(lamp, scale), folder, np.tile(scale * at - MIDDLE, (5_000, 1)))[1].mean() for scale in (1.0, k)
+    )
+    # The place has the digits of a coordinate of 60 mm.
+    assert other * k * k == pytest.approx(one, rel=1e-9 + 1e-13 / k)

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
+import lfmesh as lf
 from lfmesh.geometry.ray import Ray
 from lfmesh.transport.events.scattering_point import scattered_at, scattering_point
 from lfmesh.transport.events.volume import Passage, pass_through
@@ -18,17 +19,44 @@ from lfmesh.transport.lights.lamps_on_line import (
     passes_lamp,
 )
 from lfmesh.transport.packets.random import descendant
-from lfmesh.transport.tables.lights import DIRECTIONAL, DISK, LIGHT, POINT, SPOT
+from lfmesh.transport.tables.lights import light_tables
+from lfmesh.transport.tables.lines import Lines
+from tests.cameras import camera_without_array
 from tests.transport.events.test_volume import line, slab, volumes_of
 
+UP = (0.0, 0.6, 0.8)
 
-def lamps(*rows: tuple[int, list[float], float, float]) -> Any:
-    """Return a table of lamps, by kind, place, power and radius, and their spectra."""
-    table = np.zeros(len(rows), LIGHT)
-    for row, (kind, place, power, radius) in zip(table, rows, strict=True):
-        row["kind"], row["position"], row["power"], row["radius"] = kind, place, power, radius
-        row["peak"], row["direction"] = power / (4.0 * np.pi), (0.0, 0.6, 0.8)
-    return table, np.ones((len(rows), 1))
+
+def lamps(*lights: dict[str, Any]) -> Any:
+    """Return the table of lamps, in the world frame, and their spectra."""
+    scene = lf.Scene(camera=camera_without_array(), lights=lights)  # type: ignore[arg-type]
+    table, spectra, _ = light_tables(scene, np.eye(3, 4), Lines.of(scene))
+    return table, spectra
+
+
+def point(place: list[float], power: float = 1.0) -> dict[str, Any]:
+    return {"kind": "point", "position_mm": place, "power_w": power}
+
+
+def disk(place: list[float], power: float = 1.0, direction: Any = UP) -> dict[str, Any]:
+    return {"kind": "disk", "position_mm": place, "power_w": power, "direction": direction, "radius_mm": 2.0}
+
+
+def panel(place: list[float], width: float, power: float = 1.0, direction: Any = UP) -> dict[str, Any]:
+    return {"kind": "rectangle", "position_mm": place, "power_w": power, "direction": direction, "width_mm": width,
+            "height_mm": 0.5}  # fmt: skip
+
+
+def tube(start: list[float], end: list[float], power: float = 1.0) -> dict[str, Any]:
+    return {"kind": "line", "start_mm": start, "end_mm": end, "power_w": power}
+
+
+def spot(place: list[float], half_angle_deg: float, direction: Any = UP) -> dict[str, Any]:
+    return {"kind": "spot", "position_mm": place, "power_w": 1.0, "direction": direction,
+            "half_angle_deg": half_angle_deg}  # fmt: skip
+
+
+SUN = {"kind": "directional", "direction": UP, "irradiance_w_m2": 1.0}
 
 
 @pytest.mark.parametrize("last", [60.0, np.inf])
@@ -36,10 +64,11 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
     """Kolmogorov's test over random lamps and lines, 12 at a level of 0.001 together."""
     random = np.random.default_rng(7)
     for _ in range(6):
-        kinds = [POINT, DISK, DIRECTIONAL, POINT]
+        places, powers = random.normal(0.0, 20.0, (6, 3)).tolist(), random.uniform(0.1, 3.0, 5)
         table, spectra = lamps(
-            *((kind, random.normal(0.0, 20.0, 3).tolist(), random.uniform(0.1, 3.0), 2.0) for kind in kinds)
-        )
+            point(places[0], powers[0]), disk(places[1], powers[1]), SUN, tube(places[2], places[3], powers[2]),
+            panel(places[4], 12.0, powers[3]), point(places[5], powers[4]),
+        )  # fmt: skip
         d = random.normal(size=3)
         way = Ray(*random.normal(0.0, 5.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
         whole = lamps_on_line(table, spectra, 0, way, 3.0, last)
@@ -50,8 +79,15 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
         def density(t: float, table: Any = table, spectra: Any = spectra, way: Any = way) -> float:
             return float(density_by_angle(table, spectra, 0, way, t))
 
-        # The light of the disk begins or ends where the line crosses its plane.
-        ends = [end for end in lit_part(table[1], way, 3.0, last) if 3.0 < end < last]
+        # The light of flat lamps begins or ends where the line crosses their planes, that of spines two sizes away.
+        ends = [*lit_part(table[1], way, 3.0, last), *lit_part(table[4], way, 3.0, last)]
+        for lamp in table[3:5]:
+            off = lamp["position"] - way[:3]
+            s = float(off @ way[3:])
+            half = np.sqrt(max(4.0 * lamp["size"] ** 2 - off @ off + s * s, 0.0))
+            ends += [s - half, s + half]
+            ends += [s + x for x in np.geomspace(1e-4, 30.0, 60)] + [s - x for x in np.geomspace(1e-4, 30.0, 60)]
+        ends = [end for end in ends if 3.0 < end < last]
         grid = np.sort([*(3.0 + np.geomspace(1e-3, min(last, 1e5) - 3.0, 1500)), *ends])
         pieces = [0.0] + [quad(density, a, b, epsrel=1e-8)[0] for a, b in zip([3.0, *grid[:-1]], grid, strict=True)]
         cdf = np.cumsum(pieces)
@@ -60,7 +96,7 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
 
 
 def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
-    table, spectra = lamps((POINT, [3.0, 0.0, 10.0], 1.0, 0.0), (DIRECTIONAL, [0.0, 0.0, 0.0], 1.0, 0.0))
+    table, spectra = lamps(point([3.0, 0.0, 10.0]), SUN)
     way = Ray(0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     assert passes_lamp(table, spectra, 0, way, 0.0, np.inf, 3.1)
     assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
@@ -69,9 +105,8 @@ def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
 
 
 def test_disks_and_narrow_spots_light_their_own_side_only() -> None:
-    table, _ = lamps(*((kind, [0.0, 0.0, 10.0], 1.0, 2.0) for kind in (POINT, DISK, SPOT, SPOT)))
-    table["direction"] = 0.0, 0.0, 1.0
-    table["outer"] = 0.5, 0.5, 0.5, 1.5
+    at, axis = [0.0, 0.0, 10.0], (0.0, 0.0, 1.0)
+    table, _ = lamps(point(at), disk(at, 1.0, axis), spot(at, 60.0, axis), spot(at, 120.0, axis))
     up, down = (Ray(3.0, 0.0, 0.0, 0.6, 0.0, dz) for dz in (0.8, -0.8))
     assert [lit_part(light, up, 1.0, 90.0)[0] for light in table] == [1.0, 12.5, 12.5, 1.0]
     assert all(lit_part(light, up, 1.0, 90.0)[1] == 90.0 for light in table)
@@ -80,9 +115,37 @@ def test_disks_and_narrow_spots_light_their_own_side_only() -> None:
     assert [first < last for first, last in flat] == [False, False, True]
 
 
+def test_a_long_lamp_is_near_where_the_line_is_near_its_spine() -> None:
+    table, spectra = lamps(tube([3.0, -90.0, 10.0], [3.0, 110.0, 10.0]))
+    for y in (-88.0, 0.0, 108.0):
+        way = Ray(0.0, y, 0.0, 0.0, 0.0, 1.0)
+        assert passes_lamp(table, spectra, 0, way, 0.0, np.inf, 3.1)
+        assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
+        assert not passes_lamp(table, spectra, 0, way, 0.0, 5.0, 5.7)
+    assert not passes_lamp(table, spectra, 0, Ray(0.0, 113.0, 0.0, 0.0, 0.0, 1.0), 0.0, np.inf, 4.1)
+
+
+def test_the_density_stays_in_proportion_to_the_light_of_a_tube() -> None:
+    """On lines as near to the tube as may be: its light, in closed form, is at most 4 times the density."""
+    random = np.random.default_rng(5)
+    table, spectra = lamps(tube([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]))
+    z = np.array([0.0, 0.0, 1.0])
+    for off in np.geomspace(1e-9, 5.0, 12):
+        d = random.normal(size=3)
+        d /= np.linalg.norm(d)
+        across = np.cross(d, z) / np.linalg.norm(np.cross(d, z))
+        start = random.uniform(-19.0, 19.0) * z + off * across - 30.0 * d
+        way = Ray(*start.tolist(), *d.tolist())
+        for t in 30.0 + np.concatenate([-np.geomspace(60.0, 1e-9, 40), np.geomspace(1e-9, 60.0, 40)]):
+            place = start + t * d
+            h, s = np.hypot(place[0], place[1]), place[2]
+            sines = (20.0 - s) / np.hypot(20.0 - s, h) + (20.0 + s) / np.hypot(20.0 + s, h)
+            assert table[0]["peak"] / (40.0 * h) * sines <= 4.0 * density_by_angle(table, spectra, 0, way, t)
+
+
 @pytest.mark.parametrize("start", [[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0]])
 def test_a_lamp_on_the_line_itself_gives_finite_distances(start: list[float]) -> None:
-    table, spectra = lamps((POINT, [0.0, 0.0, 20.0], 1.0, 0.0), (POINT, start, 1.0, 0.0))
+    table, spectra = lamps(point([0.0, 0.0, 20.0]), point(start))
     way = Ray(*start, 0.0, 0.0, 1.0)
     whole = lamps_on_line(table, spectra, 0, way, 0.0, np.inf)
     points = [distance_by_angle(table, spectra, 0, way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import kstest
 
-from lfmesh.transport.tables.lights import DIRECTIONAL, LIGHT, POINT
+from lfmesh.transport.tables.lights import LIGHT
 from lfmesh.transport.tables.single_scatter import (
     EVEN,
     angle_beyond,
@@ -20,15 +20,15 @@ from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, SingleScatter
 from tests.transport.events.test_volume import slab, volumes_of
 
 
-def lamp(kind: int) -> np.ndarray:
+def lamp(placed: bool) -> np.ndarray:
     table = np.zeros(1, LIGHT)
-    table["kind"], table["power"] = kind, 1.0
+    table["placed"], table["power"] = placed, 1.0
     return table
 
 
 def near_lamps_of(g: float) -> SingleScatter:
     phase = {"kind": "henyey_greenstein", "g": g}
-    found = single_scatter_tables(volumes_of(slab(10.0, scattering_per_mm=0.03, phase=phase)), lamp(POINT), 100.0)
+    found = single_scatter_tables(volumes_of(slab(10.0, scattering_per_mm=0.03, phase=phase)), lamp(placed=True), 100.0)
     assert found is not NOTHING_NEAR_LAMPS
     return found
 
@@ -72,14 +72,14 @@ def test_an_angle_is_found_again_by_the_light_beyond_it(g: float) -> None:
 
 def test_there_is_none_without_lamps_that_stand_somewhere_or_without_scattering() -> None:
     volumes = volumes_of(slab(10.0, scattering_per_mm=0.03))
-    assert single_scatter_tables(volumes, lamp(DIRECTIONAL), 100.0) is NOTHING_NEAR_LAMPS
-    assert single_scatter_tables(volumes, lamp(POINT)[:0], 100.0) is NOTHING_NEAR_LAMPS
+    assert single_scatter_tables(volumes, lamp(placed=False), 100.0) is NOTHING_NEAR_LAMPS
+    assert single_scatter_tables(volumes, lamp(placed=True)[:0], 100.0) is NOTHING_NEAR_LAMPS
     clear = volumes_of(slab(10.0, absorption_per_mm=0.03))
-    assert single_scatter_tables(clear, lamp(POINT), 100.0) is NOTHING_NEAR_LAMPS
+    assert single_scatter_tables(clear, lamp(placed=True), 100.0) is NOTHING_NEAR_LAMPS
 
 
 def test_where_next_to_no_point_would_send_a_packet_none_does() -> None:
     """Some scattering at 3 % of the depth from which on all do; the slab is 10 mm thick, and wide."""
     thin, dense = (volumes_of(slab(10.0, scattering_per_mm=scattering)) for scattering in (3e-5, 3e-3))
-    assert single_scatter_tables(thin, lamp(POINT), 100.0) is NOTHING_NEAR_LAMPS
-    assert single_scatter_tables(dense, lamp(POINT), 100.0) is not NOTHING_NEAR_LAMPS
+    assert single_scatter_tables(thin, lamp(placed=True), 100.0) is NOTHING_NEAR_LAMPS
+    assert single_scatter_tables(dense, lamp(placed=True), 100.0) is not NOTHING_NEAR_LAMPS

@@ -1,0 +1,98 @@
+"""The region that a lamp shines from, a point, a line, a rectangle or a disk, and bounds that enclose it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Points of a lamp: those within two half axes of its centre, which are square to each other.
+
+    Both half axes are zero for a point, one for a line.
+
+    Attributes
+    ----------
+    centre_mm : (3,) float64
+    half_mm : (2, 3) float64
+        Half axes.
+    is_round : bool
+        True for a disk, of two half axes of the same length; else a rectangle.
+    """
+
+    centre_mm: Array
+    half_mm: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    is_round: bool = False
+
+    @property
+    def lengths_mm(self) -> Array:
+        """Lengths of the half axes, (2,) float64."""
+        return np.hypot(np.hypot(self.half_mm[:, 0], self.half_mm[:, 1]), self.half_mm[:, 2])
+
+    @property
+    def size_mm(self) -> float:
+        """Radius of the smallest sphere round the centre that holds the region."""
+        one, other = self.lengths_mm
+        return float(one if self.is_round else np.hypot(one, other))
+
+    @property
+    def spine_mm(self) -> Array:
+        """Half of the segment round the centre to whose points all points are as near as `thickness_mm`, (3,)."""
+        one, other = self.lengths_mm
+        longer = int(other > one)
+        longest = max(one, other)
+        return self.half_mm[longer] * ((longest - min(one, other)) / longest if longest > 0.0 else 0.0)
+
+    @property
+    def thickness_mm(self) -> float:
+        """Largest distance of a point of the region from the segment that `spine_mm` tells."""
+        return float(self.lengths_mm.min() * (1.0 if self.is_round else np.sqrt(2.0)))
+
+    @property
+    def corners_mm(self) -> Array:
+        """Points whose convex hull holds the region, (n, 3) float64: one, two or four, in their order round it."""
+        used = self.lengths_mm > 0.0
+        corners = np.unique(CORNERS * used, axis=0) if used.sum() < 2 else CORNERS
+        return self.centre_mm + corners @ self.half_mm
+
+    def reach_mm(self, directions: Array) -> Array:
+        """Return how far the region reaches from its centre along unit directions (n, 3), (n,) float64."""
+        along = np.abs(directions @ self.half_mm.T)
+        return np.asarray(np.hypot(*along.T) if self.is_round else along.sum(axis=1))
+
+    def holds(self, start_mm: Array, end_mm: Array, margin_mm: Array) -> NDArray[np.bool_]:
+        """Tell which segments in the plane of the region come inside it by more than a margin.
+
+        Parameters
+        ----------
+        start_mm, end_mm : (n, 3) float64
+        margin_mm : (n,) float64
+
+        Returns
+        -------
+        (n,) bool
+        """
+        lengths = self.lengths_mm
+        axes = np.divide(self.half_mm, lengths[:, None], out=np.zeros((2, 3)), where=lengths[:, None] > 0.0)
+        start, end = ((place - self.centre_mm) @ axes.T for place in (start_mm, end_mm))
+        way = end - start
+        first, last = np.zeros(len(way)), np.ones(len(way))
+        if self.is_round:
+            square = (way**2).sum(axis=1)
+            share = np.clip(np.divide(-(start * way).sum(axis=1), square, out=first, where=square > 0.0), 0.0, 1.0)
+            return np.asarray(np.linalg.norm(start + share[:, None] * way, axis=1) < lengths[0] - margin_mm)
+        for axis in np.flatnonzero(lengths > 0.0):
+            # The part of the segment between two parallel edges.
+            for sense in (-1.0, 1.0):
+                inside, change = lengths[axis] - margin_mm - sense * start[:, axis], -sense * way[:, axis]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    meets = -inside / change
+                first = np.where(change > 0.0, np.maximum(first, meets), first)
+                last = np.where(change < 0.0, np.minimum(last, meets), last)
+                last = np.where((change == 0.0) & (inside <= 0.0), -np.inf, last)
+        return np.asarray(first < last)

@@ -31,8 +31,8 @@ SEEDS = 24
 LEVEL = 1e-3
 """Chance that any of the SCENES is found wrong though all are right."""
 
-SCENES = 900
-"""Random cameras, random scenes and laws that one session examines."""
+SCENES = 1300
+"""Random cameras, random scenes, laws and pairs of features that one session examines."""
 
 SCREEN = 0.02
 """Chance that a right scene is looked at again."""

@@ -4,10 +4,12 @@ from collections.abc import Callable, Sequence
 from itertools import count, islice
 from typing import Any
 
+import numpy as np
 import pytest
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from tests.random_scenes import meshes, rearranged
 from tests.random_scenes.examine import LONGEST_S, judged
 from tests.random_scenes.generator import OWN_KERNELS, Drawn, Kind, draw
 from tests.random_scenes.judge import Estimate, Verdict, judge
@@ -76,6 +78,54 @@ def falls_with_the_square_of_the_f_number(drawn: Drawn) -> list[Estimate] | None
     return [Estimate(f"f/{n:g}", (scene,), (n / 8.0) ** 2, slack=0.01) for n, scene in scenes]
 
 
+def both_methods(drawn: Drawn, images: dict[str, Tables]) -> list[Estimate]:
+    """Return estimates of images: adjoint of scenes with even numbers, and forward of the others."""
+    if drawn.number % 2 == 0:
+        return [Estimate(name, (scene_of(tables),)) for name, tables in images.items()]
+    forward = {"transport.method": "forward"}
+    return [Estimate(name, (scene_of(tables).changed(forward),), 1.0, 4) for name, tables in images.items()]
+
+
+def stays_where_facets_are_divided(drawn: Drawn) -> list[Estimate] | None:
+    """Each facet of every mesh divided into four, and one facet of each into three."""
+    one = meshes.one_divided(np.random.default_rng(drawn.number))
+    changes = {"as meshes": None, "each in four": meshes.in_four, "one divided": one}
+    folds = {name: np.random.default_rng(drawn.number) for name in changes}
+    images = {name: meshes.as_meshes(drawn.tables, folds[name], change) for name, change in changes.items()}
+    return both_methods(drawn, images)
+
+
+def stays_where_lists_are_in_another_order(drawn: Drawn) -> list[Estimate] | None:
+    """Targets, lamps, media, tanks, particles, and the facets of each mesh."""
+    draw, fold, again = (np.random.default_rng(drawn.number) for _ in range(3))
+    whole = meshes.as_meshes(drawn.tables, fold)
+    other = meshes.as_meshes(drawn.tables, again, meshes.in_another_order(draw))
+    return both_methods(drawn, {"as meshes": whole, "permuted": rearranged.in_another_order(other, draw)})
+
+
+def stays_where_a_medium_is_cut_in_two(drawn: Drawn) -> list[Estimate] | None:
+    scenes = rearranged.halved_media(drawn.tables)
+    if scenes is None:
+        return None
+    return both_methods(drawn, dict(zip(("whole", "halves"), scenes, strict=True)))
+
+
+def stays_where_a_lamp_is_cut_in_two(drawn: Drawn) -> list[Estimate] | None:
+    whole = rearranged.with_sizes(drawn.tables)
+    halves = rearranged.halved_lamps(whole)
+    if halves is None:
+        return None
+    return both_methods(drawn, {"whole": whole, "halves": halves})
+
+
+def stays_before_something_black(drawn: Drawn) -> list[Estimate] | None:
+    """Without fog, which would light the fog before the black from beyond it."""
+    if {"camera_pose", "fog"} & set(drawn.features):
+        return None
+    tables = rearranged.with_black_behind(drawn.tables)
+    return both_methods(drawn, {"as drawn": drawn.tables, "black behind": tables})
+
+
 def applicable(law: Law, kind: Kind, number: int, without: frozenset[str]) -> list[Estimate]:
     """Return the estimates of a law for the number-th drawn scene that it says something of."""
     said = (law(draw(kind, n, without)) for n in count())
@@ -97,7 +147,16 @@ LAWS: Sequence[tuple[Law, Kind]] = [
     (is_the_sum_of_those_of_its_sources, "scene"),
     (is_black_in_an_isothermal_room, "scene"),
     (falls_with_the_square_of_the_f_number, "camera"),
+    (stays_where_facets_are_divided, "scene"),
+    (stays_where_lists_are_in_another_order, "scene"),
+    (stays_where_a_medium_is_cut_in_two, "scene"),
+    (stays_where_a_lamp_is_cut_in_two, "scene"),
+    (stays_before_something_black, "scene"),
 ]
+
+NO_SIZES = pytest.mark.skipif(
+    not {"LineLight", "RectangleLight"} <= set(dir(lf)), reason="lamps that can be halved are not there yet"
+)
 
 
 def cases() -> list[Any]:
@@ -105,7 +164,7 @@ def cases() -> list[Any]:
     return [
         pytest.param(
             law, kind, number, id=f"{law.__name__}-{kind}-{number}",
-            marks=[pytest.mark.long] if number >= IN_SUITE else [],
+            marks=[pytest.mark.long] * (number >= IN_SUITE) + [NO_SIZES] * (law is stays_where_a_lamp_is_cut_in_two),
         )
         for law, kind in LAWS
         for number in range(LONG)

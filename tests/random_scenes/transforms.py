@@ -34,11 +34,37 @@ def moved(scene: Tables, tilt_deg: list[float], shift_mm: list[float]) -> Tables
             for key in ("normal", "direction"):
                 sheet[key] = list(map(float, turn @ sheet[key]))
     for light in scene.get("lights", []):
-        if "position_mm" in light:
-            light["position_mm"] = _point(light["position_mm"], turn, shift)
-        if "direction" in light:
-            light["direction"] = list(map(float, turn @ light["direction"]))
+        _move_light(light, turn, shift)
     return scene
+
+
+def _move_light(light: Tables, turn: Any, shift: Any) -> None:
+    for key in ("position_mm", "start_mm", "end_mm"):
+        if key in light:
+            light[key] = _point(light[key], turn, shift)
+    if "direction" in light:
+        across, _ = axes(light["direction"], light.get("turn_deg", 0.0))
+        light["direction"] = list(map(float, turn @ light["direction"]))
+        first, second = axes(light["direction"], 0.0)
+        if {"profile", "width_mm"} & light.keys():
+            light["turn_deg"] = float(np.rad2deg(np.arctan2(second @ turn @ across, first @ turn @ across)))
+    elif "profile" in light:
+        _turn(light, turn, "rotation_deg")
+
+
+def axes(direction: list[float], turn_deg: float) -> tuple[Any, Any]:
+    """Return the two axes square to a lamp's direction: at first on the side of +x, of +y for light along x.
+
+    They turn counter-clockwise for an eye that looks along the direction.
+    """
+    d = np.array(direction) / np.linalg.norm(direction)
+    first = np.eye(3)[0] - d[0] * d
+    if np.linalg.norm(first) == 0.0:
+        first = np.eye(3)[1]
+    first /= np.linalg.norm(first)
+    second = np.cross(first, d)
+    angle = np.deg2rad(turn_deg)
+    return np.cos(angle) * first + np.sin(angle) * second, np.cos(angle) * second - np.sin(angle) * first
 
 
 def _point(place: list[float], turn: Any, shift: Any) -> list[float]:
@@ -47,6 +73,10 @@ def _point(place: list[float], turn: Any, shift: Any) -> list[float]:
 
 def _move(body: Tables, turn: Any, shift: Any, place: str, angles: str) -> None:
     body[place] = _point(body.get(place, [0.0, 0.0, 0.0]), turn, shift)
+    _turn(body, turn, angles)
+
+
+def _turn(body: Tables, turn: Any, angles: str) -> None:
     whole = turn @ rotation(body.get(angles, [0.0, 0.0, 0.0]))
     body[angles] = list(map(float, Rotation.from_matrix(whole).as_euler("xyz", degrees=True)))
 

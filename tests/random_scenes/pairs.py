@@ -67,7 +67,10 @@ def scene_of_pair(one: str, other: str) -> lf.Scene:
 
 
 def _base(pair: Pair) -> Tables:
-    """Return camera, wall and sheet, and a point lamp where the pair has no lamp."""
+    """Return camera, wall and sheet, and a point lamp where the pair has no lamp.
+
+    Before glass a panel that glows takes its place: both methods trace a lamp's light through glass forward.
+    """
     wall = {"shape": {"kind": "plane", "width_mm": 12.0, "height_mm": 12.0}, "position_mm": [0.0, 0.0, -60.0],
             "material": {"reflectance": 0.7, "radiance_w_m2_sr": 0.2}}  # fmt: skip
     sheet = {"shape": {"kind": "plane", "width_mm": 7.0, "height_mm": 9.0}, "position_mm": [2.5, 0.0, FRONT_MM],
@@ -82,7 +85,12 @@ def _base(pair: Pair) -> Tables:
         "lights": [],
         "transport": {"split": "both" if REFLECTING & pair else "transmit", "threads": 1},
     }  # fmt: skip
-    if not LAMPS & pair:
+    if {"tank", "glass"} & pair and not LAMPS & pair:
+        shines = {"reflectance": 0.0, "radiance_w_m2_sr": 4.0, "sides": "front"}
+        panel = {"kind": "plane", "width_mm": 9.0, "height_mm": 9.0}
+        tables["targets"].append({"shape": panel, "position_mm": [-9.0, 4.0, -42.0], "rotation_deg": [30.0, 135.0, 0.0],
+                                  "material": shines})  # fmt: skip
+    elif not LAMPS & pair:
         tables["lights"].append({"kind": "point", "position_mm": [-6.0, 7.0, -42.0], "power_w": 4e-4})
     return tables
 
@@ -123,7 +131,7 @@ def _texture(tables: Tables, pair: Pair) -> None:
 @feature("tank")
 def _tank(tables: Tables, pair: Pair) -> None:
     """Liquid behind a window that the sheet crosses, round the wall in focus."""
-    _start_in_air(tables, 3.0)
+    _start_in_air(tables, tables["targets"][:2], FRONT_MM + 3.0)
     tables["tanks"] = [{
         "size_mm": [20.0, 20.0, 14.0], "wall_mm": 1.0, "wall": {"index": 1.5},
         "liquid": {"index": 1.33, "absorption_per_mm": 0.02}, "position_mm": [0.0, 0.0, FRONT_MM - 7.0],
@@ -150,16 +158,16 @@ def _glass(tables: Tables, pair: Pair) -> None:
     body: Tables = {"box_mm": [5.0, 6.0, 3.0], "index": 1.6}
     if "tank" in pair:
         body["priority"] = 1
-    _start_in_air(tables, -6.0)
+    _start_in_air(tables, tables["targets"][1:2], FRONT_MM - 6.0)
     tables["targets"].append({"refractor": body, "position_mm": [1.0, 0.0, FRONT_MM], "rotation_deg": [0.0, 12.0, 0.0]})
 
 
-def _start_in_air(tables: Tables, away_mm: float) -> None:
-    """Let targets in glass or liquid reflect alone, and put a hot sheet beside it: light starts in air when forward."""
-    for target in tables["targets"]:
-        target.get("material", {}).pop("radiance_w_m2_sr", None)
+def _start_in_air(tables: Tables, targets: list[Tables], clear_mm: float) -> None:
+    """Let some targets reflect alone, and put a hot sheet where it is clear: forward, light starts in air."""
+    for target in targets:
+        target["material"].pop("radiance_w_m2_sr", None)
     if "temperature_k" in _sheet(tables):
-        tables["targets"][1]["position_mm"] = [2.5, 0.0, FRONT_MM + away_mm]
+        tables["targets"][1]["position_mm"] = [2.5, 0.0, clear_mm]
 
 
 @feature("particles")

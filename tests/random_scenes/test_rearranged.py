@@ -5,10 +5,11 @@ import pytest
 import trimesh
 
 import lfmesh as lf
-from lfmesh.geometry.frame import rotation
-from lfmesh.transport.tables.lights import axes_of
+from tests.cameras import camera_without_array
 from tests.random_scenes.draft import Tables
+from tests.random_scenes.judge import Estimate, judge
 from tests.random_scenes.meshes import Facets, as_meshes, folded, in_another_order, in_four, of_shape, one_divided
+from tests.random_scenes.pairs import ies_file
 from tests.random_scenes.rearranged import halved_lamps, halved_media
 from tests.random_scenes.transforms import moved
 
@@ -92,13 +93,22 @@ def test_halves_of_a_lamp_are_side_by_side() -> None:
 
 
 def test_profiles_of_lamps_turn_with_the_world() -> None:
-    lamps = [
-        {"kind": "spot", "position_mm": [1.0, 2.0, 3.0], "direction": [1.0, 0.2, -3.0], "turn_deg": 25.0},
-        {"kind": "point", "position_mm": [1.0, 2.0, 3.0], "rotation_deg": [10.0, 20.0, 30.0]},
-    ]
-    lights = [lamp | {"profile": "a.ies", "power_w": 1.0} for lamp in lamps]
-    turned = moved({"camera": {}, "targets": [], "lights": lights}, TILT, SHIFT)["lights"]
-    kinds = (lf.SpotLight, lf.PointLight)
-    for kind, before, after in zip(kinds, lights, turned, strict=True):
-        expected = axes_of(kind(**before)) @ rotation(TILT).T
-        np.testing.assert_allclose(axes_of(kind(**after)), expected, rtol=1e-12, atol=1e-12)
+    lamp = {"position_mm": [20.0, 22.0, -40.0], "power_w": 1.0, "profile": str(ies_file())}
+    for turned in ({"kind": "point", "rotation_deg": [80.0, 20.0, 30.0]},
+                   {"kind": "spot", "direction": [-20.0, -21.0, -50.0], "turn_deg": 25.0}):  # fmt: skip
+        whole: Tables = {
+            "camera": camera_without_array(60.0, 4), "lights": [lamp | turned],
+            "targets": [{"shape": {"kind": "plane", "width_mm": 40.0, "height_mm": 40.0},
+                         "position_mm": [0.0, 0.0, -60.0]}],
+            "transport": {"split": "transmit", "threads": 1},
+        }  # fmt: skip
+        left = moved(whole, TILT, SHIFT)
+        with_world = {"as it was": whole, "moved": left}
+        assert outcome(with_world) == "agree"
+        (key,) = {"rotation_deg", "turn_deg"} & turned.keys()
+        left["lights"][0][key] = turned[key]
+        assert outcome(with_world) == "silent"
+
+
+def outcome(images: dict[str, Tables]) -> str:
+    return judge([Estimate(name, (lf.Scene(**tables),)) for name, tables in images.items()], 8).outcome

@@ -49,6 +49,8 @@ POINTS = (-0.3, 0.0, 0.3)
 
 POINT_SAMPLES = 2
 
+NOT_KNOWN = "not known"
+
 LIT = 0.1
 """Pixels brighter than this share of the brightest count as lit."""
 
@@ -90,6 +92,8 @@ class CameraResult:
     lit_share : float
         Of the pixels.
     edges : tuple of Focus
+    unknown_beyond_mm : dict of tuple of float
+        Ends of these ranges, by their name, beyond which an edge was not tried or its sharpness is not known.
     """
 
     name: str
@@ -103,6 +107,7 @@ class CameraResult:
     light_w_per_pixel: float
     lit_share: float
     edges: tuple[Focus, ...]
+    unknown_beyond_mm: dict[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +139,8 @@ class Comparison:
             ("MTF50 / lp per height", lambda c: _number(c.mtf50_lp_per_height)),
             ("point width / mm", lambda c: f"{_number(c.point_width_mm)}, worst {_number(c.worst_point_width_mm)}"),
             ("views across", lambda c: _number(c.views_across)),
-            ("depth of field / mm", lambda c: _range(c.depth_of_field_mm)),
-            ("refocus range / mm", lambda c: _range(c.refocus_range_mm)),
+            ("depth of field / mm", lambda c: _range(c, "depth_of_field_mm")),
+            ("refocus range / mm", lambda c: _range(c, "refocus_range_mm")),
             ("light / W per pixel", lambda c: f"{c.light_w_per_pixel:.3g}"),
             ("lit pixels", lambda c: f"{c.lit_share:.0%}"),
         ]
@@ -330,8 +335,10 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
     at_focus = min(edges, key=lambda edge: abs(edge.distance_mm - focus_mm))
     light = camera.white.mean[..., 0]
     conventional = camera.name == CONVENTIONAL
-    taken = _sharp_range([(e.distance_mm, e.as_taken) for e in edges], focus_mm)
-    after = taken if conventional else _sharp_range([(e.distance_mm, e.refocused) for e in edges], focus_mm)
+    taken, beyond_taken = sharp_range([(e.distance_mm, e.as_taken) for e in edges], focus_mm)
+    after, beyond_after = taken, beyond_taken
+    if not conventional:
+        after, beyond_after = sharp_range([(e.distance_mm, e.refocused) for e in edges], focus_mm)
     return CameraResult(
         name=camera.name,
         picture_samples=(width, height),
@@ -344,6 +351,7 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
         light_w_per_pixel=float(light.mean()),
         lit_share=float((light > LIT * np.percentile(light, 99.0)).mean()),
         edges=tuple(edges),
+        unknown_beyond_mm={"depth_of_field_mm": beyond_taken, "refocus_range_mm": beyond_after},
     )
 
 
@@ -374,25 +382,42 @@ def _views_across(camera: _Camera, focus_mm: float) -> float:
     return wide / (patch_px(camera.scene, focus_mm) if camera.name == FOCUSED else 1.0)
 
 
-def _sharp_range(curve: list[tuple[float, float]], focus_mm: float) -> tuple[float, float]:
-    """Return between which distances a curve stays above half of its value in the plane in focus; NaN without any."""
+def sharp_range(
+    curve: list[tuple[float, float]], focus_mm: float
+) -> tuple[tuple[float, float], tuple[float, ...]]:  # fmt: skip
+    """Return between which distances a curve stays above half of its value in the plane in focus.
+
+    Parameters
+    ----------
+    curve : list of (float, float)
+        Distances, mm, and sharpness there; NaN where it is not known.
+    focus_mm : float
+
+    Returns
+    -------
+    ends : (float, float)
+        The nearest and the farthest distance, mm; NaN where the sharpness in the plane in focus is not known.
+    unknown_beyond : tuple of float
+        Those of the ends beyond which the next sharpness is not known, or was not measured: the range may go on there.
+    """
     curve = sorted(curve)
     vergence = np.array([1.0 / distance for distance, _ in curve])
-    value = np.array([0.0 if math.isnan(v) else v for _, v in curve])
+    value = np.array([v for _, v in curve])
     focus = int(np.abs(vergence - 1.0 / focus_mm).argmin())
     half = 0.5 * value[focus]
     if not half > 0.0:
-        return math.nan, math.nan
-    ends = []
+        return (math.nan, math.nan), ()
+    ends, open_ends = [], []
     for step in (-1, 1):
         i = focus
         while 0 <= i + step < len(value) and value[i + step] >= half:
             i += step
         j = i + step
-        beyond = 0 <= j < len(value)
-        share = (value[i] - half) / (value[i] - value[j]) if beyond else 0.0
-        ends.append(float(1.0 / (vergence[i] + share * (vergence[j if beyond else i] - vergence[i]))))
-    return ends[0], ends[1]
+        is_reached = 0 <= j < len(value) and value[j] < half
+        share = (value[i] - half) / (value[i] - value[j]) if is_reached else 0.0
+        ends.append(float(1.0 / (vergence[i] + share * (vergence[j if is_reached else i] - vergence[i]))))
+        open_ends += [] if is_reached else ends[-1:]
+    return (ends[0], ends[1]), tuple(open_ends)
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
@@ -420,8 +445,12 @@ def _write(comparison: Comparison, numbers: Path, figure: Path) -> None:
 
 
 def _number(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "none"
+    return f"{value:.3g}" if math.isfinite(value) else NOT_KNOWN
 
 
-def _range(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:.4g} to {ends[1]:.4g}" if math.isfinite(ends[0]) else "none"
+def _range(camera: CameraResult, name: str) -> str:
+    near, far = getattr(camera, name)
+    if not math.isfinite(near):
+        return NOT_KNOWN
+    open_ends = " and ".join(f"{end:.4g}" for end in camera.unknown_beyond_mm[name])
+    return f"{near:.4g} to {far:.4g}" + (f" ({NOT_KNOWN} beyond {open_ends})" if open_ends else "")

@@ -345,6 +345,11 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
     if search.cut:
         most = problem.design.search.evaluations
         notes.append(f"a search ended after evaluations = {most} cameras, before it had found its best: allow more")
+    notes += [
+        f"a search ended at a camera around which {title} is not known, so that its derivative could not be told: "
+        "begin elsewhere, or raise samples"
+        for title in sorted(search.left_open)
+    ]
     if search.beyond_reach and problem.violation(search.best):
         notes += [
             f"{goal.title}: a search for nothing but limits found none that keeps {goal.in_words}; the nearest has "
@@ -390,9 +395,10 @@ def _differences(problem: Problem, best: Rated) -> Iterator[str]:
         return
     for goal, value in again.items():
         searched = shown_value(goal.metric, best.figures[goal].value)
-        if abs(value - searched) > UNLIKE * max(abs(value), abs(searched)) and abs(value - searched) > NOTHING:
+        if not abs(value - searched) <= max(UNLIKE * max(abs(value), abs(searched)), NOTHING):
+            other = "not known" if np.isnan(value) else f"{value:.4g}"
             yield (
-                f"{goal.title} is {searched:.4g} by the rays of the search, but {value:.4g} by twice as many across, "
+                f"{goal.title} is {searched:.4g} by the rays of the search, but {other} by twice as many across, "
                 "of those that pass the best camera: raise across in [rays], or look at its clear apertures"
             )
 

@@ -250,9 +250,9 @@ class Problem:
         return float(residuals @ residuals)
 
     def violation(self, rated: Rated) -> float:
-        """Return the largest excess over a limit; 0 where all are kept."""
+        """Return the largest excess over a limit; 0 where all are kept, NaN where that is not known."""
         excess = float(self.excess(rated).value.max(initial=0.0)) if self.design.constraints else 0.0
-        return excess if excess > KEPT else 0.0
+        return 0.0 if excess <= KEPT else excess
 
     def is_exact(self, rated: Rated, first: Rated) -> bool:
         """Tell whether a camera keeps all limits, and only rounding is left of each term of the merit.
@@ -341,14 +341,21 @@ class Problem:
         self._numbers(self.start)
         rated = self.rated(self.start)
         faults = [
-            f"{key}[{i}].metric: {goal.metric} is {shown_value(goal.metric, rated.figures[goal].value):g} in the "
-            "camera to begin with; begin with one where it is a number"
+            f"{key}[{i}].metric: {goal.metric} is {self._in_words(goal, rated)}; begin with one where it is a number"
             for key, goals in (("merit", self.design.merit), ("constraints", self.design.constraints))
             for i, goal in enumerate(goals)
             if not np.isfinite(rated.figures[goal].value).all()
         ]
         if faults:
             raise refused(name, faults)
+
+    def _in_words(self, goal: Goal, rated: Rated) -> str:
+        """Return the value of a figure in the camera to begin with, or that it is not known and why."""
+        value = shown_value(goal.metric, rated.figures[goal].value)
+        if not np.isnan(value):
+            return f"{value:g} in the camera to begin with"
+        why = self.renders.unknown.get(goal.metric, "") if self.renders is not None else ""
+        return "not known in the camera to begin with" + (f": {why}" if why else "")
 
     def _value_faults(self) -> Iterator[str]:
         """Yield which values to choose from are none that the camera to begin with can take, in the scene's words."""
@@ -412,7 +419,7 @@ def joined(parts: Sequence[Jet]) -> Jet:
 
 
 def _with_slopes(function: Callable[[Place], Array], place: Place, share: float) -> Jet | None:
-    """Return values with their derivatives by central differences; one-sided where a camera beyond is not valid.
+    """Return values with their derivatives by central differences; one-sided where a value beyond is not known.
 
     Parameters
     ----------
@@ -425,7 +432,7 @@ def _with_slopes(function: Callable[[Place], Array], place: Place, share: float)
     Returns
     -------
     Jet or None
-        None where the camera itself is not valid.
+        None where the camera itself is not valid; derivatives are NaN where they cannot be told.
     """
     middle = _known(function, place)
     if middle is None:
@@ -434,15 +441,18 @@ def _with_slopes(function: Callable[[Place], Array], place: Place, share: float)
     for number in range(len(place.at) if share and len(middle) else 0):
         step = np.zeros(len(place.at))
         step[number] = share
-        before, after = (_known(function, Place(place.at + sign * step, place.picks)) for sign in (-1.0, 1.0))
-        if before is not None and after is not None:
-            slope[:, number] = (after - before) / (2.0 * share)
-            continue
-        sign, near = (1.0, after) if after is not None else (-1.0, before)
-        far = _known(function, Place(place.at + 2.0 * sign * step, place.picks))
-        if near is None or far is None:
-            return None
-        slope[:, number] = sign * (4.0 * near - far - 3.0 * middle) / (2.0 * share)
+
+        def beside(steps: float, step: Array = step) -> Array:
+            found = _known(function, Place(place.at + steps * step, place.picks))
+            return np.full(len(middle), np.nan) if found is None else found
+
+        before, after = beside(-1.0), beside(1.0)
+        slope[:, number] = (after - before) / (2.0 * share)
+        for sign, near in ((1.0, after), (-1.0, before)):
+            lacking = np.isfinite(middle) & np.isnan(slope[:, number])
+            if (lacking & np.isfinite(near)).any():
+                one_sided = sign * (4.0 * near - beside(2.0 * sign) - 3.0 * middle) / (2.0 * share)
+                slope[lacking, number] = one_sided[lacking]
     return Jet(middle, slope)
 
 

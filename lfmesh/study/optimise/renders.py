@@ -1,15 +1,17 @@
 """Figures of pictures: columns of a study's table, of a camera against the one to begin with."""
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import FileError, LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
 from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, metric_of, pictures_of
-from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, Films, films
+from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, Films, films, in_a_line
 from lfmesh.study.sweeps.statistics import combined
 
 Array = NDArray[np.float64]
@@ -24,6 +26,11 @@ class Renders:
         The camera to begin with, solved.
     columns : sequence of str
         Of a study's table.
+
+    Attributes
+    ----------
+    unknown : dict of str
+        Why columns of the last camera are not known.
     """
 
     def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
@@ -32,6 +39,7 @@ class Renders:
         edge_mm = min(solved_camera(scene).report.object_distance_mm, FARTHEST_MM)
         self._reference = Camera(scene, edge_mm)
         self._found: Found = {}
+        self.unknown: dict[str, str] = {}
 
     @cached_property
     def _reference_films(self) -> Films:
@@ -51,10 +59,20 @@ class Renders:
         camera = Camera(scene, self._reference.edge_distance_mm)
         own, count = self._traced(camera), scene.transport.replicates
         pair = Comparison(camera, self._reference, own, self._reference_films, count, found=self._found)
-        found = {}
+        found: dict[str, float] = {}
+        self.unknown = {}
         with np.errstate(invalid="ignore", divide="ignore"):
             for name in self.metrics:
-                values = METRICS[name].compute(pair)
-                for number, column in enumerate(METRICS[name].columns):
-                    found[column.name] = column.estimate(combined(np.ascontiguousarray(values[:, number]))).value
+                metric, why = METRICS[name], METRICS[name].unseen
+                try:
+                    values = metric.compute(pair)
+                except FileError:
+                    raise
+                except LfmeshError as error:
+                    values, why = np.full((count, len(metric.columns)), np.nan), in_a_line(error)
+                for number, column in enumerate(metric.columns):
+                    value = column.estimate(combined(np.ascontiguousarray(values[:, number]))).value
+                    found[column.name] = value
+                    if math.isnan(value):
+                        self.unknown[column.name] = why
         return np.array([found[name] for name in self.columns])

@@ -85,6 +85,8 @@ class Search:
         not valid, or a ray loses its path.
     cut : bool
         A search ended because it had tried as many cameras as it may, not because it had found its best.
+    left_open : set of str
+        Figures whose derivatives could not be told where a search ended for that reason.
     beyond_reach : bool
         A search ended because it found no camera that keeps all limits, though it looked for nothing else.
     """
@@ -98,6 +100,7 @@ class Search:
         self.searched: set[Picks] = set()
         self.lost: set[Picks] = set()
         self.cut = False
+        self.left_open: set[str] = set()
         self.beyond_reach = False
 
     def run(self) -> None:
@@ -214,24 +217,28 @@ class Search:
 
         problem, picks = self.problem, rated.place.picks
 
-        def pressed(at: Array, *, slopes: bool) -> Jet:
-            found = problem.rated(Place(at, picks), slopes=True) if slopes else self._rated(at, picks)
+        def pressed_by(found: Rated) -> Jet:
             residuals = problem.residuals(found)
             # A camera that is not valid has one unknown value for each figure, of however many parts.
             if not problem.design.constraints or not found.finite:
                 return residuals
             return joined([residuals * pressure.merit, pressure.residuals(problem.excess(found))])
 
-        size = len(pressed(rated.place.at, slopes=False).value)
+        size = len(pressed_by(self._rated(rated.place.at, picks)).value)
 
         def values(at: Array) -> Array:
-            value = pressed(at, slopes=False).value
+            value = pressed_by(self._rated(at, picks)).value
             return value if len(value) == size and np.isfinite(value).all() else np.full(size, np.inf)
 
         def slopes(at: Array) -> Array:
-            slope = pressed(at, slopes=True).slope
-            # A camera at the border of what is valid, around which nothing can be told: the search ends there.
-            return slope if len(slope) == size and np.isfinite(slope).all() else np.zeros((size, len(at)))
+            rated = problem.rated(Place(at, picks), slopes=True)
+            open_ones = {goal.title for goal, jet in rated.figures.items() if not np.isfinite(jet.slope).all()}
+            if open_ones:
+                # Around a camera of which nothing more can be told the search ends.
+                self.left_open |= open_ones
+                return np.zeros((size, len(at)))
+            slope = pressed_by(rated).slope
+            return slope if len(slope) == size else np.zeros((size, len(at)))
 
         found = least_squares(
             values, np.clip(rated.place.at, 0.0, 1.0), slopes, bounds=(0.0, 1.0), x_scale="jac", ftol=settled,

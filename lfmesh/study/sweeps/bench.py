@@ -79,7 +79,15 @@ class Bench:
         return taken(in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
 
     def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> Compared:
-        """Compare a camera with the reference by some metrics; one that is not known leaves the others as they are."""
+        """Compare a camera with the reference by some metrics; one that is not known leaves the others as they are.
+
+        Parameters
+        ----------
+        camera : Camera
+        own : dict of (replicates, H, W, channels) float64, W
+            Its films.
+        metrics : tuple of str
+        """
         known = self.reference
         count = len(self.unit.replicates)
         pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)

@@ -225,9 +225,9 @@ def _figure(
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    style = {"svg.fonttype": "none", "svg.hashsalt": title, "font.family": "sans-serif", "font.size": 9}
     # Labels and names are the user's, who may write $ and ^ in them.
-    with mpl.rc_context({**style, "text.parse_math": False}):
+    style: dict[Any, Any] = {"font.family": "sans-serif", "font.size": 9, "text.parse_math": False}
+    with mpl.rc_context({**style, "svg.fonttype": "none", "svg.hashsalt": title}):
         figure = Figure(figsize=size, layout=layout)
         FigureCanvasSVG(figure)
         draw(figure)

@@ -115,7 +115,7 @@ class StudyFile(Model):
 
     @property
     def needs_spread(self) -> str:
-        """What a design that draws says to listed values."""
+        """Refusal of listed values by a design that draws."""
         return f'design = "{self.design}" needs a range, log_range, uniform or normal'
 
     def _of_scenes(self) -> Iterator[Fault]:

@@ -1,6 +1,7 @@
 """Three cameras on one scene: what measures them is right, and they differ as optics say."""
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.cli import main
 from lfmesh.study.cameras import compare as comparing
-from lfmesh.study.cameras.compare import CONVENTIONAL, FOCUSED, STANDARD, compare, three_cameras
+from lfmesh.study.cameras.compare import CONVENTIONAL, FOCUSED, STANDARD, compare, sharp_range, three_cameras
 from lfmesh.study.metrics.resolution import edge_mtf50, point_width
 
 Array = NDArray[np.float64]
@@ -169,3 +170,19 @@ def test_wrong_wishes_get_one_line_and_leave_nothing(
 def test_a_conventional_scene_has_nothing_to_compare() -> None:
     with pytest.raises(lf.LfmeshError, match=r"camera\.mla is missing"):
         comparing.compare(lf.load(asset_path("scenes/conventional.toml")))
+
+
+def test_a_range_of_sharp_distances_ends_where_sharpness_is_known_to_fall_and_is_open_where_it_is_not_known() -> None:
+    """Sharpness falls by half of that in focus for each half dioptre: by a straight line, to the half."""
+    distances = [1e3 / vergence for vergence in (2.0, 2.25, 2.5, 2.75, 3.0)]
+    falls = list(zip(distances, (0.0, 0.5, 1.0, 0.5, 0.0), strict=True))
+    ends, unknown = sharp_range(falls, 400.0)
+    assert ends == pytest.approx((1e3 / 2.75, 1e3 / 2.25))
+    assert unknown == ()
+    hidden = [(at, math.nan if at < 399.0 else value) for at, value in falls]
+    ends, unknown = sharp_range(hidden, 400.0)
+    assert ends == pytest.approx((400.0, 1e3 / 2.25))
+    assert unknown == pytest.approx((400.0,))
+    ends, unknown = sharp_range([(at, 1.0) for at in distances], 400.0)
+    assert unknown == ends
+    assert all(map(math.isnan, sharp_range([(at, math.nan) for at in distances], 400.0)[0]))

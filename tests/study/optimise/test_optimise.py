@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import lfmesh as lf
 from lfmesh.study.optimise.design_file import DesignFile, Term, Variable
 from lfmesh.study.optimise.optimise import best_of, load_design
 from lfmesh.study.optimise.problem import Place, Problem, Rated
+from lfmesh.study.optimise.renders import Renders
 from lfmesh.wrapping import COLUMNS
 from tests.study.optimise.designs import (
     PUBLISHED_SENSOR_MM,
@@ -311,6 +313,45 @@ def test_a_figure_of_pictures_is_met_with_common_random_numbers() -> None:
     magnified = facts.micro_image_pitch_px * pixel / 0.5
     assert shift == pytest.approx(0.5 * pixel / magnified, rel=0.02)
     assert "common random numbers" in " ".join(str(found).split())
+
+
+class Hidden(Renders):
+    """Pictures of which the figure, the square of a shift of the array, is not known at some shifts."""
+
+    def __init__(self, is_known: Callable[[float], bool]) -> None:
+        super().__init__(small_scene(), ["chief_rays_x_px"])
+        self.is_known = is_known
+
+    def values(self, scene: lf.Scene) -> np.ndarray:
+        assert scene.camera.mla is not None
+        shift = scene.camera.mla.pose.shift_mm[0]
+        return np.array([1.0 + shift**2 if self.is_known(shift) else math.nan])
+
+
+def found_with(is_known: Callable[[float], bool], monkeypatch: pytest.MonkeyPatch) -> lf.Optimum:
+    monkeypatch.setattr(Problem, "renders", Hidden(is_known))
+    scene = small_scene().changed({SHIFT: 0.1})
+    return lf.optimise(scene, [{"path": SHIFT, "range": [-0.2, 0.2]}], [{"metric": "chief_rays_x_px", "target": 1.0}])
+
+
+def test_a_search_goes_on_past_neighbours_that_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one side of each difference the figure is hidden: the other side tells its derivative as well."""
+    found = found_with(lambda shift: shift < 0.1001, monkeypatch)
+    assert found.scene.camera.mla is not None
+    assert found.scene.camera.mla.pose.shift_mm[0] == pytest.approx(0.0, abs=1e-3)
+    assert not any("not known" in note for note in found.notes)
+
+
+def test_a_search_that_ends_where_no_derivative_is_known_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = found_with(lambda shift: shift == 0.1 or abs(shift) > 0.15, monkeypatch)
+    (note,) = (note for note in found.notes if "not known" in note)
+    assert note.startswith("a search ended at a camera around which chief_rays_x_px is not known")
+
+
+def test_a_figure_of_pictures_that_is_not_known_at_first_is_refused_with_its_reason() -> None:
+    scene = small_scene(samples=8).changed({"camera.sensor.pose.shift_mm[0]": 40.0})
+    with pytest.raises(lf.LfmeshError, match=r"centres_rms_px is not known in the camera .*: the white image shows no"):
+        lf.optimise(scene, [{"path": SHIFT, "range": [-0.2, 0.2]}], [{"metric": "centres_rms_px"}])
 
 
 def test_the_scene_of_a_result_is_that_of_a_file(tmp_path: Path) -> None:

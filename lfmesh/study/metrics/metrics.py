@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.calibration.centres import estimate_centres
 from lfmesh.lightfield.calibration.white import white_scene
@@ -431,6 +432,8 @@ def _movements(values: Array) -> Array:
     """Return the columns of `_movement` from pseudo-values of `_moved`; noise of single centres adds to no square."""
     moved = values[:, :-2].reshape(len(values), -1, 2)
     moved = moved[:, np.isfinite(moved).all(axis=(0, 2))]
+    if not moved.size:
+        raise LfmeshError("no micro-image is whole in all replicates of this camera and of the reference")
     return np.column_stack([moved.mean(axis=1), 2.0 * mean_square(moved), values[:, -2:]])
 
 

@@ -26,11 +26,12 @@ Array = NDArray[np.float64]
 
 
 class OnTheWay(NamedTuple):
-    """Cameras of which a metric is not known, among those that a search and adjustments trace.
+    """Number of cameras with an unknown metric in a search and its adjustments.
 
     Attributes
     ----------
     unknown, cameras : int
+        Cameras without it, and all.
     reason : str
         Of the first.
     """

@@ -122,7 +122,7 @@ def _progress(table: Table) -> str:
 
 
 def metrics_not_known(table: Table) -> Iterator[str]:
-    """Yield for every metric the points at which it is not known, or on the way to which, and why."""
+    """Yield for every metric the points and the searched cameras at which it is not known, and why."""
     rows = [row for row in table.rows if row.estimates]
     for name in table.plan.metrics:
         lacking = [row for row in rows if name in row.unknown]

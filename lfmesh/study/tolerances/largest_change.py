@@ -1,7 +1,7 @@
 """Inverse tolerances: the largest change of one number of a camera that keeps all limits of a study.
 
-A camera of which a limited column is not known neither keeps a limit nor breaks one. The search goes round it; where it
-cannot, it says between which values the limit lies, and why no more is known.
+A camera whose limited columns are unknown neither keeps a limit nor breaks one. The search goes round it. Where it
+cannot, it states the values between which the limit lies, and why no more is known.
 """
 
 import contextlib
@@ -153,7 +153,7 @@ class _Way:
         return max(nearer, key=self._change), beyond
 
     def is_gone_round(self) -> bool:
-        """Tell whether a camera is known between those of the bracket; up to then others are tried."""
+        """Try cameras inside the bracket, and tell whether one of them is known."""
         kept, beyond = self.bracket()
         end = self.search.far if beyond is None else beyond
         for share in DETOURS:

@@ -126,7 +126,10 @@ def depth(
     far_mm: Annotated[float | None, Parameter(help="Farthest distance to search; the far end, if omitted.")] = None,
     samples: Annotated[Whole, Parameter(help="Rays of each raw pixel's bundle for its true depth.")] = 16,
 ) -> int:
-    """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error."""
+    """Find the depth of what a run shows: the truth by tracing, the estimate from its light field, and its error.
+
+    Media and particles have no true depth, only an estimate.
+    """
     with defer_interrupt():
         from lfmesh.files import depth as depth_files
         from lfmesh.lightfield.photographs.depth import estimate_depth
@@ -135,8 +138,9 @@ def depth(
     field = field_of(run)
     estimate = estimate_depth(field, near_mm=near_mm, far_mm=far_mm)
     truth = depth_truth(field.scene, views=field.views[0], samples=samples)
-    paths = depth_files.save_truth(truth, run) + depth_files.save_depth(estimate, truth.middle_mm, run)
-    print(wrapped(estimate.in_words(truth.middle_mm)))
+    paths = depth_files.save_truth(truth, run)
+    paths += depth_files.save_depth(estimate, truth.middle_mm, run, truth.without_depth)
+    print(wrapped(estimate.in_words(truth.middle_mm, truth.without_depth)))
     list_files(paths)
     return 0
 

@@ -1,5 +1,6 @@
 """Depth in a run folder: the traced truth, the estimate from the light field, and a figure that holds them together."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ GREY = "#666666"
 
 ABOUT = (
     "Distances in mm before the first vertex of the lens, along its axis; NaN where no ray passes the lens, infinite "
-    "where rays meet nothing."
+    "where rays meet nothing. True depth is that of targets: media and particles have none."
 )
 
 
@@ -45,7 +46,9 @@ def save_truth(truth: DepthTruth, folder: Path) -> list[Path]:
     return [folder / VIEWS, folder / PIXELS]
 
 
-def save_depth(depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path) -> list[Path]:
+def save_depth(
+    depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path, without_depth: Sequence[str] = ()
+) -> list[Path]:
     """Add the depth found in the light field as ``depth.exr``, and its error as ``depth.png``; return the files.
 
     Parameters
@@ -54,6 +57,8 @@ def save_depth(depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path) ->
     truth_mm : (t, s) float
         `DepthTruth.middle_mm`.
     folder : Path
+    without_depth : sequence of str, optional
+        `DepthTruth.without_depth`, named in the figure.
 
     Raises
     ------
@@ -64,7 +69,7 @@ def save_depth(depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path) ->
     error = depth.error(truth_mm)
     with run.added(folder) as staging:
         exr.write_maps(staging / ESTIMATE, maps, _facts(folder, orientation=UPRIGHT))
-        _draw(staging / FIGURE, depth, truth_mm, error)
+        _draw(staging / FIGURE, depth, truth_mm, error, without_depth)
     return [folder / ESTIMATE, folder / FIGURE]
 
 
@@ -72,7 +77,10 @@ def _facts(folder: Path, **more: Any) -> dict[str, Any]:
     return {"lfmesh_version": lfmesh.__version__, "about": ABOUT, "raw_sha256": run.pixels_digest(folder), **more}
 
 
-def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64]) -> None:
+def _draw(
+    path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64],
+    without_depth: Sequence[str],
+) -> None:  # fmt: skip
     """Draw truth, estimate, error and confidence side by side, and the error's distribution."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -96,6 +104,8 @@ def _draw(path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: ND
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor("#dddddd")
+    if without_depth:
+        panels[0].set_xlabel(f"without true depth: {', '.join(without_depth)}", fontsize=8, wrap=True)
     _draw_against_truth(panels[4], depth, true)
     _draw_distribution(panels[5], error)
     figure.savefig(path, metadata={"Software": None})

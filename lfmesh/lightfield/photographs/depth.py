@@ -8,6 +8,7 @@ disparity estimation and super-resolution", IEEE TPAMI 36 (2014) 606; from refoc
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,13 +92,15 @@ class DepthMap(Pictured):
         truth = np.where(np.isfinite(truth_mm), truth_mm.astype(np.float64), np.nan)
         return np.where(np.isfinite(self.distance_mm), self.distance_mm, np.nan) / truth - 1.0
 
-    def in_words(self, truth_mm: NDArray[np.floating]) -> str:
+    def in_words(self, truth_mm: NDArray[np.floating], without_depth: Sequence[str] = ()) -> str:
         """Return the error of the depth in words, of what lies in the range that was searched.
 
         Parameters
         ----------
         truth_mm : (t, s) float
             `DepthTruth.middle_mm`.
+        without_depth : sequence of str, optional
+            `DepthTruth.without_depth`: names of media and particles, whose depth is estimated but has no truth.
 
         Returns
         -------
@@ -107,13 +110,18 @@ class DepthMap(Pictured):
         within = (truth_mm >= near) & (truth_mm <= far)
         error = np.abs(self.error(truth_mm)[within])
         error = error[np.isfinite(error)]
-        reach = reach_in_words(near, far)
+        reach, names = reach_in_words(near, far), " and ".join(without_depth)
         if not error.size:
-            return f"Nothing that the camera sees lies in the range that was searched, {reach}."
+            none = f" ({names} {'has' if len(without_depth) == 1 else 'have'} none)" if names else ""
+            return (
+                f"No target surface that the camera sees lies in the range searched, {reach}: there is no true depth "
+                f"to compare with{none}."
+            )
+        untold = f" Without true depth: {names}; where they show, the truth is that of the targets behind."
         middle, most = np.percentile(error, [50.0, 90.0])
         return (
             f"Depth is off by {middle:.2%} in the median and by less than {most:.2%} in nine of ten of the "
-            f"{error.size} samples whose true depth lies in the range searched, {reach}."
+            f"{error.size} samples whose true depth lies in the range searched, {reach}.{untold if names else ''}"
         )
 
 

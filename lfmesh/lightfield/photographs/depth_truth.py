@@ -1,4 +1,8 @@
-"""True depth: the traced distances at which the rays of views and of raw pixels first meet a target."""
+"""True depth: the traced distances at which the rays of views and of raw pixels first meet a target.
+
+Media and particles have none: light comes from all along a line of sight through a flame or fog, and no ray meets a
+point. Rays pass through them here.
+"""
 
 from dataclasses import dataclass
 
@@ -45,6 +49,8 @@ class DepthTruth(Pictured):
         light is, in the orientation of the raw image. Of the rays that meet a target.
     seen : (H, W) float32
         The share of the bundle that meets a target; 0 for a dark pixel.
+    without_depth : tuple of str
+        Names of the scene's media and groups of particles, which have no true depth: rays pass through them.
     """
 
     views_mm: Samples
@@ -52,11 +58,13 @@ class DepthTruth(Pictured):
     pixels_mm: Samples
     spread_mm: Samples
     seen: Samples
+    without_depth: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         v, u, t, s = self.views_mm.shape
         known = np.isfinite(self.middle_mm).mean()
-        return f"<DepthTruth: {u} × {v} views of {s} × {t} samples, {known:.1%} of them known>"
+        untold = f", without depth: {', '.join(self.without_depth)}" if self.without_depth else ""
+        return f"<DepthTruth: {u} × {v} views of {s} × {t} samples, {known:.1%} of them known{untold}>"
 
 
 def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) -> DepthTruth:
@@ -85,7 +93,14 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     count = view_count(rays.calibration, views)
     places = np.arange(count) - 0.5 * (count - 1)
     views_mm = np.stack([np.stack([_of_view(rays, v, u) for u in places]) for v in places])
-    return DepthTruth(views_mm, _of_view(rays, 0.0, 0.0), *_of_pixels(rays.world, samples))
+    middle_mm = _of_view(rays, 0.0, 0.0)
+    return DepthTruth(views_mm, middle_mm, *_of_pixels(rays.world, samples), without_depth=without_depth(scene))
+
+
+def without_depth(scene: Scene) -> tuple[str, ...]:
+    """Return the names of a scene's media and groups of particles, which have no true depth."""
+    media = (medium.name or f"media[{number}]" for number, medium in enumerate(scene.media))
+    return *media, *(f"particles[{number}]" for number in range(len(scene.particles)))
 
 
 def middle_depth_mm(scene: Scene) -> Samples:

@@ -214,3 +214,33 @@ def test_a_conventional_camera_has_no_views(camera: Callable[..., Scene]) -> Non
     scene = camera().changed({"camera.mla": None, "camera.sensor.distance_mm": None})
     with pytest.raises(lf.LfmeshError, match=r"camera\.mla is missing"):
         lf.depth_truth(scene)
+
+
+def test_media_and_particles_are_named_as_what_has_no_true_depth(camera: Callable[..., Scene]) -> None:
+    """A flame and a spark stand at 420 mm, where nothing else does; or before a plane, which has a true depth."""
+    fire = {
+        "name": "fire",
+        "bounds": {"kind": "sphere", "radius_mm": 20.0},
+        "emission_w_mm3_sr": 1.0,
+        "position_mm": (0.0, 0.0, -420.0),
+    }
+    spark = {
+        "count": 1,
+        "bounds": {"kind": "sphere", "radius_mm": 1.0},
+        "position_mm": (0.0, 0.0, -420.0),
+        "intensity_w_sr": 1.0,
+    }
+    alone = camera().changed({"targets": [], "media": [fire], "particles": [spark]})
+    before = alone.changed({"targets": [plane(600.0)]})
+    for scene, words in (
+        (alone, "no true depth to compare with (fire and particles[0] have none)."),
+        (before, "Without true depth: fire and particles[0]"),
+        (before.changed({"media": [], "particles": []}), "lies in the range searched, 300 mm to 900 mm."),
+    ):
+        truth = lf.depth_truth(scene, views=2, samples=1)
+        assert ("fire" in repr(truth)) == bool(scene.media)
+        found = np.full(truth.middle_mm.shape, 420.0)
+        depth = lf.DepthMap(found, np.zeros_like(found), np.ones_like(found), (300.0, 900.0))
+        said = depth.in_words(truth.middle_mm, truth.without_depth)
+        assert said.endswith(words) or words in said, said
+        assert np.isfinite(truth.middle_mm).any() == bool(scene.targets)

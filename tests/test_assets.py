@@ -135,6 +135,7 @@ def test_the_promised_scenes_are_there() -> None:
         "glossy",
         "ground_glass",
         "hot_metal",
+        "panel_and_tube",
         "polarised",
         "tank",
         "underwater",

@@ -44,6 +44,19 @@ liquid = {{ glass = {{ wavelengths_nm = [400.0, 550.0, 700.0], values = [1.34, 1
 kind = "point"
 position_mm = [100.0, -100.0, -50.0]
 power_w = 1.0
+[[lights]]
+kind = "line"
+start_mm = [90.0, -100.0, -50.0]
+end_mm = [90.0, 100.0, -50.0]
+power_w = 1.0
+[[lights]]
+kind = "rectangle"
+position_mm = [-90.0, 0.0, -50.0]
+direction = [0.5, 0.0, -1.0]
+width_mm = 20.0
+height_mm = 30.0
+turn_deg = 10.0
+power_w = 1.0
 [[tanks]]
 size_mm = [20.0, 20.0, 20.0]
 wall_mm = 1.0

@@ -196,6 +196,26 @@ def spot_lamp(draft: Draft, dice: Dice) -> bool | None:
     return None
 
 
+@feature(scenes=0.12)
+def line_lamp(draft: Draft, dice: Dice) -> bool | None:
+    where, _ = lamp_place(draft, dice)
+    half = draft.half_field_mm * dice.between(0.05, 0.4)
+    way = dice.vector(half, half, 0.3 * half)
+    ends = [[rounded(w + sign * d) for w, d in zip(where, way, strict=True)] for sign in (-1.0, 1.0)]
+    draft.add("lights", {"kind": "line", "start_mm": ends[0], "end_mm": ends[1], "power_w": power_w(draft, dice)})
+    return None
+
+
+@feature(scenes=0.12)
+def panel_lamp(draft: Draft, dice: Dice) -> bool | None:
+    where, direction = lamp_place(draft, dice)
+    width, height = (rounded(draft.half_field_mm * dice.log_between(0.02, 0.4)) for _ in range(2))
+    draft.add("lights", {"kind": "rectangle", "position_mm": where, "direction": direction, "width_mm": width,
+                         "height_mm": height, "turn_deg": dice.between(-180.0, 180.0),
+                         "power_w": power_w(draft, dice)})  # fmt: skip
+    return None
+
+
 # Glass
 
 

@@ -156,6 +156,19 @@ for name, changes in lamps.items():
             samples, camera=camera({}), targets=[plane(-50.0, 8.0, {"reflectance": 0.9})], lights=[near],
             transport={"method": method})
 
+# A lamp with a size: a disk less the disk of its hole, far and near, and both methods, in fog as well.
+wide = {"kind": "disk", "position_mm": [8.0, 2.0, -38.0], "direction": [-8.0, -2.0, -14.0], "radius_mm": 6.0}
+ring = wide | {"kind": "ring", "inner_mm": 3.0, "power_w": 3.0}
+cloud = {"bounds": {"kind": "sphere", "radius_mm": 14.0}, "position_mm": [0.0, 0.0, -46.0], "scattering_per_mm": 0.01}
+sheet = [plane(-50.0, 8.0, {"reflectance": 0.9})]
+full, hole = wide | {"power_w": 4.0}, wide | {"radius_mm": 3.0, "power_w": 1.0}
+for name, lamp in (("whole", full), ("hole", hole), ("ring", ring)):
+    found["sized " + name] = watts(16384, camera=camera({}), targets=sheet, lights=[lamp])
+for name, media in (("air", []), ("fog", [cloud])):
+    for method, samples in (("adjoint", 16384), ("forward", 262144)):
+        found[f"sized {name} {method}"] = watts(
+            samples, camera=camera({}), targets=sheet, lights=[ring], media=media, transport={"method": method})
+
 # A phase function.
 sun = {"kind": "directional", "direction": [0.6, 0.0, 0.8], "irradiance_w_m2": 100.0}
 for name, phase in (("isotropic", {"kind": "isotropic"}), ("linear", {"kind": "linear", "slope": 0.9})):
@@ -242,17 +255,31 @@ def add_shape(tree: Path) -> None:
 
 
 def add_light(tree: Path) -> None:
-    model, row, intensity, drawn = blocks_of("A light")
-    tables, kernels = "transport/tables/lights.py", "transport/lights/intensity.py"
-    put(tree, "scene/light/lights.py", "Light = Annotated[", model + "\n\n", 0)
-    change(tree, "scene/light/lights.py", ("DiskLight | SpotLight,", "DiskLight | SpotLight | CosineLight,"))
-    change(tree, tables, ("SPOT, PROFILED = 0, 1, 2, 3, 4", "SPOT, PROFILED, COSINE = 0, 1, 2, 3, 4, 5"))
-    change(tree, tables, ("lights import DirectionalLight,", "lights import CosineLight, DirectionalLight,"))
-    put(tree, tables, "    ]\n)\n", '("exponent", "f8"),', 8)
-    put(tree, tables, "        if isinstance(light, DirectionalLight | DiskLight", row, 8)
+    cosine, law, intensity, drawn, ring, area, hole, places, holds = blocks_of("A light")
+    models, tables, kernels = "scene/light/lights.py", "transport/tables/lights.py", "transport/lights/intensity.py"
+    put(tree, models, "Light = Annotated[", cosine + "\n\n\n" + ring + "\n\n", 0)
+    change(
+        tree,
+        models,
+        ("    PointLight | DirectionalLight", "    CosineLight | RingLight | PointLight | DirectionalLight"),
+    )
+    change(tree, models, ('"sine", "profile"]', '"sine", "profile", "cosine"]'))
+    change(tree, tables, ("SINE, PROFILED = range(5)", "SINE, PROFILED, COSINE = range(6)"))
+    change(tree, tables, ('"profile": PROFILED}', '"profile": PROFILED, "cosine": COSINE}'))
+    put(tree, tables, "    ]\n)\n", '("exponent", "f8"),\n("inner_mm", "f8"),', 8)
+    put(tree, tables, '    elif light.emission == "lambert":', law, 4)
     put(tree, kernels, "    return light.power * _profile_at", intensity, 4)
     put(tree, kernels, PROFILE_CELLS, drawn, 4)
-    change(tree, kernels, ("import POINT, SPOT", "import COSINE, POINT, SPOT"))
+    change(tree, kernels, ("import CONE, EVEN", "import CONE, COSINE, EVEN"))
+    change(tree, "scene/light/region.py", ('"straight", "round"]', '"straight", "round", "ring"]'))
+    put(tree, "scene/light/region.py", "\n    @property\n    def is_round", "inner_mm: float = 0.0", 4)
+    put(tree, "scene/light/region.py", "        return float(one * other)", area, 8)
+    change(tree, tables, ("STRAIGHT, ROUND = range(2)", "STRAIGHT, ROUND, RING = range(3)"))
+    change(tree, tables, ('"round": ROUND}', '"round": ROUND, "ring": RING}'))
+    put(tree, tables, "\n\ndef _set_emission", hole, 4)
+    put(tree, "transport/lights/places.py", "    if light.shape == ROUND:\n        r, phi", places, 4)
+    put(tree, "transport/lights/places.py", "    return px * px + py * py + pz * pz <=", holds, 4)
+    change(tree, "transport/lights/places.py", ("import ROUND, STRAIGHT", "import RING, ROUND, STRAIGHT"))
 
 
 PROFILE_CELLS = """    row = profiles.rows[light.profile]
@@ -349,6 +376,17 @@ def test_a_cosine_lamp_is_added_as_its_recipe_says(found: dict[str, Any]) -> Non
     assert found["light 3"][0] / point == pytest.approx(8.0 * 0.8**3, rel=2e-3)
     for name in ("wide", "narrow"):
         assert agree(found[f"light {name} adjoint"], found[f"light {name} forward"])
+
+
+@pytest.mark.long
+def test_a_ring_lamp_is_added_as_its_recipe_says(found: dict[str, Any]) -> None:
+    """It is a disk less its hole, in the adjoint method too, and forward equals adjoint in air and in fog."""
+    hole, error = found["sized hole"][:2]
+    filled = [found["sized ring"][0] + hole, (found["sized ring"][1] ** 2 + error**2) ** 0.5]
+    assert agree(filled, found["sized whole"])
+    assert not agree(found["sized ring"], found["sized whole"])
+    for name in ("air", "fog"):
+        assert agree(found[f"sized {name} adjoint"], found[f"sized {name} forward"])
 
 
 @pytest.mark.long

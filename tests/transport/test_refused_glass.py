@@ -103,6 +103,32 @@ def test_glass_round_a_lamp_is_refused(glass: Body, lamp: dict[str, Any], method
     lf.build(scene(glass(ball(), at=(40.0, 40.0, -55.0)), lights=(lamp,), method=method))
 
 
+TUBE = {"kind": "line", "start_mm": [20.0, 40.0, -30.0], "end_mm": [60.0, 40.0, -30.0], "power_w": 1.0}
+PANEL = {"kind": "rectangle", "position_mm": [40.0, 40.0, -30.0], "direction": [0.0, 0.0, 1.0], "width_mm": 40.0,
+         "height_mm": 1e-3, "power_w": 1.0}  # fmt: skip
+WIDE = PANEL | {"height_mm": 40.0}
+FLAT = {"kind": "disk", "position_mm": [40.0, 40.0, -30.0], "direction": [0.0, 0.0, 1.0], "radius_mm": 20.0,
+        "power_w": 1.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("lamp", [TUBE, PANEL, WIDE, FLAT], ids=["tube", "narrow panel", "panel", "disk"])
+def test_glass_round_any_part_of_a_lamp_is_refused(glass: Body, lamp: dict[str, Any]) -> None:
+    """A ball much smaller than the lamp, between its middle and its rim; beside it, or on it, the lamp is in air."""
+    for place in ((53.7, 40.0, -30.0), (27.1, 40.0, -30.9)):
+        assert "lies inside" in refused(scene(glass(ball(1.0), at=place), lights=(lamp,)))
+    for place in ((53.7, 40.0, -28.9), (40.0, 40.0, -31.2), (61.1, 40.0, -30.0), (90.0, 40.0, -30.0)):
+        lf.build(scene(glass(ball(1.0), at=place), lights=(lamp,)))
+
+
+def test_a_lamp_on_a_face_of_glass_is_in_air(glass: Body) -> None:
+    """A tube along a face of a cube from outside, and a panel whose edge touches one."""
+    block = glass(cube(), at=(40.0, 40.0, -40.0))
+    half = float(np.ptp(cube().vertices[:, 0])) / 2.0
+    beside = PANEL | {"position_mm": [40.0 + half + 20.0, 40.0, -40.0]}
+    lf.build(scene(block, lights=(beside,)))
+    assert "lies inside" in refused(scene(block, lights=(beside | {"width_mm": 41.0},)))
+
+
 def test_a_lamp_in_a_hollow_is_not_refused(glass: Body) -> None:
     lf.build(scene(glass(ball(), ball(6.0, inwards=True), at=(40.0, 40.0, -40.0))))
 

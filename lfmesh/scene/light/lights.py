@@ -234,7 +234,7 @@ class DiskLight(_Directed):
     @property
     def region(self) -> Region:
         """The disk."""
-        return Region(np.array(self.position_mm), self.radius_mm * self.axes[:2], is_round=True)
+        return Region(np.array(self.position_mm), self.radius_mm * self.axes[:2], "round")
 
     @property
     def place_in_words(self) -> str:

@@ -1,11 +1,15 @@
 """The region that a lamp shines from, a point, a line, a rectangle or a disk, and bounds that enclose it."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+Shape = Literal["straight", "round"]
+"""Shapes of regions: points, lines and rectangles, which are the whole of their box; disks, which are round in it."""
 
 CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
@@ -21,13 +25,18 @@ class Region:
     centre_mm : (3,) float64
     half_mm : (2, 3) float64
         Half axes.
-    is_round : bool
-        True for a disk, of two half axes of the same length; else a rectangle.
+    shape : str
+        Shape within the rectangle that the half axes span; where it is not straight, both are of the same length.
     """
 
     centre_mm: Array
     half_mm: Array = field(default_factory=lambda: np.zeros((2, 3)))
-    is_round: bool = False
+    shape: Shape = "straight"
+
+    @property
+    def is_round(self) -> bool:
+        """True where a circle holds the region."""
+        return self.shape != "straight"
 
     @property
     def lengths_mm(self) -> Array:
@@ -39,6 +48,12 @@ class Region:
         """Radius of the smallest sphere round the centre that holds the region."""
         one, other = self.lengths_mm
         return float(one if self.is_round else np.hypot(one, other))
+
+    @property
+    def area_mm2(self) -> float:
+        """Area; 0 for points and lines."""
+        one, other = self.lengths_mm
+        return float(one * other) * (np.pi if self.shape == "round" else 4.0)
 
     @property
     def spine_mm(self) -> Array:

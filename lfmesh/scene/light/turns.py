@@ -41,6 +41,9 @@ def axes_along(heading: Array, turn_deg: float) -> Array:
     if np.linalg.norm(side) < ALONG_X:
         side = np.array([0.0, 1.0, 0.0]) - heading[1] * heading
     side /= np.linalg.norm(side)
+    # Again, as what was left may be short.
+    side -= (side @ heading) * heading
+    side /= np.linalg.norm(side)
     other = np.cross(side, heading)
     turn = np.deg2rad(turn_deg)
     c, s = np.cos(turn), np.sin(turn)

@@ -46,7 +46,7 @@ EVEN, CONE, LAMBERT, SINE, PROFILED = range(5)
 LAWS = {"even": EVEN, "cone": CONE, "lambert": LAMBERT, "sine": SINE, "profile": PROFILED}
 
 STRAIGHT, ROUND = range(2)
-"""Shapes of regions: points, lines and rectangles; disks."""
+SHAPES = {"straight": STRAIGHT, "round": ROUND}
 
 MM2 = 1e-6
 """One mm² in m²."""
@@ -111,13 +111,12 @@ def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
     row["half"], row["size"] = region.lengths_mm, region.size_mm
     row["spine"] = frame.directions(to_object, [region.spine_mm])[0]
     row["thickness"] = region.thickness_mm
-    one, other = region.lengths_mm
-    row["area"] = 4.0 * one * other
+    row["shape"], row["area"] = SHAPES[region.shape], region.area_mm2
+    first = region.lengths_mm[0]
     if region.is_round:
-        row["shape"], row["area"] = ROUND, np.pi * one * other
         row["across"] = np.reshape(tangents(*row["direction"]), (2, 3))
-    elif one > 0.0:
-        row["across"][0] = frame.directions(to_object, region.half_mm[:1] / one)[0]
+    elif first > 0.0:
+        row["across"][0] = frame.directions(to_object, region.half_mm[:1] / first)[0]
 
 
 def _set_emission(row: Any, light: Light, profiles: list[LightProfile]) -> None:

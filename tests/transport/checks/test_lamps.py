@@ -64,6 +64,55 @@ def test_a_disk_lamp_in_the_field_is_found_by_few_paths_in_fog(place: float, fog
     assert (lf.HeavyPathsWarning in kinds(scene(lights=[disk | {"power_w": 1.0}], media=media))) == told
 
 
+def sized(kind: str, *middle_mm: float, half_mm: float = 6.0, along: str = "x") -> dict[str, Any]:
+    """A tube or a narrow panel across the field, along x or along z."""
+    axis = np.eye(3)["xyz".index(along)]
+    if kind == "line":
+        ends = (tuple(np.array(middle_mm) + sign * half_mm * axis) for sign in (-1.0, 1.0))
+        return {"kind": "line", "power_w": 1.0} | dict(zip(("start_mm", "end_mm"), ends, strict=True))
+    return {"kind": "rectangle", "power_w": 1.0, "position_mm": middle_mm, "width_mm": 2.0 * half_mm, "height_mm": 0.01,
+            "direction": (0.0, 0.0, -1.0)}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["line", "rectangle"])
+def test_a_long_lamp_is_in_the_field_with_any_part_of_it(kind: str) -> None:
+    """The field is some 9 mm wide at 100 mm; ends and middle may all be beside it."""
+    wide = {"camera.sensor.pixel_mm": 0.5}
+    for lamp, told in (
+        (sized(kind, 0.0, 0.0, -80.0), True),
+        (sized(kind, 30.0, 0.0, -80.0, half_mm=31.0), True),
+        (sized(kind, 60.0, 0.0, -80.0, half_mm=90.0), True),
+        (sized(kind, 40.0, 0.0, -80.0), False),
+        (sized(kind, 0.0, 40.0, -80.0, half_mm=90.0), False),
+        (sized(kind, 0.0, 0.0, 80.0), False),
+    ):
+        assert (lf.MissedLightWarning in kinds(scene(targets=[], lights=[lamp], **wide))) == told, lamp
+
+
+def test_a_long_lamp_is_hidden_where_a_target_hides_all_of_it() -> None:
+    sheet = {"shape": {"kind": "plane", "width_mm": 14.0, "height_mm": 4.0}, "position_mm": (0.0, 0.0, -70.0)}
+    hole = [sheet | {"position_mm": (x, 0.0, -70.0)} for x in (-7.5, 7.5)]
+    ball = {"shape": {"kind": "sphere", "radius_mm": 12.0}, "position_mm": (0.0, 0.0, -60.0)}
+    for kind in ("line", "rectangle"):
+        lamp = sized(kind, 0.0, 0.0, -80.0)
+        for targets, told in (([sheet], False), ([ball], False), (hole, True), ([], True)):
+            found = kinds(scene(targets=targets, lights=[lamp], **{"camera.sensor.pixel_mm": 0.5}))
+            assert (lf.MissedLightWarning in found) == told, (kind, targets)
+        short = sheet | {"shape": {"kind": "plane", "width_mm": 8.0, "height_mm": 4.0}}
+        assert lf.MissedLightWarning in kinds(scene(targets=[short], lights=[lamp]))
+
+
+def test_a_tube_that_comes_close_to_a_target_with_an_end_is_named() -> None:
+    """Its middle is 20 mm from the wall. A long one beside the wall lights a strip, which more samples meet."""
+    given = scene(targets=[WALL], **{"camera.sensor.pixel_mm": 0.5})
+    for lamp, told in (
+        (sized("line", 0.0, 0.0, -80.0, half_mm=19.98, along="z"), True),
+        (sized("line", 0.0, 0.0, -80.0, half_mm=5.0, along="z"), False),
+        (sized("line", 0.0, 0.0, -99.98, half_mm=0.01), True),
+    ):
+        assert (lf.HeavyPathsWarning in kinds(given.changed({"lights": [lamp]}))) == told, lamp
+
+
 @pytest.mark.parametrize("height_mm", [0.02, 0.6])
 def test_a_picture_of_a_spot_that_samples_seldom_meet_is_told_doubtful(height_mm: float) -> None:
     """From the height on that the warning names, the stated error holds; far below it, most pictures are too dark.

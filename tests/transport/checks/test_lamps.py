@@ -102,11 +102,13 @@ def test_a_long_lamp_is_hidden_where_a_target_hides_all_of_it() -> None:
         assert lf.MissedLightWarning in kinds(scene(targets=[short], lights=[lamp]))
 
 
-def test_a_tube_that_comes_close_to_a_target_with_an_end_is_named() -> None:
-    """Its middle is 20 mm from the wall. A long one beside the wall lights a strip, which more samples meet."""
+def test_a_tube_that_is_close_to_a_target_with_any_part_is_named() -> None:
+    """A long one lights a strip, which more samples meet than the spot of a short one at the same height."""
     given = scene(targets=[WALL], **{"camera.sensor.pixel_mm": 0.5})
     for lamp, told in (
-        (sized("line", 0.0, 0.0, -80.0, half_mm=19.98, along="z"), True),
+        (sized("line", 0.0, 0.0, -99.999), True),
+        (sized("line", 0.0, 0.0, -99.98), False),
+        (sized("line", 0.0, 0.0, -80.0, half_mm=19.999, along="z"), True),
         (sized("line", 0.0, 0.0, -80.0, half_mm=5.0, along="z"), False),
         (sized("line", 0.0, 0.0, -99.98, half_mm=0.01), True),
     ):

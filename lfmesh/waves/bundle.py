@@ -15,29 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
-from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
-from lfmesh.optics.ray_aiming import aim_rays
-from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence, lens_of_faces
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
+from lfmesh.waves.stop_aim import INSIDE, Ends, StopAim
 
 Array = NDArray[np.float64]
 
-FAN = 65
-"""Trials across the front of the lens from which the first guess of a ray is made."""
-
-DIFFERENCE = 1e-5
-"""Of two trials whose difference is the derivative, over the stop's radius."""
-
 PARALLEL = 1e-9
 """Range of slopes behind the lens below which rays are parallel, their image infinitely far."""
-
-INSIDE = 1.0 - 1e-9
-"""The rim of the stop is aimed at times this, so that the rays pass it."""
 
 
 class Bundle(NamedTuple):
@@ -50,11 +39,13 @@ class Bundle(NamedTuple):
     place : (n, 2) float64, mm
         Where they meet the image plane; NaN where the lens stops them.
     entry : (n, 2) float64, mm
-        Where they would cross the plane of the first vertex; NaN where the lens stops them before the stop.
+        Where they would cross the plane of the first vertex; NaN where no ray comes to the point of the stop.
     direction : (n, 3) float64
         Unit, behind the lens.
     weight : (n,) float64
         Transmittance; 0 where the lens stops them.
+    ends : Ends
+        What stops them.
     """
 
     pupil: Array
@@ -62,6 +53,7 @@ class Bundle(NamedTuple):
     entry: Array
     direction: Array
     weight: Array
+    ends: Ends
 
     @property
     def passes(self) -> NDArray[np.bool_]:
@@ -153,14 +145,14 @@ class LensRays:
             raise LfmeshError(f"object distance = {self.object_mm} mm: must be above 0, or inf")
 
     @cached_property
+    def aim(self) -> StopAim:
+        """Finds the rays through points of the stop."""
+        return StopAim(self.world, 1.0 / self.object_mm)
+
+    @property
     def stop_radius(self) -> float:
         """Radius of the stop, mm."""
-        camera = solved_camera(self.world.scene)
-        return camera.scene.camera.lens.surfaces[camera.paraxial.stop].semi_diameter_mm or math.nan
-
-    @cached_property
-    def _stop(self) -> int:
-        return solved_camera(self.world.scene).paraxial.stop
+        return self.aim.stop_radius
 
     @cached_property
     def _is_ideal(self) -> bool:
@@ -174,57 +166,13 @@ class LensRays:
             )
         return any(ideal)
 
-    @cached_property
-    def _into_stop(self) -> Array:
-        return frames.inverse(pose_of(self.world.scene.camera.lens, self._stop))
-
-    @cached_property
-    def _faces_to_stop(self) -> int:
-        """Refracting surfaces up to the stop, itself included where it is one."""
-        return sum(number <= self._stop for number in self.world.lens_shape.numbers)
-
     def starts(self, slope: Array, entry: Array) -> tuple[Array, Array]:
-        """Return where rays start, before the lens, and their unit directions, (n, 3) each.
+        """Return where rays start, before the lens, and their unit directions; see `StopAim.starts`."""
+        return self.aim.starts(slope, entry)
 
-        Parameters
-        ----------
-        slope : (n, 2) float64
-            Of the object points: their x and y over their distance from the first vertex.
-        entry : (n, 2) float64, mm
-            Where they would cross the plane of the first vertex.
-        """
-        ahead = np.column_stack([entry / self.object_mm - slope, np.ones(len(entry))])
-        before = float(self.world.tables.lens.box_low[2])
-        start = np.column_stack([entry, np.zeros(len(entry))]) + before * ahead
-        return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
-
-    def _followed(self, slope: Array, entry: Array, wavelength_nm: float, faces: int | None = None) -> Arrived:
+    def _followed(self, slope: Array, entry: Array, wavelength_nm: float) -> Arrived:
         tables = at_wavelength(self.world, wavelength_nm)
-        path = image_path(len(tables.lens.surfaces))
-        return follow_sequence(tables, path if faces is None else path.until(faces), *self.starts(slope, entry))
-
-    def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
-        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm; NaN where they do not come.
-
-        Parameters
-        ----------
-        slope, entry : (n, 2) float64
-            As for `starts`.
-        wavelength_nm : float
-        """
-        if self._faces_to_stop == 0:
-            # The stop stands before the lens.
-            position, direction = self.starts(slope, entry)
-            comes = np.ones(len(position), np.bool_)
-        else:
-            arrived = self._followed(slope, entry, wavelength_nm, self._faces_to_stop)
-            position, direction, comes = arrived.position, arrived.direction, arrived.weight > 0.0
-        p = frames.points(self._into_stop, position)
-        if self.world.scene.camera.lens.is_pure_stop(self._stop):
-            d = frames.directions(self._into_stop, direction)
-            z = self.world.scene.camera.lens.vertices_mm[self._stop]
-            p = p + ((z - p[:, 2]) / d[:, 2])[:, None] * d
-        return np.where(comes[:, None], p[:, :2], np.nan)
+        return follow_sequence(tables, image_path(len(tables.lens.surfaces)), *self.starts(slope, entry))
 
     def bundle(self, slope: ArrayLike, pupil: ArrayLike, wavelength_nm: float) -> Bundle:
         """Return the rays of a field through points of the stop.
@@ -243,24 +191,19 @@ class LensRays:
         given = np.asarray(slope, dtype=np.float64)
         field = given if given.ndim else np.array([0.0, float(given)])
         slope = np.broadcast_to(field, aim.shape)
-
-        def landing(entry: Array, which: NDArray[np.int64]) -> Array:
-            return self.at_stop(slope[which], entry, wavelength_nm)
-
-        guess = self._guess(field, aim, wavelength_nm)
-        aimed = aim_rays(landing, aim, guess, DIFFERENCE * self.stop_radius, self.stop_radius)
-        entry = np.where(aimed.arrived[:, None], aimed.start, np.nan)
+        entry, ends = self.aim.through(field, aim, wavelength_nm)
         known = np.isfinite(entry).all(axis=1)
         place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
         if known.any():
             arrived = self._followed(slope[known], entry[known], wavelength_nm)
             weight[known] = arrived.weight
+            ends.edge[known], ends.surface[known] = self.aim.stopped(slope[known], entry[known], arrived, wavelength_nm)
             passes = arrived.weight > 0.0
             p, d = arrived.position[passes], arrived.direction[passes]
             mine = np.flatnonzero(known)[passes]
             place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
             direction[mine] = d
-        return Bundle(pupil, place, entry, direction, weight)
+        return Bundle(pupil, place, entry, direction, weight, ends)
 
     def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
         """Follow rays that pass the lens face by face, with their optical paths.
@@ -299,32 +242,6 @@ class LensRays:
         if self._is_ideal:
             path = media[-1] * ((position - nearest_to_all(position, direction)) * direction).sum(axis=1)
         return Traced(before, direction, position, path, heights, media[-1])
-
-    def _guess(self, field: Array, aim: Array, wavelength_nm: float) -> Array:
-        """Return about where rays cross the plane of the first vertex, from a fan across the lens along the field."""
-        lens = self.world.tables.lens
-        steep = float(np.hypot(*field))
-        along = field / steep if steep > 0.0 else np.array([0.0, 1.0])
-        reach = widest_disk(lens, np.array([[0.0, 0.0, min(-1.0, float(lens.box_low[2]) - 1.0)]]), front=True)
-        trial = np.linspace(-reach, reach, FAN)
-        fan = trial[:, None] * along
-        hits = self.at_stop(np.broadcast_to(field, fan.shape), fan, wavelength_nm) @ along
-        known = np.isfinite(hits)
-        paraxial = solved_camera(self.world.scene).paraxial
-        by_slope = paraxial.indices[0] * paraxial.to_stop.b
-        scale = paraxial.to_stop.a + by_slope / self.object_mm
-        guess = (aim + by_slope * field) / scale
-        if known.sum() > 1:
-            order = np.argsort(hits[known])
-            h, entries, wanted = hits[known][order], trial[known][order], aim @ along
-            better = np.interp(wanted, h, entries)
-            # Beyond the outermost trials that arrive, along the line through them.
-            for end, beyond in ((0, wanted < h[0]), (-1, wanted > h[-1])):
-                inner = 1 if end == 0 else -2
-                slope = (entries[end] - entries[inner]) / (h[end] - h[inner])
-                better[beyond] = entries[end] + slope * (wanted[beyond] - h[end])
-            guess = guess + (better - guess @ along)[:, None] * along
-        return np.asarray(guess)
 
 
 def further_than(position: Array, point: Array) -> Array:

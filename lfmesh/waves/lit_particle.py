@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.optics.phase import PhaseTables, evaluate_phases
 from lfmesh.scene.literals import plain
-from lfmesh.waves.bundle import INSIDE, Bundle
+from lfmesh.waves.bundle import Bundle
 from lfmesh.waves.extent import FINER, Extent
 from lfmesh.waves.point_spread import TOLERANCE, Asked, PointSpread, followed
 from lfmesh.waves.pupil_waves import pupil_rays
 from lfmesh.waves.refused import NoLightError, refuse_values
+from lfmesh.waves.stop_aim import INSIDE
 from lfmesh.waves.wave_camera import WaveCamera, entering
 
 Array = NDArray[np.float64]

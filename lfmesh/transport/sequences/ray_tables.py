@@ -31,6 +31,8 @@ class Arrived(NamedTuple):
     direction: Array  # (n, 3) unit
     weight: Array  # (n,) what is left of the power; 0: the ray does not pass
     way: Array  # (n,) numbers that tell apart where, and on what, rays leave the sequence; the same for all that pass
+    met: NDArray[np.int64]  # (n,) faces of the sequence that rays have met within their apertures
+    ended: Array  # (n,) what ended them, see `bundle.ENDED_ON`; 0: nothing did
 
 
 def faces_of(tables: Tables) -> Faces:
@@ -60,10 +62,16 @@ def follow_sequence(
     colour : int
         Number of the wavelength.
     """
+    return follow_to(tables.camera, route_of(faces_of(tables).legs(path), checked=True), p, d, weight, colour)
+
+
+def follow_to(
+    camera: Camera, route: Route, p: Array, d: Array, weight: Array | float = 1.0, colour: int = 0
+) -> Arrived:
+    """Follow rays along all legs of a route; see `follow_sequence`."""
     rays = np.empty((RAY_WEIGHT + 1, len(p)))
     rays[:3], rays[3:6], rays[RAY_WEIGHT] = p.T, d.T, weight
-    route = route_of(faces_of(tables).legs(path), checked=True)
-    ends = follow_route(tables.camera, route, rays, (0, len(route.legs)), colour)
+    ends = follow_route(camera, route, rays, (0, len(route.legs)), colour)
     ended, d = ends[RAY_ENDED], ends[3:6].T
     on = np.where(ended == STOP + 1.0, 1.0, np.where(ended == DROPPED, 2.0, 0.0))
     return Arrived(
@@ -71,6 +79,8 @@ def follow_sequence(
         d / np.linalg.norm(d, axis=1, keepdims=True),
         np.where(ended == 0.0, ends[RAY_WEIGHT], 0.0),
         3.0 * ends[RAY_MET] + on,
+        ends[RAY_MET].astype(np.int64),
+        ended,
     )
 
 
@@ -90,6 +100,13 @@ def lens_of_faces(lens: LensTables, first: int, last: int) -> LensTables:
         ring_slot=lens.ring_slot[first : last + 1], mount_slot=lens.mount_slot[first:last],
         stop_space=stop_space if 0 <= stop_space <= last - first else -1,
     )  # fmt: skip
+
+
+def without_apertures(lens: LensTables) -> LensTables:
+    """Return the tables of a lens whose surfaces go on beyond their clear apertures, and whose stop takes nothing."""
+    surfaces = lens.surfaces.copy()
+    surfaces["semi_diameter"] = np.inf
+    return lens._replace(surfaces=surfaces, stop_space=-1)
 
 
 def follow_route(camera: Camera, route: Route, rays: Array, legs: tuple[int, int], colour: int) -> Array:
@@ -135,10 +152,8 @@ def etendue_factors(tables: Tables, p: Array, d: Array, colour: int = 0) -> Arra
     """
     if not tables.lens.interfaces.thin:
         return np.ones(len(p))
-    surfaces = tables.lens.surfaces.copy()
-    surfaces["semi_diameter"] = np.inf
-    camera = tables._replace(lens=tables.lens._replace(surfaces=surfaces, stop_space=-1)).camera
+    camera = tables._replace(lens=without_apertures(tables.lens)).camera
     rays = np.ones((RAY_WEIGHT + 1, len(p)))
     rays[:3], rays[3:6] = p.T, d.T
-    route = route_of(faces_of(tables).legs(image_path(len(surfaces))), checked=False)
+    route = route_of(faces_of(tables).legs(image_path(len(camera.lens.surfaces))), checked=False)
     return follow_route(camera, route, rays, (0, 1), colour)[RAY_ETENDUE]

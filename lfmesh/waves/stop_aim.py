@@ -1,0 +1,497 @@
+"""Ray aiming at the stop: the ray of an object point through each point of the stop, or the edge that ends it.
+
+Rays are aimed through surfaces without apertures, so that an aperture can only ever stop a ray whose path is known.
+The first rays of a field are continued from the axis, all others from rays of the same field. Where surfaces end, the
+continuation ends as well, and names the surface. Positions are in the camera frame, mm.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from lfmesh.geometry import frame as frames
+from lfmesh.geometry.lens.element_poses import pose_of
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.optics.ray_aiming import ContinuedRays, aim_rays, continue_rays
+from lfmesh.transport.packets.book import STOP
+from lfmesh.transport.sequences.bundle import DROPPED
+from lfmesh.transport.sequences.follower import route_of
+from lfmesh.transport.sequences.ray_tables import Arrived, follow_to, without_apertures
+from lfmesh.transport.sequences.sequences import LENS_LEG, Leg
+from lfmesh.transport.tables.tables import Camera
+from lfmesh.transport.trace import at_wavelength
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+DIFFERENCE = 1e-5
+"""Of two trials whose difference is the derivative, over the stop's radius."""
+
+INSIDE = 1.0 - 1e-9
+"""The rim of the stop is aimed at times this, so that the rays pass it."""
+
+RINGS = ((0.4, 6), (0.75, 10), (1.0, 14))
+"""Radii, over that of the stop, and numbers of the rays from which the guesses of many others are interpolated."""
+
+MANY = 100
+"""Number of rays from which on others on rings are sought first, to interpolate their guesses."""
+
+DEGREES = (5, 3, 1)
+"""Of the polynomials that interpolate; the first for which enough rays are known is taken."""
+
+CLOSE = 0.1
+"""Largest distance of a ray from its interpolated guess, over that from the chief ray."""
+
+NEAR_EDGE = 1e-3
+"""Distance from the end of a continuation, over the front's radius, within which a surface that ends is met."""
+
+FOLD = 0.05
+"""Ratio of the singular values of a derivative below which neighbouring rays cross there."""
+
+TRIALS = 33
+"""Trials across the front of the lens, along each axis, where no ray can be continued from the axis."""
+
+
+class Edge(IntEnum):
+    """The end of a ray."""
+
+    NONE = 0
+    APERTURE = 1
+    STOP = 2
+    MISSED = 3
+    REFLECTED = 4
+    OTHER_SIDE = 5
+    CAUSTIC = 6
+    UNKNOWN = 7
+
+
+WORDS = {
+    Edge.APERTURE: "the clear aperture of surfaces[{}]",
+    Edge.STOP: "the stop, surfaces[{}]",
+    Edge.MISSED: "the end of surfaces[{}]",
+    Edge.REFLECTED: "total reflection at surfaces[{}]",
+    Edge.OTHER_SIDE: "another side of surfaces[{}]",
+    Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
+    Edge.UNKNOWN: "nothing known: ray aiming did not converge",
+}
+"""Of each edge, with the number of the surface."""
+
+
+class Ends(NamedTuple):
+    """The ends of rays.
+
+    Attributes
+    ----------
+    edge : (n,) int64
+        See `Edge`.
+    surface : (n,) int64
+        Number of the surface in the prescription; −1 of none.
+    """
+
+    edge: Whole
+    surface: Whole
+
+    def words(self) -> list[str]:
+        """Return each edge that ends a ray, once, with the share of all rays that it ends."""
+        pairs, count = np.unique(np.stack([self.edge, self.surface]), axis=1, return_counts=True)
+        return [
+            f"{100.0 * n / len(self.edge):.3g} % by {WORDS[Edge(edge)].format(surface)}"
+            for (edge, surface), n in zip(pairs.T, count, strict=True)
+            if edge != Edge.NONE
+        ]
+
+
+class Sent(NamedTuple):
+    """Rays of a field through points of the stop.
+
+    Attributes
+    ----------
+    entry : (n, 2) float64, mm
+        Where they cross the plane of the first vertex; NaN where no ray comes to the point of the stop.
+    ends : Ends
+        What ends these before the stop.
+    """
+
+    entry: Array
+    ends: Ends
+
+
+class _Known(NamedTuple):
+    """Known rays of a field: points of the stop (n, 2), mm, entries, and derivatives of the points by the entries."""
+
+    aim: Array
+    entry: Array
+    derivative: Array
+
+    def taken(self, which: Whole) -> "_Known":
+        """Return some of these rays."""
+        return _Known(self.aim[which], self.entry[which], self.derivative[which])
+
+
+@dataclass(frozen=True)
+class StopAim:
+    """Finds rays of the points of one object plane through points of the stop.
+
+    Attributes
+    ----------
+    world : World
+        Its lens surfaces have formulas.
+    vergence : float
+        1 over the distance of the object plane before the first vertex, 1/mm; 0: parallel bundles; below 0: the rays
+        converge to points behind it.
+    """
+
+    world: World
+    vergence: float
+
+    @cached_property
+    def stop(self) -> int:
+        """Number of the stop in the prescription."""
+        return solved_camera(self.world.scene).paraxial.stop
+
+    @cached_property
+    def stop_radius(self) -> float:
+        """Radius of the stop, mm."""
+        return solved_camera(self.world.scene).scene.camera.lens.surfaces[self.stop].semi_diameter_mm or math.nan
+
+    @cached_property
+    def front_radius(self) -> float:
+        """Radius of the first surface's mesh, mm."""
+        return float(max(self.world.lens_shape.rims[0], self.stop_radius))
+
+    @cached_property
+    def _into_stop(self) -> Array:
+        return frames.inverse(pose_of(self.world.scene.camera.lens, self.stop))
+
+    @cached_property
+    def _faces_to_stop(self) -> int:
+        """Refracting surfaces up to the stop, itself included where it is one."""
+        return sum(number <= self.stop for number in self.world.lens_shape.numbers)
+
+    @cached_property
+    def _stop_z(self) -> float:
+        """Vertex of a stop that is no refracting surface; NaN of one that is."""
+        lens = self.world.scene.camera.lens
+        return float(lens.vertices_mm[self.stop]) if lens.is_pure_stop(self.stop) else math.nan
+
+    @cached_property
+    def _fields(self) -> dict[float, dict[tuple[float, float], _Known]]:
+        """Rays that are known, by wavelength and slope; the first of each field is its chief ray if it has one."""
+        return {}
+
+    @cached_property
+    def _cameras(self) -> dict[float, Camera]:
+        """Cameras without apertures, by wavelength."""
+        return {}
+
+    @cached_property
+    def _far_ahead(self) -> float:
+        """Plane from which rays are traced without apertures: before surfaces that go on beyond these."""
+        before = float(self.world.tables.lens.box_low[2])
+        free = before - 4.0 * self.front_radius
+        return min(before, max(free, -1.0 / self.vergence)) if self.vergence > 0.0 else free
+
+    def starts(self, slope: Array, entry: Array, z_mm: float | None = None) -> tuple[Array, Array]:
+        """Return where rays start, before the lens, and their unit directions, (n, 3) each.
+
+        Parameters
+        ----------
+        slope : (n, 2) float64
+            Of the object points: their x and y over their distance from the first vertex.
+        entry : (n, 2) float64, mm
+            Where they would cross the plane of the first vertex.
+        z_mm : float, optional
+            Plane in which they start; just before the lens if left out.
+        """
+        ahead = np.column_stack([entry * self.vergence - slope, np.ones(len(entry))])
+        before = float(self.world.tables.lens.box_low[2]) if z_mm is None else z_mm
+        start = np.column_stack([entry, np.zeros(len(entry))]) + before * ahead
+        return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+
+    def _unbounded(self, slope: Array, entry: Array, wavelength_nm: float, faces: int) -> Arrived:
+        """Follow rays through the first faces, which go on beyond their apertures."""
+        if wavelength_nm not in self._cameras:
+            tables = at_wavelength(self.world, wavelength_nm)
+            self._cameras[wavelength_nm] = tables._replace(lens=without_apertures(tables.lens)).camera
+        route = route_of([Leg(LENS_LEG, tuple(range(faces)), (False,) * faces, True)], checked=False)
+        return follow_to(self._cameras[wavelength_nm], route, *self.starts(slope, entry, self._far_ahead))
+
+    def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
+        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm, whatever apertures they pass.
+
+        Parameters
+        ----------
+        slope, entry : (n, 2) float64
+            As for `starts`.
+        wavelength_nm : float
+
+        Returns
+        -------
+        (n, 2) float64, mm
+            NaN of rays that miss a surface before the stop, or are totally reflected there.
+        """
+        if self._faces_to_stop == 0:
+            # The stop stands before the lens.
+            position, direction = self.starts(slope, entry)
+            comes = np.ones(len(position), np.bool_)
+        else:
+            arrived = self._unbounded(slope, entry, wavelength_nm, self._faces_to_stop)
+            position, direction, comes = arrived.position, arrived.direction, arrived.weight > 0.0
+        p = frames.points(self._into_stop, position)
+        if not math.isnan(self._stop_z):
+            d = frames.directions(self._into_stop, direction)
+            p = p + ((self._stop_z - p[:, 2]) / d[:, 2])[:, None] * d
+        return np.where(comes[:, None], p[:, :2], np.nan)
+
+    def through(self, field: Array, aim: Array, wavelength_nm: float) -> Sent:
+        """Return the rays of a field through points of the stop.
+
+        Parameters
+        ----------
+        field : (2,) float64
+            Slope of the object point, see `starts`.
+        aim : (n, 2) float64, mm
+            Points of the stop, in its frame.
+        wavelength_nm : float
+        """
+        entry = np.full(aim.shape, np.nan)
+        ends = Ends(np.zeros(len(aim), np.int64), np.full(len(aim), -1))
+        mine = self._of_wavelength(wavelength_nm)
+        if len(aim) < MANY and tuple(field) not in mine:
+            # A few rays come straight from the next field.
+            next_field, near = self._nearest(field, wavelength_nm)
+            if len(near.aim):
+                middle = near.taken(np.zeros(len(aim), np.int64))
+                found = self._continued((next_field, field), middle, aim, wavelength_nm)
+                entry[found.arrived] = found.start[found.arrived]
+        left = np.flatnonzero(~np.isfinite(entry[:, 0]))
+        if not len(left):
+            return Sent(entry, ends)
+        known = self._known(field, wavelength_nm)
+        if not len(known.aim):
+            return Sent(entry, self._no_ray(field, len(aim), wavelength_nm))
+        entry[left] = self._interpolated(known, field, aim[left], wavelength_nm)
+        left = left[~np.isfinite(entry[left, 0])]
+        # From the nearest rays that are known, until none is added.
+        while len(left):
+            near = known.taken(KDTree(known.aim).query(aim[left])[1])
+            found = self._continued((field, field), near, aim[left], wavelength_nm)
+            entry[left[found.arrived]] = found.start[found.arrived]
+            known = _of(found, aim[left])
+            if not len(known.aim) or found.arrived.all():
+                ended = left[~found.arrived]
+                ends.edge[ended], ends.surface[ended] = self._edges(field, aim[ended], found, wavelength_nm)
+                break
+            left = left[~found.arrived]
+        return Sent(entry, ends)
+
+    def _continued(
+        self, fields: tuple[Array, Array], known: _Known, to_aim: Array, wavelength_nm: float
+    ) -> ContinuedRays:
+        """Follow known rays (n, 2) of one field to another field and other points of the stop."""
+        field, to_field = fields
+
+        def miss(entry: Array, share: Array, which: Whole) -> Array:
+            share = share[:, None]
+            slope = field + share * (to_field - field)
+            wanted = known.aim[which] + share * (to_aim - known.aim)[which]
+            return self.at_stop(slope, entry, wavelength_nm) - wanted
+
+        given = known.derivative if np.isfinite(known.derivative).all() else None
+        return continue_rays(miss, known.entry, DIFFERENCE * self.stop_radius, self.stop_radius, given)
+
+    def _of_wavelength(self, wavelength_nm: float) -> dict[tuple[float, float], _Known]:
+        """Return the fields that are known at a wavelength: the axial one at least."""
+        if wavelength_nm not in self._fields:
+            self._fields[wavelength_nm] = {(0.0, 0.0): self._axial(wavelength_nm)}
+        return self._fields[wavelength_nm]
+
+    def _nearest(self, field: Array, wavelength_nm: float) -> tuple[Array, _Known]:
+        """Return the field of which rays are known that is nearest to one, and these rays."""
+        mine = self._of_wavelength(wavelength_nm)
+        slopes = [slope for slope, known in mine.items() if len(known.aim)] or [(0.0, 0.0)]
+        nearest = min(slopes, key=lambda slope: math.dist(slope, field))
+        return np.array(nearest), mine[nearest]
+
+    def _known(self, field: Array, wavelength_nm: float) -> _Known:
+        """Return some rays of a field: its chief ray and others on rings of the stop."""
+        key, mine = (float(field[0]), float(field[1])), self._of_wavelength(wavelength_nm)
+        middle = mine.get(key, _nothing())
+        if key in mine and len(middle.aim) != 1:
+            return middle
+        if key not in mine:
+            middle = self._from_next(field, wavelength_nm)
+        if not len(middle.aim):
+            middle = self._by_trials(field, wavelength_nm)
+        if len(middle.aim):
+            points = self.stop_radius * INSIDE * _rings()
+            near = middle.taken(KDTree(middle.aim).query(points)[1])
+            found = _of(self._continued((field, field), near, points, wavelength_nm), points)
+            middle = _Known(*(np.concatenate(pair) for pair in zip(middle, found, strict=True)))
+        mine[key] = middle
+        return middle
+
+    def _axial(self, wavelength_nm: float) -> _Known:
+        """Return the chief ray of the axial point: of a centred lens the axis itself."""
+        axis = np.zeros((1, 2))
+        hit = self.at_stop(axis, axis, wavelength_nm)
+        if not np.isfinite(hit).all():
+            return _nothing()
+        start = _Known(hit, axis, np.full((1, 2, 2), np.nan))
+        return _of(self._continued((axis[0], axis[0]), start, axis, wavelength_nm), axis)
+
+    def _from_next(self, field: Array, wavelength_nm: float) -> _Known:
+        """Return the chief ray of a field, from that of the next one; where it has none, others from the axis."""
+        for next_field, near in (
+            self._nearest(field, wavelength_nm),
+            (np.zeros(2), self._of_wavelength(wavelength_nm)[0.0, 0.0]),
+            (np.zeros(2), self._known(np.zeros(2), wavelength_nm)),
+        ):
+            if len(near.aim):
+                found = _of(self._continued((next_field, field), near, near.aim, wavelength_nm), near.aim)
+                if len(found.aim):
+                    return found
+        return _nothing()
+
+    def _by_trials(self, field: Array, wavelength_nm: float) -> _Known:
+        """Return rays of a field that trials across the front find."""
+        steps = np.linspace(-1.0, 1.0, TRIALS) * self.front_radius
+        trial = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
+        ok = np.isfinite(hit).all(axis=1)
+        nearest = np.argsort(np.hypot(*hit[ok].T))[:TRIALS]
+        start = _Known(hit[ok][nearest], trial[ok][nearest], np.full((len(nearest), 2, 2), np.nan))
+        return _of(self._continued((field, field), start, start.aim, wavelength_nm), start.aim)
+
+    def _interpolated(self, known: _Known, field: Array, aim: Array, wavelength_nm: float) -> Array:
+        """Return the entries of rays that are found from guesses by polynomials through known ones; NaN: not found."""
+        entry, scale = np.full(aim.shape, np.nan), 1.0 / self.stop_radius
+        degree = next((each for each in DEGREES if len(known.aim) >= 1.4 * _terms(each)), None)
+        if degree is None:
+            return entry
+        fit = np.linalg.lstsq(_powers(known.aim * scale, degree), known.entry, rcond=None)[0]
+        guess: Array = _powers(aim * scale, degree) @ fit
+        by_x, by_y = (_powers_by(aim * scale, degree, axis) @ fit * scale for axis in (0, 1))
+        derivative: Array = np.linalg.inv(_regular(np.stack([by_x, by_y], axis=2)))
+
+        def landing(entry: Array, which: Whole) -> Array:
+            return self.at_stop(np.broadcast_to(field, entry.shape), entry, wavelength_nm)
+
+        aimed = aim_rays(landing, aim, guess, derivative, self.stop_radius)
+        off, way = (np.hypot(*(aimed.start - of).T) for of in (guess, known.entry[0]))
+        widest = np.hypot(*(known.entry - known.entry[0]).T).max()
+        ok = aimed.arrived & (off <= CLOSE * np.maximum(way, CLOSE * widest))
+        entry[ok] = aimed.start[ok]
+        return entry
+
+    def _edges(self, field: Array, aim: Array, found: ContinuedRays, wavelength_nm: float) -> Ends:
+        """Return what ends continued rays: the surface whose border they have come to, or a fold."""
+        start, derivative = found.start[~found.arrived], found.derivative[~found.arrived]
+        slope = np.broadcast_to(field, start.shape)
+        edge, surface = np.full(len(start), int(Edge.UNKNOWN)), np.full(len(start), -1)
+        hit = self.at_stop(slope, start, wavelength_nm)
+        step = np.linalg.solve(_regular(derivative), (aim - hit)[:, :, None])[:, :, 0]
+        length = np.maximum(np.hypot(*step.T), 1e-300)
+        unit = step / length[:, None]
+        for reach in np.geomspace(1e-9, NEAR_EDGE, 13) * self.front_radius:
+            open_ = np.flatnonzero(edge == Edge.UNKNOWN)
+            if not len(open_):
+                break
+            trial = start[open_] + reach * unit[open_]
+            arrived = self._unbounded(slope[open_], trial, wavelength_nm, self._faces_to_stop)
+            lost = ~(arrived.weight > 0.0)
+            reflected = arrived.ended[lost] == DROPPED
+            numbers = np.append(self.world.lens_shape.numbers, -1)
+            edge[open_[lost]] = np.where(reflected, Edge.REFLECTED, Edge.MISSED)
+            surface[open_[lost]] = numbers[arrived.met[lost] - reflected]
+        narrow, wide = np.sort(np.linalg.svd(derivative, compute_uv=False), axis=1).T
+        edge[(narrow < FOLD * wide) & (edge == Edge.UNKNOWN)] = Edge.CAUSTIC
+        return Ends(edge, surface)
+
+    def _no_ray(self, field: Array, count: int, wavelength_nm: float) -> Ends:
+        """Return what ends all rays of a field of which none comes to the stop."""
+        slope = field[None]
+        arrived = self._unbounded(slope, np.zeros((1, 2)), wavelength_nm, self._faces_to_stop)
+        reflected = arrived.ended[0] == DROPPED
+        edge = Edge.REFLECTED if reflected else Edge.MISSED
+        number = self.world.lens_shape.numbers[max(0, min(int(arrived.met[0]) - reflected, self._faces_to_stop - 1))]
+        return Ends(np.full(count, int(edge)), np.full(count, number))
+
+    def stopped(self, slope: Array, entry: Array, arrived: Arrived, wavelength_nm: float) -> Ends:
+        """Return what ends rays that were followed through the whole lens with its apertures.
+
+        Parameters
+        ----------
+        slope, entry : (n, 2) float64
+            As for `starts`.
+        arrived : Arrived
+            Of these rays.
+        wavelength_nm : float
+        """
+        numbers = np.asarray(self.world.lens_shape.numbers)
+        faces = len(numbers)
+        edge, met = np.zeros(len(entry), np.int64), arrived.met.copy()
+        ended = np.flatnonzero(~(arrived.weight > 0.0))
+        if len(ended):
+            free = self._unbounded(slope[ended], entry[ended], wavelength_nm, faces)
+            dropped = arrived.ended[ended] == DROPPED
+            reflected = dropped & (free.ended == DROPPED) & (free.met == met[ended])
+            met[ended] -= reflected
+            edge[ended] = np.select(
+                [arrived.ended[ended] == STOP + 1.0, reflected, dropped, free.met <= met[ended]],
+                [Edge.STOP, Edge.REFLECTED, Edge.OTHER_SIDE, Edge.MISSED],
+                Edge.APERTURE,
+            )
+        # What meets the last surface again has met all.
+        surface = np.where(edge == Edge.STOP, self.stop, numbers[np.minimum(met, faces - 1)])
+        return Ends(edge, np.where(edge == Edge.NONE, -1, surface))
+
+
+def _rings() -> Array:
+    turns = [(radius, 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count)
+             for number, (radius, count) in enumerate(RINGS)]  # fmt: skip
+    return np.vstack([radius * np.column_stack([np.sin(angle), np.cos(angle)]) for radius, angle in turns])
+
+
+def _nothing() -> _Known:
+    return _Known(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+
+
+def _of(found: ContinuedRays, aim: Array) -> _Known:
+    ok = found.arrived
+    return _Known(aim[ok], found.start[ok], found.derivative[ok])
+
+
+def _regular(matrices: Array) -> Array:
+    """Return matrices (n, 2, 2) with the identity in place of those that cannot be solved with."""
+    fine = np.abs(np.linalg.det(np.where(np.isfinite(matrices), matrices, 0.0))) > 0.0
+    return np.where(fine[:, None, None], matrices, np.eye(2))
+
+
+def _terms(degree: int) -> int:
+    return (degree + 1) * (degree + 2) // 2
+
+
+def _exponents(degree: int) -> list[tuple[int, int]]:
+    return [(i, total - i) for total in range(degree + 1) for i in range(total + 1)]
+
+
+def _powers(at: Array, degree: int) -> Array:
+    """Return the monomials of points, (n, terms)."""
+    x, y = (np.vander(at[:, k], degree + 1, increasing=True) for k in (0, 1))
+    return np.stack([x[:, i] * y[:, j] for i, j in _exponents(degree)], axis=1)
+
+
+def _powers_by(at: Array, degree: int, axis: int) -> Array:
+    """Return the derivatives of the monomials by x or y, (n, terms)."""
+    x, y = (np.vander(at[:, k], degree + 1, increasing=True) for k in (0, 1))
+    if axis == 0:
+        return np.stack([i * x[:, max(i - 1, 0)] * y[:, j] for i, j in _exponents(degree)], axis=1)
+    return np.stack([j * x[:, i] * y[:, max(j - 1, 0)] for i, j in _exponents(degree)], axis=1)

@@ -1,0 +1,168 @@
+"""Ray aiming at the stop against brute force: the points that light reaches, and the edges that end other rays."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
+from lfmesh.waves.stop_aim import Edge
+from tests.waves.brute_pupil import Prescription, reached
+
+Array = NDArray[np.float64]
+
+ACROSS, WAVE_NM = 64, 587.6
+
+
+def scene_of(surfaces: list[dict[str, Any]], focus_mm: float = math.inf) -> lf.Scene:
+    sensor = {"pixels": [8, 8], "pixel_mm": 0.01, "distance_mm": 50.0}
+    camera = {"focus_mm": focus_mm, "lens": {"surfaces": surfaces}, "sensor": sensor}
+    return lf.Scene.model_validate({"schema_version": 1, "camera": camera})
+
+
+def drawn_surfaces(draw: np.random.Generator) -> list[dict[str, Any]]:
+    """Return a singlet, doublet or triplet of spheres with its stop in front, on a surface, inside or behind."""
+    scale, elements = float(np.exp(draw.uniform(np.log(20.0), np.log(200.0)))), int(draw.integers(1, 4))
+    rim = scale * draw.uniform(0.05, 0.3)
+
+    def radius() -> float:
+        bent = draw.choice([-1.0, 1.0]) * scale * np.exp(draw.uniform(np.log(0.35), np.log(5.0)))
+        return float(bent) if draw.random() < 0.9 else math.inf
+
+    def surface(thickness: tuple[float, float], **medium: float) -> dict[str, Any]:
+        return {
+            "radius_mm": radius(),
+            "thickness_mm": float(rim * draw.uniform(*thickness)),
+            "semi_diameter_mm": float(rim * draw.uniform(0.7, 1.1)),
+            **medium,
+        }
+
+    surfaces: list[dict[str, Any]] = []
+    for _ in range(elements):
+        surfaces.append(surface((0.1, 0.8), index=float(draw.uniform(1.45, 1.9))))
+        surfaces.append(surface((0.02, 0.5)))
+    gap, stop = float(rim * draw.uniform(0.02, 2.0)), float(rim * draw.uniform(0.2, 1.1))
+    pure = {"stop": True, "semi_diameter_mm": stop, "thickness_mm": gap}
+    where = draw.choice(["before", "on", "inside", "behind"])
+    if where == "on":
+        surfaces[int(draw.integers(0, len(surfaces)))].update(stop=True, semi_diameter_mm=stop)
+    elif where == "before":
+        surfaces.insert(0, pure)
+    elif where == "inside" and elements > 1:
+        surfaces.insert(2 * int(draw.integers(1, elements)), pure)
+    else:
+        surfaces[-1]["thickness_mm"] = gap
+        surfaces.append(pure)
+    del surfaces[-1]["thickness_mm"]
+    return surfaces
+
+
+def drawn_lens(seed: int) -> tuple[LensRays, Prescription]:
+    """Return a random lens and object point, from just beyond the focal length to infinity, on and off the axis."""
+    draw = np.random.default_rng(seed)
+    while True:
+        surfaces = drawn_surfaces(draw)
+        try:
+            scene = lf.solved(scene_of(surfaces))
+            facts = lf.first_order(scene)
+            world = lf.build(scene.camera_alone())
+        except (lf.LfmeshError, ValidationError):
+            continue
+        if 5.0 < abs(facts.efl_mm) < 2000.0:
+            break
+    near = 1.02 * abs(facts.efl_mm) * float(np.exp(draw.uniform(0.0, np.log(50.0))))
+    object_mm = math.inf if draw.random() < 0.25 else near
+    slope = float(draw.uniform(0.0, 0.6)) if draw.random() < 0.8 else 0.0
+    return LensRays(world, object_mm, 100.0), Prescription(surfaces, object_mm, slope)
+
+
+def differing(seed: int) -> tuple[int, int, bool]:
+    """Return how many points of a random pupil brute force judges differently, how many are unknown, if it folds."""
+    rays, truth = drawn_lens(seed)
+    bundle = rays.bundle(truth.slope, pupil_grid(ACROSS), WAVE_NM)
+    found = reached(truth, ACROSS)
+    return int((bundle.passes != (found.rays > 0)).sum()), int((bundle.ends.edge == Edge.UNKNOWN).sum()), found.folded
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_light_passes_the_points_of_the_stop_that_brute_force_finds(seed: int) -> None:
+    """Not one of the 3,209 points differs, so shares agree to less than 1e-4."""
+    wrong, unknown, folded = differing(seed)
+    assert not folded
+    assert wrong == 0
+    assert unknown == 0
+
+
+@pytest.mark.long
+def test_a_thousand_random_pupils_are_those_of_brute_force() -> None:
+    results = [differing(seed) for seed in range(1000)]
+    assert sum(unknown for _, unknown, _ in results) == 0
+    assert [seed for seed, (wrong, _, folded) in enumerate(results) if wrong and not folded] == []
+    assert sum(folded for *_, folded in results) < 50
+
+
+def library(name: str, focus_mm: float, **lens: Any) -> lf.Scene:
+    camera = {
+        "focus_mm": focus_mm,
+        "lens": {"file": f"lib:{name}", **lens},
+        "sensor": {"pixels": [8, 8], "pixel_mm": 0.01},
+    }
+    scene = lf.Scene.model_validate({"schema_version": 1, "camera": camera})
+    return lf.solved(scene.in_folder(asset_path("scenes")))
+
+
+def relay() -> lf.Scene:
+    """Two equal hyperboloids, stop on the first, from a point 50 mm before it: no aberration on the axis."""
+    front = {
+        "radius_mm": 25.0,
+        "conic": -2.25,
+        "thickness_mm": 14.0,
+        "index": 1.5,
+        "semi_diameter_mm": 15.0,
+        "stop": True,
+    }
+    return scene_of([front, {"radius_mm": -25.0, "conic": -2.25, "semi_diameter_mm": 20.0}], 50.0)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [relay(), library("plano_convex_25mm", 100.0), library("asphere_100mm", 150.0)],
+    ids=["relay", "plano-convex", "asphere"],
+)
+def test_no_ray_of_a_near_object_is_lost_where_the_stop_is_the_first_surface(scene: lf.Scene) -> None:
+    """The paraxial ray to the rim of the stop misses it; the real ones all come there."""
+    assert lf.wavefront(scene).passed == 1.0
+
+
+def bundle_of(scene: lf.Scene, slope: float, pupil: Array) -> Bundle:
+    facts = lf.first_order(scene)
+    return LensRays(lf.build(scene), facts.object_distance_mm, facts.image_z_mm).bundle(slope, pupil, WAVE_NM)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1, 0.2, 0.3, 0.4])
+def test_the_rays_of_a_pupil_do_not_depend_on_which_others_are_sought(slope: float) -> None:
+    """A double Gauss: one by one, in a grid, and after other fields."""
+    scene, pupil = library("double_gauss_50mm", 500.0), pupil_grid(16)
+    whole = bundle_of(scene, slope, pupil)
+    few = bundle_of(scene, slope, pupil[::9])
+    np.testing.assert_array_equal(few.passes, whole.passes[::9])
+    np.testing.assert_allclose(few.entry, whole.entry[::9], atol=1e-9)
+    np.testing.assert_array_equal(few.ends.edge, whole.ends.edge[::9])
+
+
+def test_every_edge_that_ends_rays_has_its_name() -> None:
+    """A strong ball lens, its stop behind it: rays of 80 % of the stop never existed, they would miss the ball."""
+    ball = [
+        {"radius_mm": 5.0, "thickness_mm": 10.0, "index": 1.5, "semi_diameter_mm": 4.0},
+        {"radius_mm": -5.0, "thickness_mm": 1.0, "semi_diameter_mm": 3.0},
+        {"stop": True, "semi_diameter_mm": 2.8},
+    ]
+    ends = bundle_of(scene_of(ball), 0.3, pupil_grid(24)).ends
+    assert Edge.UNKNOWN not in ends.edge
+    assert set(ends.edge) - {Edge.NONE} != set()
+    assert all("surfaces[" in line or "caustic" in line for line in ends.words())

@@ -1,4 +1,4 @@
-"""Extensions of glTF files are named wherever they stand; numbers that would be read as others are refused."""
+"""Extensions of glTF files are named wherever they stand."""
 
 import io
 from pathlib import Path
@@ -7,8 +7,6 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from lfmesh.errors import MeshError
-from lfmesh.geometry.files.mesh_file import load_mesh
 from lfmesh.imports import read_gltf
 from lfmesh.imports.report import Verdict
 from tests.glb import QUAD, QUAD_UV, SPLIT, Glb
@@ -80,21 +78,3 @@ def test_an_extension_is_named_wherever_it_stands(tmp_path: Path, name: str) -> 
     scene.targets("scene.glb")
     (said,) = scene.report.of(Verdict.APPROXIMATED)
     assert ("animations: " if PLACES[name] == "animation" else f"{name} is left out") in str(said)
-
-
-def test_sparse_numbers_are_refused(tmp_path: Path) -> None:
-    for key in ("POSITION", "TEXCOORD_0"):
-        glb = sheet()
-        number = glb.tree["meshes"][0]["primitives"][0]["attributes"][key]
-        glb.tree["accessors"][number]["sparse"] = {"count": 1}
-        with pytest.raises(MeshError, match=rf"accessors\[{number}\] \({key}\) is sparse, which is not read"):
-            load_mesh(glb.write(tmp_path / "scene.glb"))
-
-
-def test_places_in_a_picture_in_whole_numbers_are_refused(tmp_path: Path) -> None:
-    glb = sheet()
-    number = glb.tree["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
-    view = glb.view((255 * QUAD_UV).astype("<u2").tobytes())
-    glb.tree["accessors"][number] |= {"bufferView": view, "componentType": 5123, "normalized": True}
-    with pytest.raises(MeshError, match="holds whole numbers; save texture coordinates as floats"):
-        load_mesh(glb.write(tmp_path / "scene.glb"))

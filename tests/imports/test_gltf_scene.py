@@ -102,9 +102,13 @@ def test_pictures_lie_where_offset_scale_and_their_own_coordinates_put_them(tmp_
     expected = np.column_stack([0.25 + 0.5 * u, 1.0 - (0.1 + 2.0 * v)])[SPLIT]
     assert piece.uv is not None
     np.testing.assert_allclose(piece.uv, expected, atol=1e-6)
-    base["extensions"]["KHR_texture_transform"]["rotation"] = 0.1
-    with pytest.raises(MeshError, match="is turned by KHR_texture_transform"):
-        load_mesh(glb.write(path))
+    # glTF's own words: counter-clockwise, as seen with v downwards, after the scale and before the offset.
+    base["extensions"]["KHR_texture_transform"]["rotation"] = 0.7
+    (piece,) = load_mesh(glb.write(path))
+    turned = np.exp(0.7j) * (0.5 * u - 2.0j * v)
+    expected = np.column_stack([0.25 + turned.real, 1.0 - (0.1 - turned.imag)])[SPLIT]
+    assert piece.uv is not None
+    np.testing.assert_allclose(piece.uv, expected, atol=1e-6)
 
 
 def png(values: Any) -> bytes:

@@ -3,10 +3,13 @@
 It imports nothing of lfmesh, and says what is wrong with the file in one line on its standard error.
 """
 
+import io
 import json
+import posixpath
 import re
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,8 +26,13 @@ MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 MM_PER_UNIT = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "meter": 1e3, "inch": 25.4, "foot": 304.8}
 """Values of a 3MF model's unit (section 3.4)."""
 
+PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
+MATERIALS = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
+EXTENSIONS = (PRODUCTION, MATERIALS)
+"""Namespaces of extensions that a 3MF model may require: objects in further parts; colours, pictures."""
+
 MOST_MODEL_BYTES = 2**28
-"""Of a 3MF model, unpacked."""
+"""Of all models of a 3MF file, unpacked."""
 
 MOST_PLACED_FACETS = 3_000_000
 """Of all bodies of a 3MF model together, as often as they stand in it."""
@@ -128,17 +136,76 @@ def _diagonal_mm(glb: bytes) -> float:
     return max(sizes)
 
 
+Key3mf = tuple[str, str]
+"""Part of the package and number in it, by which an object is known."""
+
+
 class Object3mf(NamedTuple):
-    """An object of a 3MF model: its own facets, or other objects with their places (4, 3)."""
+    """An object of a 3MF model: its own facets with the colours of their corners, or other objects with their places.
+
+    Colours are coded as sRGB, NaN where a facet has none.
+    """
 
     name: str
     vertices: Array
     faces: NDArray[np.int64]
-    parts: list[tuple[str, Array]]
+    colours: Array | None  # (m, 3, 3)
+    parts: list[tuple[Key3mf, Array]]  # places (4, 3)
+
+
+class _Package:
+    """The models of a 3MF package, each read once, with what is left out of them."""
+
+    def __init__(self, package: zipfile.ZipFile) -> None:
+        self.package = package
+        self.root = _model_part(package)
+        self.objects: dict[Key3mf, Object3mf] = {}
+        self.notes: dict[str, None] = {}
+        self._models: dict[str, ElementTree.Element] = {}
+        self._unpacked = 0
+
+    def model(self, part: str) -> ElementTree.Element:
+        """Return a model, whose objects are read with it."""
+        if part not in self._models:
+            content = _unpacked(self.package, part)
+            self._unpacked += len(content)
+            if self._unpacked > MOST_MODEL_BYTES:
+                raise UnusableError(f"its models unpack to more than {MOST_MODEL_BYTES // 2**20} MiB, the most")
+            root = ElementTree.fromstring(content)
+            if _tag(root) != "model":
+                raise UnusableError(f"broken: its model begins with <{_tag(root)[:40]}>; valid is <model>")
+            _check_extensions(root, content)
+            self._models[part] = root
+            colours = _Colours(root, self.notes)
+            for each in (each for each in root.iter() if _tag(each) == "object"):
+                self.objects[part, _need(each, "id")] = _object(each, part, colours)
+        return self._models[part]
+
+    def object(self, key: Key3mf) -> Object3mf:
+        """Return an object, of the model that it stands in."""
+        self.model(key[0])
+        if key not in self.objects:
+            raise UnusableError(f"broken: its model names object {key[1][:40]!r}, which is not there")
+        return self.objects[key]
+
+
+def _check_extensions(root: ElementTree.Element, content: bytes) -> None:
+    """Raise if a model requires an extension that is not read."""
+    needed = root.get("requiredextensions", "").split()
+    if not needed:
+        return
+    prefixes: dict[str, str] = {}
+    for event, told in ElementTree.iterparse(io.BytesIO(content), events=("start-ns", "start")):
+        if event == "start":
+            break
+        prefixes.setdefault(*told)
+    for prefix in needed:
+        if (name := prefixes.get(prefix, prefix)) not in EXTENSIONS:
+            raise UnusableError(f"needs the extension {name[:100]!r} of 3MF, which is not read; export it without")
 
 
 def read_3mf(path: Path) -> dict[str, Any]:
-    """Return the bodies that stand in a 3MF file, in mm: names, and (n, 3) vertices and (m, 3) facets of each.
+    """Return the bodies that stand in a 3MF file, in mm: names, and vertices, facets and colours of each.
 
     Raises
     ------
@@ -147,24 +214,90 @@ def read_3mf(path: Path) -> dict[str, Any]:
     """
     try:
         with zipfile.ZipFile(path) as package:
-            root = ElementTree.fromstring(_unpacked(package, _model_part(package)))
-    except (zipfile.BadZipFile, ElementTree.ParseError, NotImplementedError, RuntimeError, EOFError) as error:
+            return _read_package(_Package(package))
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        ElementTree.ParseError,
+        NotImplementedError,
+        RuntimeError,
+        EOFError,
+    ) as error:
         raise UnusableError(f"broken, or not a 3MF file ({error})") from None
-    if _tag(root) != "model":
-        raise UnusableError(f"broken: its model begins with <{_tag(root)[:40]}>; valid is <model>")
-    if needed := root.get("requiredextensions"):
-        raise UnusableError(f"needs the extension {needed[:40]!r} of 3MF, which is not read; export it without")
+
+
+def _read_package(package: _Package) -> dict[str, Any]:
+    root = package.model(package.root)
     unit = root.get("unit", "millimeter")
     if unit not in MM_PER_UNIT:
         raise UnusableError(f"its unit is {unit[:40]!r}; valid are {', '.join(MM_PER_UNIT)}")
-    objects = {_need(each, "id"): _object(each) for each in root.iter() if _tag(each) == "object"}
-    build = _Build(objects)
+    build = _Build(package)
     for item in (each for each in root.iter() if _tag(each) == "item"):
-        build.place(_need(item, "objectid"), _transform(item))
-    arrays: dict[str, Any] = {"names": np.array([name for name, _, _ in build.bodies], dtype=np.str_)}
-    for k, (_, vertices, faces) in enumerate(build.bodies):
+        build.place(_named(item, package.root), _transform(item))
+    arrays: dict[str, Any] = {
+        "names": np.array([body[0] for body in build.bodies], dtype=np.str_),
+        "notes": np.array(list(package.notes), dtype=np.str_),
+    }
+    for k, (_, vertices, faces, colours) in enumerate(build.bodies):
         arrays |= {f"vertices_{k}": vertices * MM_PER_UNIT[unit], f"faces_{k}": faces}
+        if colours is not None:
+            arrays[f"colours_{k}"] = colours
     return arrays
+
+
+def _named(element: ElementTree.Element, part: str) -> Key3mf:
+    """Return the object that an item or component names: in its own model, or in a part of the package."""
+    path = element.get(f"{{{PRODUCTION}}}path")
+    return (part if path is None else posixpath.normpath(path).lstrip("/"), _need(element, "objectid"))
+
+
+class _Colours:
+    """Colours of a 3MF model by the group and the number in it (Core Specification 1.3, section 5; Materials, 2)."""
+
+    def __init__(self, root: ElementTree.Element, notes: dict[str, None]) -> None:
+        self.groups: dict[str, Array] = {}
+        self.notes = notes
+        for group in root.iter():
+            key = {"basematerials": "displaycolor", "colorgroup": "color"}.get(_tag(group))
+            if key is not None:
+                self.groups[_need(group, "id")] = np.array([_coded(_need(each, key)) for each in group]).reshape(-1, 3)
+            elif _tag(group) in ("texture2dgroup", "compositematerials", "multiproperties"):
+                self.notes[f"its <{_tag(group)}> are left out: its facets have the material that the scene gives"] = (
+                    None
+                )
+
+    def of(self, used: list[tuple[str | None, ...]], default: tuple[str | None, str | None]) -> Array | None:
+        """Return the (m, 3, 3) colours of facets by their pid, p1, p2 and p3; None where none has one.
+
+        Parameters
+        ----------
+        used : list of tuple
+        default : (str or None, str or None)
+            Group and number of the object.
+        """
+        known: dict[tuple[str | None, ...], Array] = {}
+        for each in dict.fromkeys(used):
+            group, *places = each
+            group = group if group is not None else default[0]
+            table = self.groups.get(group or "")
+            first = places[0] if places[0] is not None else default[1]
+            if table is None or first is None:
+                known[each] = np.full((3, 3), np.nan)
+                continue
+            chosen = [int(place if place is not None else first) for place in places]
+            if not all(0 <= number < len(table) for number in chosen):
+                raise UnusableError(f"broken: a triangle names a colour beyond the {len(table)} of its group")
+            known[each] = table[chosen]
+        if all(np.isnan(colour).all() for colour in known.values()):
+            return None
+        return np.array([known[each] for each in used])
+
+
+def _coded(text: str) -> list[float]:
+    """Return red, green and blue, 0 to 1, of a colour such as #FF8000 or #FF8000FF."""
+    if not re.fullmatch(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{8})", text.strip()):
+        raise UnusableError(f"broken: a colour of its model is {text[:40]!r}; valid are such as #FF8000")
+    return [int(text.strip()[place : place + 2], 16) / 255.0 for place in (1, 3, 5)]
 
 
 def _model_part(package: zipfile.ZipFile) -> str:
@@ -214,40 +347,46 @@ def _transform(element: ElementTree.Element) -> Array:
     return np.array(_numbers(list(text), float, "a transform")).reshape(4, 3)
 
 
-def _object(element: ElementTree.Element) -> Object3mf:
-    """Return an object of the model, with its facets that reach beyond its vertices refused."""
+def _object(element: ElementTree.Element, part: str, colours: _Colours) -> Object3mf:
+    """Return an object of a model, with its facets that reach beyond its vertices refused."""
     points: list[list[float]] = []
     corners: list[list[float]] = []
-    parts: list[tuple[str, Array]] = []
+    used: list[tuple[str | None, ...]] = []
+    parts: list[tuple[Key3mf, Array]] = []
     for each in element.iter():
         tag = _tag(each)
         if tag == "vertex":
             points.append(_numbers([each.get(key) for key in "xyz"], float, "a vertex"))
         elif tag == "triangle":
             corners.append(_numbers([each.get(key) for key in ("v1", "v2", "v3")], int, "a triangle"))
+            used.append(tuple(each.get(key) for key in ("pid", "p1", "p2", "p3")))
         elif tag == "component":
-            parts.append((_need(each, "objectid"), _transform(each)))
+            parts.append((_named(each, part), _transform(each)))
     faces = np.array(corners, dtype=np.int64).reshape(-1, 3)
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
         raise UnusableError(f"broken: a triangle names a vertex beyond the {len(points)} of its object")
     name = element.get("name") or _need(element, "id")
-    return Object3mf(name, np.array(points, dtype=np.float64).reshape(-1, 3), faces, parts)
+    try:
+        of_facets = colours.of(used, (element.get("pid"), element.get("pindex"))) if used else None
+    except ValueError:
+        raise UnusableError("broken: the number of a colour of its model is no number") from None
+    return Object3mf(name, np.array(points, dtype=np.float64).reshape(-1, 3), faces, of_facets, parts)
 
 
 class _Build:
-    """The bodies that stand in a 3MF file: name, vertices and facets of each, placed."""
+    """The bodies that stand in a 3MF file: name, vertices, facets and colours of each, placed."""
 
-    def __init__(self, objects: dict[str, Object3mf]) -> None:
-        self.objects = objects
-        self.bodies: list[tuple[str, Array, NDArray[np.int64]]] = []
+    def __init__(self, package: _Package) -> None:
+        self.package = package
+        self.bodies: list[tuple[str, Array, NDArray[np.int64], Array | None]] = []
         self.placed = self.facets = 0
 
-    def place(self, key: str, place: Array, name: str | None = None, depth: int = 0) -> None:
+    def place(self, key: Key3mf, place: Array, name: str | None = None, depth: int = 0) -> None:
         """Add an object and its components; `name` is that of the object that it is a component of, if it is one.
 
         Parameters
         ----------
-        key : str
+        key : (str, str)
             Of the object.
         place : (4, 3) float64
             Affine transform of points as rows.
@@ -255,9 +394,7 @@ class _Build:
         depth : int
             Of components within components.
         """
-        if key not in self.objects:
-            raise UnusableError(f"broken: its model names object {key[:40]!r}, which is not there")
-        one = self.objects[key]
+        one = self.package.object(key)
         self.placed += 1
         self.facets += len(one.faces)
         if depth > DEEPEST:
@@ -268,8 +405,9 @@ class _Build:
             )
         name = name or one.name
         if len(one.faces):
-            faces = one.faces[:, ::-1] if np.linalg.det(place[:3]) < 0.0 else one.faces
-            self.bodies.append((name, one.vertices @ place[:3] + place[3], faces))
+            turned = slice(None, None, -1 if np.linalg.det(place[:3]) < 0.0 else 1)
+            colours = one.colours[:, turned] if one.colours is not None else None
+            self.bodies.append((name, one.vertices @ place[:3] + place[3], one.faces[:, turned], colours))
         for part, own in one.parts:
             self.place(part, np.vstack([own[:3] @ place[:3], own[3] @ place[:3] + place[3]]), name, depth + 1)
 

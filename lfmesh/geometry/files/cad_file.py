@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib.util import find_spec
@@ -20,10 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import LensFileWarning, MeshError
 from lfmesh.geometry.files import cad_child, step_surfaces
-from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.files.piece import Notes, Piece
+from lfmesh.geometry.meshes.mesh import Array, Mesh
+from lfmesh.geometry.objects.texture import srgb_to_linear
 from lfmesh.geometry.surfaces.optical_face import Told
 from lfmesh.scene.inputs import file_stamp
 
@@ -60,19 +63,6 @@ OUT_OF_TIME, ENDED_BY_SYSTEM = -24, -9
 
 STRETCHED = 1e-12
 """Largest deviation of a body's frame from a rotation: rounding."""
-
-
-def bodies_of_3mf(path: Path) -> list[tuple[str, Array, Array]]:
-    """Return name, vertices (n, 3) in mm and facets (m, 3) of the bodies that stand in a 3MF file.
-
-    Raises
-    ------
-    MeshError
-        The file is broken, or opening it takes more than the limits.
-    """
-    content, _ = _opened(path.resolve(), file_stamp(path), None, most_seconds(path))
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return [(str(name), arrays[f"vertices_{k}"], arrays[f"faces_{k}"]) for k, name in enumerate(arrays["names"])]
 
 
 @contextmanager
@@ -283,28 +273,45 @@ def _own_surfaces(path: Path, stamp: tuple[object, ...]) -> list[dict[str, Any]]
         return surfaces
 
 
-def placed_3mf(path: Path, key: str | int | None) -> list[tuple[Any, Array]]:
-    """Return trimesh's geometries of a 3MF file, or of one of its bodies, with their transforms.
+def pieces_of_3mf(path: Path, key: str | int | None, alpha: bool, notes: Notes) -> list[Piece]:
+    """Return a 3MF file, or one of its bodies, as pieces in mm.
 
     Parameters
     ----------
     path : Path
     key : str or int, optional
         A body's name, which other bodies may not have, or its number from 0.
+    alpha : bool
+        Give colours an alpha, too.
+    notes : Notes
 
     Raises
     ------
     MeshError
         The file cannot be read, or has no such body.
     """
-    import trimesh
+    content, _ = _opened(path.resolve(), file_stamp(path), None, most_seconds(path))
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        names = [str(name) for name in arrays["names"]]
+        for text in arrays["notes"]:
+            notes.add(str(text))
+        made = [_piece_of_3mf(arrays, number, alpha) for number in range(len(names))]
+    if key is None:
+        return made
+    chosen = [number for number, name in enumerate(names) if key == (name if isinstance(key, str) else number)]
+    if len(chosen) != 1:
+        known = ", ".join(repr(name) if names.count(name) == 1 else str(k) for k, name in enumerate(names[:10]))
+        raise MeshError(f"{path}: has no body {key!r} of its own; valid are {known or 'none: it is empty'}")
+    return [made[chosen[0]]]
 
-    bodies = bodies_of_3mf(path)
-    if key is not None:
-        chosen = [body for number, body in enumerate(bodies) if key == (body[0] if isinstance(key, str) else number)]
-        if len(chosen) != 1:
-            names = [body[0] for body in bodies]
-            known = ", ".join(repr(name) if names.count(name) == 1 else str(k) for k, name in enumerate(names[:10]))
-            raise MeshError(f"{path}: has no body {key!r} of its own; valid are {known or 'none: it is empty'}")
-        bodies = chosen
-    return [(trimesh.Trimesh(vertices, faces, process=False), np.eye(4)) for _, vertices, faces in bodies]
+
+def _piece_of_3mf(arrays: Mapping[str, NDArray[Any]], number: int, alpha: bool) -> Piece:
+    """Return a body of a 3MF file; what has no colour has that of the scene."""
+    mesh = Mesh(arrays[f"vertices_{number}"], arrays[f"faces_{number}"])
+    channels = 4 if alpha else 3
+    if f"colours_{number}" not in arrays:
+        return Piece(mesh, factor=np.ones(channels))
+    coded = np.nan_to_num(arrays[f"colours_{number}"], nan=1.0)
+    colours = np.ones((*coded.shape[:2], channels))
+    colours[..., :3] = srgb_to_linear(coded)
+    return Piece(mesh, factor=np.ones(channels), colours=colours)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lfmesh.errors import MeshError
-from lfmesh.geometry.files.mesh_file import Piece
+from lfmesh.geometry.files.piece import Piece
 from lfmesh.geometry.meshes.mesh import Array, Index
 from lfmesh.geometry.objects.texture import Texture
 

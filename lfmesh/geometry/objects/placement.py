@@ -170,13 +170,17 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
     fixed = UNIT_OF_FORMAT.get(Path(file).suffix.lower())
     of_file = f"by the unit of its format, {fixed}," if fixed else "by the unit that its file names,"
     what = f"with units = {unit!r}," if unit else of_file
+    if target.scale is not None:
+        what = f"{what[:-1]} and scale = {target.scale:g},"
+    remedy = "check the unit"
+    if not unit:
+        wrong, right = (1e-3, "are in mm") if size_mm > LARGE_MM else (1e3, "are in units of 1000 of it")
+        remedy = f"if its numbers {right}, give the target scale = {wrong:g}"
     if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
-        yield (
-            f"is {1e-3 * size_mm:.4g} m large {what} and the camera sees {2e-3 * max(half):.3g} m there; check the unit"
-        )
+        yield (f"is {1e-3 * size_mm:.4g} m large {what} and the camera sees {2e-3 * max(half):.3g} m there; {remedy}")
     sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0
     if 0.0 < size_mm < sample < math.inf:
-        yield f"is {size_mm:.3g} mm large {what} less than a sample of the picture there; check the unit"
+        yield f"is {size_mm:.3g} mm large {what} less than a sample of the picture there; {remedy}"
 
 
 def _sensor_z_mm(scene: Scene) -> float:

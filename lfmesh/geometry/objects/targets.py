@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from lfmesh.errors import FileError, MeshError
-from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, Piece, load_mesh
+from lfmesh.geometry.files.mesh_file import FARTHEST_MM, UNIT_OF_FORMAT, load_mesh
+from lfmesh.geometry.files.piece import Piece
 from lfmesh.geometry.frame import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_corner_normals, facet_normals, joined
 from lfmesh.geometry.meshes.vertex_normals import is_closed
@@ -15,6 +16,7 @@ from lfmesh.geometry.objects.atlas import atlas
 from lfmesh.geometry.objects.primitives import box_of_glass, primitive
 from lfmesh.geometry.objects.refractors import solid_mesh
 from lfmesh.geometry.objects.texture import Texture, load_texture
+from lfmesh.geometry.objects.vertex_colours import with_colours_as_picture
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.scene import Scene, Target
 
@@ -82,7 +84,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
             body = solid_mesh(
                 scene.resolve(str(glass.file)), glass.units, glass.crease_deg, glass.node, glass.tolerance_mm
             )
-        return TargetMesh(body.moved(frame(target.rotation_deg, target.position_mm)), None, None, True)
+        return TargetMesh(_stood(body, target), None, None, True)
     asks_alpha = target.material.opacity == "texture_alpha"
     taken = False
     if target.shape is not None:
@@ -98,13 +100,14 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         if taken:
             pieces = _with_alpha_by_mode(pieces)
         elif may_take:
-            pieces = [replace(piece, factor=piece.factor[:3]) for piece in pieces]
+            pieces = [_opaque(piece) for piece in pieces]
         elif target.materials == "ignore":
-            pieces = [replace(piece, picture=None, factor=np.ones(len(piece.factor))) for piece in pieces]
+            pieces = [replace(piece, picture=None, factor=np.ones(len(piece.factor)), colours=None) for piece in pieces]
     with_alpha = asks_alpha or taken
     if target.material.texture is not None:
         picture = _picture(target, scene, with_alpha)
         pieces = [_covered(piece, picture, name) for piece in pieces]
+    pieces = [with_colours_as_picture(piece) for piece in pieces]
     pieces, closed = _oriented([replace(piece, mesh=welded(piece.mesh)) for piece in pieces])
     placed, texture = atlas(name, pieces)
     alpha = None
@@ -125,7 +128,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     if not solid.any():
         raise MeshError(f"{name}: none of its {len(solid)} facets has an area")
     mesh = Mesh(mesh.vertices, mesh.faces[solid], at_corners[solid] if at_corners is not None else None)
-    mesh = mesh.moved(frame(target.rotation_deg, target.position_mm))
+    mesh = _stood(mesh, target)
     placed = placed[solid] if placed is not None else None
     made = TargetMesh(mesh, placed, texture, closed, alpha, smooth=at_corners is not None)
     if taken:
@@ -134,6 +137,44 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         each = np.repeat([number[piece.material] for piece in pieces], [len(piece.mesh.faces) for piece in pieces])
         made.material_of = each[solid]
     return made
+
+
+def _stood(mesh: Mesh, target: Target) -> Mesh:
+    """Return a target's mesh where it stands in the world: scaled, turned, and placed by its anchor.
+
+    Raises
+    ------
+    MeshError
+        Its scale makes it larger than a scene may be.
+    """
+    scale = 1.0 if target.scale is None else target.scale
+    turn = frame(target.rotation_deg, (0.0, 0.0, 0.0))
+    place = frame(target.rotation_deg, target.position_mm)
+    if scale != 1.0:
+        mesh = replace(mesh, vertices=mesh.vertices * scale)
+    if target.anchor in (None, "origin"):
+        made = mesh.moved(place)
+    else:
+        corners = mesh.vertices[np.unique(mesh.faces)]
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        made = replace(mesh, vertices=mesh.vertices - middle).moved(place)
+        if target.anchor == "base":
+            turned = replace(mesh, vertices=corners - middle, corner_normals=None).moved(turn).vertices
+            low, high = turned.min(axis=0), turned.max(axis=0)
+            foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+            made = replace(made, vertices=made.vertices - foot)
+    if np.abs(made.vertices[made.faces]).max() > FARTHEST_MM:
+        raise MeshError(
+            f"{target.name or target.file or 'a target'}: scale = {scale:g} puts it beyond {FARTHEST_MM:g} mm"
+        )
+    return made
+
+
+def _opaque(piece: Piece) -> Piece:
+    """Return a piece without the alpha of its plain colours."""
+    return replace(
+        piece, factor=piece.factor[:3], colours=piece.colours[..., :3] if piece.colours is not None else None
+    )
 
 
 def _with_alpha_by_mode(pieces: list[Piece]) -> list[Piece]:

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -68,8 +69,8 @@ def load_texture(path: Path, alpha: bool = False) -> Texture:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[PIL.Image.Image]:
-    """Open a picture of one of `FORMATS`; its pixels are not read yet.
+def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
+    """Open a picture of one of `FORMATS`, a file or its content; its pixels are not read yet.
 
     Raises
     ------

@@ -170,8 +170,15 @@ class Target(BodyFile):
     """Normals by which a mesh file's surface is shaded. "file": those at its vertices, interpolated, where the file has
     any (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant. "facets": those of its facets. What a
     ray meets, on which side, and what is in shadow follows the facets."""
+    scale: Positive | None = None
+    """Factor of a mesh file's coordinates, after its own unit: 0.001 where a GLB file, which is in metres, was written
+    with numbers that are millimetres. Omitted: 1."""
+    anchor: Literal["origin", "centre", "base"] | None = None
+    """Point of a mesh file that `position_mm` places. "origin": that of its coordinates. "centre": the middle of the
+    box round it. "base": the middle of the lowest side, towards -y, of the box round the body as `rotation_deg` turns
+    it. Omitted: "origin"."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Position of the target's own origin, in mm."""
+    """Position of the target's own origin, or of its `anchor`, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
     material: Material = Field(default_factory=Material)
@@ -182,6 +189,8 @@ class Target(BodyFile):
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""
         if self.refractor is not None:
+            if self.refractor.file is None:
+                yield from self._placing_faults()
             for key in ("shape", *BodyFile.model_fields):
                 if getattr(self, key) is not None:
                     yield Fault((key,), getattr(self, key), "a refractor is given too; give one of them")
@@ -192,6 +201,7 @@ class Target(BodyFile):
         if self.shape is not None and self.file is not None:
             yield Fault(("file",), self.file, "a shape is given too; give one of them")
         elif self.file is None:
+            yield from self._placing_faults()
             if self.shape is None:
                 yield Fault(("shape",), None, 'missing: give shape = { kind = ... }, or file = "...", or refractor')
             elif self.units is not None:
@@ -205,6 +215,12 @@ class Target(BodyFile):
             if self.materials == "file" and self.material != Material():
                 yield Fault(("material",), None, 'materials = "file" takes those of the mesh file; omit one of them')
             yield from self.file_faults()
+
+    def _placing_faults(self) -> Iterator[Fault]:
+        """Yield that keys for the coordinates of mesh files are given for something else."""
+        for key in ("scale", "anchor"):
+            if getattr(self, key) is not None:
+                yield Fault((key,), getattr(self, key), "only for a mesh file: a shape is centred, its size in mm")
 
     def _file_faults(self, why: str) -> Iterator[Fault]:
         """Yield that keys for mesh files are given for something else."""

@@ -282,15 +282,11 @@ def broken_files(folder):
     for number in (9, -4, 0):
         said = f"line 8: a facet names vertex {number}, but there are 3, counted from 1"
         yield write(f"vertex{number}.obj", TRIANGLE + f"f 1 2 3\nf 1 {number} 2\n"), said
-    yield write("uv.obj", TRIANGLE + "f 1/1 2/2 3/7\n"), "line 7: a facet names texture coordinate 7, but there are 3"
-    yield write("normal.obj", TRIANGLE + "f 1//1 2//1 3//1\n"), "line 7: a facet names normal 1, but there is none"
     yield write("points.obj", TRIANGLE), "no facets"
     yield write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "1 of 1 facets"
     yield write("inf.off", "OFF\n3 1 0\n0 0 0\ninf 0 0\n0 1 0\n3 0 1 2\n"), "1 of 1 facets"
     for header in ("8 x", "8"):
         yield write(f"{header}.off", f"OFF\n{header}\n-0.5 0 0\n1 0 0\n"), "its header counts no facets|broken"
-    write("chart.mtl", "newmtl a\nmap_Kd gone.png\n")
-    yield write("chart.obj", "mtllib chart.mtl\n" + TRIANGLE + "f 1/1 2/2 3/3\n"), "gone.png is not there"
     yield write("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")), "no facets"
     corners = "0 0 0\n1 0 0\n0 1 0\n"
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -318,11 +314,12 @@ def broken_files(folder):
     document = json.loads(save_gltf(folder / "document.gltf").read_text())
     document["accessors"][0]["count"] = 10**15
     yield write("count.gltf", json.dumps(document)), "an accessor counts 1000000000000000 entries"
+    yield write("one.glb", b"glTF\1\0\0\0" + bytes(20)), "is GLB of version 1; valid is 2"
     yield write("nested.gltf", "[" * 100_000), "broken"
     postscript = "data:image/png;base64," + base64.b64encode(POSTSCRIPT).decode()
     document = json.loads(save_gltf(folder / "document.gltf", picture=np.zeros((1, 1, 3), np.uint8)).read_text())
     document["images"][0]["uri"] = postscript
-    yield write("postscript.gltf", json.dumps(document)), "its picture is EPS"
+    yield write("postscript.gltf", json.dumps(document)), "its picture is of no kind that is read"
     yield folder / "missing.stl", "does not exist"
     (folder / "folder.stl").mkdir()
     yield folder / "folder.stl", "is a folder"

@@ -1,0 +1,224 @@
+"""Numbers and bytes that a glTF file stores: buffers, their views, and accessors.
+
+glTF 2.0, sections 3.6 and 5.1: an accessor has a number of entries of one type, which stand in a view of a buffer with
+a stride, or are zero, and of which some are replaced where it is sparse. Whole numbers may stand for shares of 1.
+"""
+
+import base64
+import binascii
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.files.companion import check_companion
+from lfmesh.geometry.files.pictures import companion_name
+from lfmesh.geometry.meshes.mesh import Array, Index
+from lfmesh.regular_file import read_bytes
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""Kinds of numbers by glTF's own (section 5.1.3)."""
+
+TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+"""How many numbers an entry has, of those types that meshes use (section 5.1.6)."""
+
+LONGEST_STRIDE = 252
+"""Bytes from one entry to the next (section 5.11)."""
+
+MOST_ZEROS = 10_000_000
+"""Entries of an accessor that the file does not store."""
+
+
+def names_of(uri: str) -> list[str]:
+    """Return the files that a uri may mean: percent-encoded, as it should be, or as it stands."""
+    return list(dict.fromkeys((unquote(uri), uri)))
+
+
+class Buffers:
+    """Buffers, views and accessors of one glTF file.
+
+    Parameters
+    ----------
+    path : Path
+    document : dict
+        Its JSON.
+    """
+
+    def __init__(self, path: Path, document: dict[str, Any]) -> None:
+        self.path, self.document = path, document
+        self._contents: dict[int, bytes] = {}
+
+    def _entry(self, key: str, number: Any) -> dict[str, Any]:
+        entries = self.document.get(key, [])
+        if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < len(entries):
+            return entries[number]
+        raise ValueError(f"{key}[{repr(number)[:40]}] is named, and there are {len(entries)}, counted from 0")
+
+    def content(self, number: int) -> bytes:
+        """Return the bytes of a buffer."""
+        entry = self._entry("buffers", number)
+        if number not in self._contents:
+            self._contents[number] = self._read(number, entry.get("uri"))
+        return self._contents[number]
+
+    def _read(self, number: int, uri: Any) -> bytes:
+        if uri is None:
+            if number == 0 and self.path.suffix.lower() == ".glb":
+                return binary_chunk(read_bytes(self.path))
+            raise ValueError(f"buffers[{number}] has no uri: an extension that is not read would fill it")
+        return bytes_of(self.path, uri, "buffer")
+
+    def view(self, number: Any) -> tuple[memoryview, int]:
+        """Return the bytes of a view, and its stride; 0 where it gives none."""
+        entry = self._entry("bufferViews", number)
+        content = self.content(entry.get("buffer"))  # type: ignore[arg-type]
+        start, length = _whole(entry, "byteOffset", 0), _whole(entry, "byteLength", None)
+        if start + length > len(content):
+            raise ValueError(
+                f"cut short: bufferViews[{number}] ends at byte {start + length}, and its buffer has {len(content)}"
+            )
+        return memoryview(content)[start : start + length], _whole(entry, "byteStride", 0)
+
+    def accessor(self, number: Any, types: tuple[str, ...]) -> Array:
+        """Return the numbers of an accessor, (count, components) float64.
+
+        Parameters
+        ----------
+        number : int
+        types : tuple of str
+            That are valid here.
+        """
+        values, normalized = self._numbers(number, types)
+        made = values.astype(np.float64)
+        if normalized and values.dtype.kind in "iu":
+            # Section 3.11: signed ones reach -1 twice.
+            made = np.maximum(made / np.iinfo(values.dtype).max, -1.0)
+        return made
+
+    def indices(self, number: Any) -> Index:
+        """Return the whole numbers of an accessor, (count,)."""
+        values, _ = self._numbers(number, ("SCALAR",))
+        if values.dtype.kind != "u":
+            raise ValueError(f"accessors[{number}] has no unsigned whole numbers, which indices are")
+        return values[:, 0].astype(np.int64)
+
+    def _numbers(self, number: Any, types: tuple[str, ...]) -> tuple[NDArray[Any], bool]:
+        """Return the numbers of an accessor as they are stored, and whether they are shares of 1."""
+        entry = self._entry("accessors", number)
+        where = f"accessors[{number}]"
+        kind = entry.get("type")
+        if kind not in types or kind not in TYPES:
+            raise ValueError(f"{where}.type is {repr(kind)[:40]}; valid are {', '.join(types)}")
+        count = _whole(entry, "count", None)
+        dtype = _dtype(where, entry.get("componentType"))
+        values = self._stored(where, entry, dtype, TYPES[kind], count)
+        if "sparse" in entry:
+            values = self._with_sparse(where, entry["sparse"], values, dtype)
+        return values, bool(entry.get("normalized"))
+
+    def _stored(self, where: str, entry: dict[str, Any], dtype: np.dtype[Any], width: int, count: int) -> Array:
+        if "bufferView" not in entry:
+            if count > MOST_ZEROS:
+                raise ValueError(f"{where} has {count} entries that are not stored; {MOST_ZEROS} are the most")
+            return np.zeros((count, width), dtype)
+        view, stride = self.view(entry["bufferView"])
+        return _strided(where, view, dtype, (count, width), _whole(entry, "byteOffset", 0), stride)
+
+    def _with_sparse(self, where: str, sparse: Any, values: Array, dtype: np.dtype[Any]) -> Array:
+        """Return stored numbers with those in place that a sparse accessor replaces (section 3.6.2.3)."""
+        if not isinstance(sparse, dict) or not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
+            raise ValueError(f"{where}.sparse has no indices and values")
+        count = _whole(sparse, "count", None)
+        found = []
+        for key, kind, width in (
+            ("indices", _dtype(where, sparse["indices"].get("componentType")), 1),
+            ("values", dtype, values.shape[1]),
+        ):
+            view, _ = self.view(sparse[key].get("bufferView"))
+            offset = _whole(sparse[key], "byteOffset", 0)
+            found.append(_strided(f"{where}.sparse.{key}", view, kind, (count, width), offset, 0))
+        places = found[0][:, 0]
+        if count and not 0 <= places.min() <= places.max() < len(values):
+            raise ValueError(f"{where}.sparse replaces entry {places.max()}, and there are {len(values)}")
+        made = values.copy()
+        made[places] = found[1]
+        return made
+
+
+def _strided(
+    where: str, view: memoryview, dtype: np.dtype[Any], shape: tuple[int, int], offset: int, stride: int
+) -> Array:  # fmt: skip
+    """Return the numbers of a view from an offset on, not copied."""
+    count, width = shape
+    size = width * dtype.itemsize
+    stride = stride or size
+    if not size <= stride <= LONGEST_STRIDE:
+        raise ValueError(f"{where} has a stride of {stride} bytes; valid are {size} to {LONGEST_STRIDE}")
+    if count and offset + stride * (count - 1) + size > len(view):
+        raise ValueError(f"cut short: {where} counts {count} entries, more than its view of {len(view)} bytes holds")
+    if not count:
+        return np.zeros(shape, dtype)
+    return np.ndarray(shape, dtype, view, offset, (stride, dtype.itemsize))
+
+
+def _dtype(where: str, component: Any) -> np.dtype[Any]:
+    if not isinstance(component, int) or component not in COMPONENTS:
+        raise ValueError(
+            f"{where}.componentType is {repr(component)[:40]}; valid are {', '.join(map(str, COMPONENTS))}"
+        )
+    return np.dtype(COMPONENTS[component])
+
+
+def _whole(entry: dict[str, Any], key: str, default: int | None) -> int:
+    value = entry.get(key, default)
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return value
+    raise ValueError(f"{key} is {repr(value)[:40]}; valid are whole numbers from 0")
+
+
+def binary_chunk(content: bytes) -> bytes:
+    """Return the binary chunk of a GLB file, which follows that of its JSON (section 4.4); empty where it has none."""
+    start = 20 + int.from_bytes(content[12:16], "little")
+    if content[start + 4 : start + 8] != b"BIN\0":
+        return b""
+    length = int.from_bytes(content[start : start + 4], "little")
+    return content[start + 8 : start + 8 + length]
+
+
+def bytes_of(path: Path, uri: Any, kind: str) -> bytes:
+    """Return what a uri means: the data in it, or the content of a file beside the glTF file.
+
+    Parameters
+    ----------
+    path : Path
+        The glTF file.
+    uri : str
+    kind : str
+        What it is, in messages.
+
+    Raises
+    ------
+    MeshError
+        The file is not there, or lies elsewhere.
+    ValueError
+        The uri holds no data.
+    """
+    if not isinstance(uri, str):
+        raise ValueError(f"the uri of a {kind} is {repr(uri)[:40]}; valid is text")
+    if uri.startswith("data:"):
+        head, _, data = uri.partition(",")
+        try:
+            return (
+                base64.b64decode(unquote(data), validate=False) if head.endswith(";base64") else unquote(data).encode()
+            )
+        except binascii.Error as error:
+            raise ValueError(f"the data of a {kind} are not coded as they say ({error})") from None
+    name = companion_name(path, names_of(uri), kind)
+    if name is None:
+        shown = names_of(uri)[0]
+        check_companion(path, shown, kind)
+        raise MeshError(f"{path}: its {kind} {shown[:200]} is not there; put it beside the mesh")
+    return read_bytes(path.parent / name)

@@ -1,0 +1,229 @@
+"""Materials of glTF files as their primitives need them: colour, picture and its place, alpha, metal and roughness.
+
+glTF 2.0, section 3.9. Numbers stay as they stand in the file; a factor that rounding has put above 1 is 1.
+"""
+
+import reprlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.files.gltf_buffers import Buffers, bytes_of, names_of
+from lfmesh.geometry.files.gltf_nodes import LONGEST_NAME, entries_of, finite_numbers, number_below
+from lfmesh.geometry.files.pictures import Pictures
+from lfmesh.geometry.files.piece import REPEAT
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.objects.texture import Texture
+from lfmesh.optics.gltf_material import GltfMaterial
+
+REPEATS = 10497
+WRAPS = {REPEATS: "repeat", 33071: "clamp", 33648: "mirror"}
+"""Continuation of pictures outside 0..1, by glTF's numbers (glTF 2.0, section 5.27)."""
+
+ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
+
+ROUNDED = 1.0 + 16.0 * float(np.finfo(np.float32).eps)
+"""Largest factor that counts as 1: exporters calculate colours with float32."""
+
+SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
+
+
+@dataclass(frozen=True)
+class Look:
+    """A material of a glTF file.
+
+    Attributes
+    ----------
+    picture : (h, w, 3 or 4) float32 or None
+        Base colour texture.
+    factor : (3,) or (4,) float64
+    material : GltfMaterial or None
+    alpha_mode : str
+    alpha_cutoff : float
+    wrap : (str, str)
+    uv_set : int
+        Number of the texture coordinates of its picture.
+    to_picture : (2, 3) float64
+        From these to the place in the picture, counted from its top left.
+    """
+
+    picture: Texture | None = None
+    factor: Array = field(default_factory=lambda: np.ones(3))
+    material: GltfMaterial | None = None
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    wrap: tuple[str, str] = REPEAT
+    uv_set: int = 0
+    to_picture: Array = field(default_factory=lambda: np.eye(2, 3))
+
+
+class Looks:
+    """Materials of one glTF file, each read once.
+
+    Parameters
+    ----------
+    buffers : Buffers
+    pictures : Pictures
+    """
+
+    def __init__(self, buffers: Buffers, pictures: Pictures) -> None:
+        self.buffers, self.pictures = buffers, pictures
+        self.path, self.document = buffers.path, buffers.document
+        self._known: dict[int, Look] = {}
+
+    def of(self, number: Any) -> Look:
+        """Return the material of a number; a plain one where a primitive names none.
+
+        Raises
+        ------
+        MeshError, ValueError
+            It is not there, or names a picture that cannot be read.
+        """
+        if number is None:
+            return Look(factor=np.ones(4 if self.pictures.alpha else 3))
+        materials = entries_of(self.path, self.document, "materials")
+        number = number_below(self.path, "a primitive's material", number, len(materials))
+        if number not in self._known:
+            self._known[number] = self._read(materials[number])
+        return self._known[number]
+
+    def _read(self, material: dict[str, Any]) -> Look:
+        pbr = material.get("pbrMetallicRoughness", {})
+        if (other := only_specular(material)) is not None:
+            pbr = {
+                "baseColorFactor": other.get("diffuseFactor", [1.0] * 4),
+                "metallicFactor": 0.0,
+                "roughnessFactor": 1.0 - min(1.0, float(other.get("glossinessFactor", 1.0))),
+                **({"baseColorTexture": other["diffuseTexture"]} if "diffuseTexture" in other else {}),
+            }
+        colour = np.minimum(np.array(pbr.get("baseColorFactor", [1.0] * 4), np.float64), 1.0)
+        metallic, roughness = (min(1.0, float(pbr.get(key, 1.0))) for key in ("metallicFactor", "roughnessFactor"))
+        if (texture := pbr.get("metallicRoughnessTexture")) is not None:
+            mean = self._mean(texture)
+            # Section 3.9.2: roughness in the green channel, metallic in the blue one, both linear.
+            roughness, metallic = roughness * mean[1], metallic * mean[2]
+        base = pbr.get("baseColorTexture")
+        return Look(
+            self._picture(base) if base is not None else None,
+            colour[: 4 if self.pictures.alpha else 3],
+            GltfMaterial((float(colour[0]), float(colour[1]), float(colour[2])), float(metallic), float(roughness)),
+            material.get("alphaMode", "OPAQUE"),
+            float(material.get("alphaCutoff", 0.5)),
+            *(self._place(base) if base is not None else ()),
+        )
+
+    def _content(self, info: dict[str, Any]) -> tuple[int, dict[str, Any]] | None:
+        """Return number and entry of the image of a texture; None, which is noted, where an extension holds it."""
+        textures = entries_of(self.path, self.document, "textures")
+        texture = textures[number_below(self.path, "a texture's index", info.get("index"), len(textures))]
+        if "source" not in texture:
+            self.pictures.notes.add(
+                "a picture of a kind that is not read is left out: its facets have their plain colour"
+            )
+            return None
+        images = entries_of(self.path, self.document, "images")
+        number = number_below(self.path, "textures.source", texture["source"], len(images))
+        return number, images[number]
+
+    def _picture(self, info: dict[str, Any]) -> Texture | None:
+        return self._opened(info, self.pictures)
+
+    def _opened(self, info: dict[str, Any], pictures: Pictures) -> Texture | None:
+        if (found := self._content(info)) is None:
+            return None
+        number, image = found
+        if "bufferView" in image:
+            return pictures.of_bytes(number, bytes(self.buffers.view(image["bufferView"])[0]))
+        uri = image.get("uri")
+        if isinstance(uri, str) and not uri.startswith("data:"):
+            return pictures.of_file(names_of(uri))
+        return pictures.of_bytes(number, bytes_of(self.path, uri, "picture"))
+
+    def _mean(self, info: dict[str, Any]) -> Array:
+        """Return the means of a picture's channels as they stand in it, (3,); ones where there is none."""
+        light = self._opened(info, Pictures(self.path, False, self.pictures.notes))
+        if light is None:
+            return np.ones(3)
+        coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0) ** (1.0 / 2.4) - 0.055)
+        return np.asarray(coded.mean(axis=(0, 1), dtype=np.float64))
+
+    def _place(self, info: dict[str, Any]) -> tuple[tuple[str, str], int, Array]:
+        """Return continuation of a picture, its set of coordinates, and their way to the place in it."""
+        moved = info.get("extensions", {}).get("KHR_texture_transform", {})
+        offset, scale = (
+            finite_numbers(self.path, f"{key} of KHR_texture_transform", moved.get(key, default), 2)
+            for key, default in (("offset", [0.0, 0.0]), ("scale", [1.0, 1.0]))
+        )
+        (angle,) = finite_numbers(self.path, "rotation of KHR_texture_transform", [moved.get("rotation", 0.0)], 1)
+        cos, sin = np.cos(angle), np.sin(angle)
+        # Counter-clockwise as one looks at the picture, whose rows run down.
+        linear = np.array([[cos, sin], [-sin, cos]]) * scale
+        uv_set = moved.get("texCoord", info.get("texCoord", 0))
+        return self._wrap(info), uv_set, np.column_stack([linear, offset])
+
+    def _wrap(self, info: dict[str, Any]) -> tuple[str, str]:
+        """Return what a base colour texture shows outside its picture, across and down."""
+        textures, samplers = (entries_of(self.path, self.document, key) for key in ("textures", "samplers"))
+        texture = textures[number_below(self.path, "baseColorTexture.index", info.get("index"), len(textures))]
+        if (given := texture.get("sampler")) is None:
+            return REPEAT
+        number = number_below(self.path, "textures.sampler", given, len(samplers))
+        across, down = (samplers[number].get(key, REPEATS) for key in ("wrapS", "wrapT"))
+        for key, mode in (("wrapS", across), ("wrapT", down)):
+            if not isinstance(mode, int) or mode not in WRAPS:
+                shown = reprlib.repr(mode)[:LONGEST_NAME]
+                raise MeshError(
+                    f"{self.path}: broken: samplers[{number}].{key} is {shown}; valid are {', '.join(map(str, WRAPS))}"
+                )
+        return WRAPS[across], WRAPS[down]
+
+
+def only_specular(material: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the specular-glossiness extension of a material that has no other surface; None where it has."""
+    if "pbrMetallicRoughness" in material:
+        return None
+    return material.get("extensions", {}).get(SPECULAR_GLOSSINESS)
+
+
+def check_material(path: Any, where: str, material: dict[str, Any]) -> None:
+    """Raise on a value of a material that glTF does not allow.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    where : str
+        The material's place in it.
+    material : dict
+
+    Raises
+    ------
+    MeshError
+        Naming the value.
+    """
+    pbr = material.get("pbrMetallicRoughness", {})
+    shares = {f"{key}": pbr.get(key, 1.0) for key in ("metallicFactor", "roughnessFactor")}
+    colours = {"baseColorFactor": pbr.get("baseColorFactor", [1.0] * 4)}
+    if (other := only_specular(material)) is not None:
+        shares["glossinessFactor"] = other.get("glossinessFactor", 1.0)
+        colours["diffuseFactor"] = other.get("diffuseFactor", [1.0] * 4)
+        if not isinstance(other.get("diffuseTexture", {}), dict):
+            raise MeshError(f"{path}: broken: {where}.diffuseTexture is no object")
+    for key, value in shares.items():
+        if not _is_share(value):
+            raise MeshError(f"{path}: {where}.{key} is {reprlib.repr(value)}; valid are numbers from 0 to 1")
+    for key, colour in colours.items():
+        if not isinstance(colour, list) or len(colour) != 4 or not all(map(_is_share, colour)):
+            shown = reprlib.repr(colour)[:LONGEST_NAME]
+            raise MeshError(f"{path}: {where}.{key} is {shown}; valid are four numbers from 0 to 1")
+    mode, cutoff = material.get("alphaMode", "OPAQUE"), material.get("alphaCutoff", 0.5)
+    if mode not in ALPHA_MODES:
+        raise MeshError(f"{path}: {where}.alphaMode is {reprlib.repr(mode)}; valid are {', '.join(ALPHA_MODES)}")
+    if isinstance(cutoff, bool) or not isinstance(cutoff, int | float) or not 0.0 <= cutoff < np.inf:
+        raise MeshError(f"{path}: {where}.alphaCutoff is {reprlib.repr(cutoff)}; valid are numbers from 0")
+
+
+def _is_share(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= ROUNDED

@@ -1,0 +1,126 @@
+"""Facets of a glTF file's primitives, straight from its accessors (glTF 2.0, section 3.7)."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import MeshError
+from lfmesh.geometry.files.gltf_buffers import Buffers
+from lfmesh.geometry.files.gltf_looks import Look, Looks
+from lfmesh.geometry.files.gltf_nodes import FAN, STRIP, TRIANGLES
+from lfmesh.geometry.files.obj_file import NO_PLACE
+from lfmesh.geometry.files.off_file import check_corners
+from lfmesh.geometry.files.pictures import Pictures
+from lfmesh.geometry.files.piece import Notes, Piece
+from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
+
+COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+"""Extensions that hold a primitive's numbers in place of its accessors."""
+
+
+def load_primitives(
+    path: Path, document: dict[str, Any], wanted: Iterable[tuple[int, int]], alpha: bool, notes: Notes
+) -> dict[tuple[int, int], Piece]:  # fmt: skip
+    """Return primitives by mesh and number, in the frame of their node, m; those without facets are left out.
+
+    Parameters
+    ----------
+    path : Path
+        The file, whose buffers and pictures are read.
+    document : dict
+        Its JSON.
+    wanted : iterable of (int, int)
+        Mesh and number of each primitive.
+    alpha : bool
+        Read the alpha of pictures and colours, too.
+    notes : Notes
+
+    Raises
+    ------
+    MeshError, ValueError
+        The file is broken.
+    """
+    buffers = Buffers(path, document)
+    looks = Looks(buffers, Pictures(path, alpha, notes))
+    made: dict[tuple[int, int], Piece] = {}
+    for mesh, number in dict.fromkeys(wanted):
+        primitive = document["meshes"][mesh]["primitives"][number]
+        piece = _piece(f"meshes[{mesh}].primitives[{number}]", primitive, buffers, looks, notes)
+        if len(piece.mesh.faces):
+            made[mesh, number] = piece
+    return made
+
+
+def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks, notes: Notes) -> Piece:
+    attributes = primitive.get("attributes")
+    if not isinstance(attributes, dict) or "POSITION" not in attributes:
+        raise MeshError(f"{buffers.path}: broken: {where} has no POSITION among its attributes")
+    positions = buffers.accessor(attributes["POSITION"], ("VEC3",))
+    packed = [name for name in COMPRESSED if name in primitive.get("extensions", {})]
+    if packed and "bufferView" not in buffers.document["accessors"][attributes["POSITION"]]:
+        raise MeshError(f"{buffers.path}: {where} is stored by {packed[0]}, which is not read; export without it")
+    if "indices" in primitive:
+        corners = buffers.indices(primitive["indices"])
+        check_corners(corners, len(positions))
+    else:
+        corners = np.arange(len(positions))
+    faces = _faces(where, primitive.get("mode", TRIANGLES), corners, notes)
+
+    def at_corners(name: str, *types: str) -> Array | None:
+        if name not in attributes:
+            return None
+        values = buffers.accessor(attributes[name], types)
+        if len(values) != len(positions):
+            raise ValueError(f"{where} has {len(positions)} vertices, and {len(values)} entries of {name}")
+        return values[faces]
+
+    look = looks.of(primitive.get("material"))
+    uv = at_corners(f"TEXCOORD_{look.uv_set}", "VEC2")
+    if uv is None and look.picture is not None:
+        notes.count(len(faces), NO_PLACE)
+    if uv is None and look.uv_set:
+        uv = at_corners("TEXCOORD_0", "VEC2")
+    normals = at_corners("NORMAL", "VEC3")
+    colours = at_corners("COLOR_0", "VEC3", "VEC4")
+    return Piece(
+        Mesh(positions, faces, normals),
+        _in_picture(uv, look) if uv is not None else None,
+        look.picture if uv is not None else None,
+        look.factor,
+        look.material,
+        look.alpha_mode,
+        look.alpha_cutoff,
+        look.wrap,
+        _with_channels(np.clip(colours, 0.0, 1.0), len(look.factor)) if colours is not None else None,
+    )
+
+
+def _faces(where: str, mode: int, corners: Index, notes: Notes) -> Index:
+    """Return the (m, 3) facets of a list, strip or fan (section 3.7.2.1)."""
+    if mode == TRIANGLES:
+        notes.count(len(corners) % 3, f"{{}} corners of {where} make no facet")
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if len(corners) < 3:
+        return np.zeros((0, 3), np.int64)
+    k = np.arange(len(corners) - 2)
+    if mode == STRIP:
+        return np.stack([corners[k], corners[k + 1 + k % 2], corners[k + 2 - k % 2]], axis=-1)
+    assert mode == FAN
+    return np.stack([corners[k + 1], corners[k + 2], np.full(len(k), corners[0])], axis=-1)
+
+
+def _in_picture(uv: Array, look: Look) -> Array:
+    """Return the place in the picture, counted from its bottom left: glTF counts from its top left."""
+    u, v = (
+        look.to_picture[k, 0] * uv[..., 0] + look.to_picture[k, 1] * uv[..., 1] + look.to_picture[k, 2] for k in (0, 1)
+    )
+    return np.stack([u, 1.0 - v], axis=-1)
+
+
+def _with_channels(colours: Array, channels: int) -> Array:
+    """Return colours with as many channels as a factor has; they are opaque where they give no alpha."""
+    if colours.shape[2] < channels:
+        return np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=2)
+    return colours[..., :channels]

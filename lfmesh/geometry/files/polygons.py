@@ -1,0 +1,119 @@
+"""Polygons of mesh files, cut into triangles that cover the same area.
+
+A convex polygon becomes a fan. Any other one is cut by its ears (mapbox_earcut), so that a notch stays open. A hole
+that a polygon reaches by a cut through itself, as programs write rings, stays a hole.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.meshes.mesh import Array, Index
+
+MOST_CORNERS = 20_000
+"""Of a polygon that is not convex: cutting takes a time that may grow as their square."""
+
+
+class Cut(NamedTuple):
+    """Triangles of some polygons.
+
+    Attributes
+    ----------
+    corners : (m, 3) int64
+        Place of each triangle's corners among the corners of all polygons.
+    polygon : (m,) int64
+        Polygon that each triangle is cut from, ascending.
+    """
+
+    corners: Index
+    polygon: Index
+
+
+def cut(points: Array, corners: Index, counts: Index) -> Cut:
+    """Cut polygons into triangles.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    corners : (k,) int64
+        Point at each corner, polygon after polygon.
+    counts : (p,) int64
+        Corners of each polygon; those with fewer than three have no triangles.
+
+    Raises
+    ------
+    ValueError
+        A polygon that is not convex has more than `MOST_CORNERS` corners.
+    """
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]]) if len(counts) else np.zeros(0, np.int64)
+    found: list[Index] = []
+    owners: list[Index] = []
+    lengths = np.flatnonzero(np.bincount(counts)) if len(counts) else counts
+    for count in lengths[lengths >= 3].tolist():
+        those = np.flatnonzero(counts == count)
+        places = starts[those][:, None] + np.arange(count)
+        if count == 3:
+            found.append(places)
+            owners.append(those)
+            continue
+        fan = _convex(points[corners[places]])
+        triangles = [[0, k, k + 1] for k in range(1, count - 1)]
+        found.append(places[fan][:, triangles].reshape(-1, 3))
+        owners.append(np.repeat(those[fan], count - 2))
+        for polygon, own in zip(those[~fan].tolist(), places[~fan], strict=True):
+            cut_off = own[_ears(points[corners[own]])]
+            found.append(cut_off)
+            owners.append(np.full(len(cut_off), polygon))
+    if not found:
+        return Cut(np.zeros((0, 3), np.int64), np.zeros(0, np.int64))
+    if len(found) == 1:
+        return Cut(found[0], owners[0])
+    owner = np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    return Cut(np.concatenate(found)[order], owner[order])
+
+
+def _newell(polygons: Array) -> Array:
+    """Return twice the vector area of polygons, (g, k, 3), each by the normal that Newell's method gives it."""
+    relative = polygons - polygons[:, :1]
+    return np.asarray(np.cross(relative[:, 1:-1], relative[:, 2:]).sum(axis=1))
+
+
+def _convex(polygons: Array) -> NDArray[np.bool_]:
+    """Tell which polygons, (g, k, 3), have corners that all turn one way, so that a fan covers each once.
+
+    One with a corner that is straight, or with coordinates that are no numbers, counts as not convex.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        normal = _newell(polygons)
+        edge = np.roll(polygons, -1, axis=1) - polygons
+        turns = np.einsum("gki,gi->gk", np.cross(np.roll(edge, 1, axis=1), edge), normal)
+        relative = polygons[:, 1:] - polygons[:, :1]
+        fan = np.einsum("gki,gi->gk", np.cross(relative[:, :-1], relative[:, 1:]), normal)
+        return np.asarray((turns > 0.0).all(axis=1) & (fan > 0.0).all(axis=1))
+
+
+def _ears(polygon: Array) -> NDArray[np.int64]:
+    """Return the triangles, (m, 3), of a polygon (k, 3), in its own sense."""
+    import mapbox_earcut
+
+    count = len(polygon)
+    fan = np.array([[0, k, k + 1] for k in range(1, count - 1)])
+    if not np.isfinite(polygon).all():
+        return fan
+    if count > MOST_CORNERS:
+        raise ValueError(f"a polygon that is not convex has {count:,} corners; {MOST_CORNERS:,} are the most")
+    with np.errstate(over="ignore", invalid="ignore"):
+        normal = _newell(polygon[None])[0]
+    if not (np.isfinite(normal).all() and normal.any()):
+        return fan
+    # Along the axis that is nearest its normal, the polygon is seen whole, and its coordinates stay as they are.
+    axis = int(np.abs(normal).argmax())
+    flat = np.ascontiguousarray(polygon[:, [(axis + 1) % 3, (axis + 2) % 3]])
+    ears = mapbox_earcut.triangulate_float64(flat, np.array([count], np.uint32)).astype(np.int64).reshape(-1, 3)
+    (ux, uy), (vx, vy) = (flat[ears[:, k]].T - flat[ears[:, 0]].T for k in (1, 2))
+    area = ux * vy - uy * vx
+    against = area * normal[axis] < 0.0
+    ears[against] = ears[against][:, ::-1]
+    return np.asarray(ears)

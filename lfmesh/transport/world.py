@@ -377,7 +377,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     cells, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known, book)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
-    refuse_collisions(scene, lens, mla, moves)
+    refuse_collisions(scene, shape, lens, mla, moves)
     seen_moves = apparent_frames(scene, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(scene, targets, housing, moves)

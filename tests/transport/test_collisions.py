@@ -29,6 +29,36 @@ def test_parts_that_reach_into_each_other_are_refused(changes: dict[str, Any], f
         lf.build(first_light(changes))
 
 
+HOLLOW = [
+    {"radius_mm": 20.0, "thickness_mm": 6.0, "index": 1.5, "semi_diameter_mm": 8.0, "stop": True},
+    {"radius_mm": 10.0, "semi_diameter_mm": 8.0},
+]
+"""A lens whose last surface is a bowl 4 mm deep, open towards the sensor."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "fits"),
+    [
+        ({"distance_mm": 1.76}, True),  # the bowl is 1.754 mm deep at the corners of the sensor
+        ({"distance_mm": 1.75}, False),
+        ({"distance_mm": 1.0}, False),
+        # An edge that dips by 0.7 mm, and one that is shifted out of the middle of the bowl.
+        ({"distance_mm": 2.4, "pose": {"tilt_deg": [0.0, 10.0, 0.0]}}, False),
+        ({"distance_mm": 2.8, "pose": {"tilt_deg": [0.0, 10.0, 0.0]}}, True),
+        ({"distance_mm": 2.0, "pose": {"shift_mm": [1.0, 0.0, 0.0]}}, False),
+    ],
+)
+def test_a_sensor_in_the_hollow_of_the_last_surface_must_clear_the_surface(changes: dict[str, Any], fits: bool) -> None:
+    """The sag of a sphere of 10 mm at the height h is 10 − √(100 − h²); the corners of 8 mm × 8 mm are at h = 5.66."""
+    sensor = {"pixels": [8, 8], "pixel_mm": 1.0} | changes
+    scene = lf.Scene(camera={"lens": {"surfaces": HOLLOW}, "sensor": sensor})
+    if fits:
+        lf.build(scene)
+        return
+    with pytest.raises(lf.SceneError, match="into the lens"):
+        lf.build(scene)
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.meshes.crossings import parts_in_shells, set_back
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.kernels.by_address import by_address
 from lfmesh.scene import Scene
+from lfmesh.transport.tables.contacts import CUT
 from lfmesh.transport.tables.tables import AIR, OPAQUE, Media
 
 Numbers = NDArray[np.int64]
@@ -57,18 +58,52 @@ class Hosts(NamedTuple):
         per_mm[self.medium[bodies]] = 0.0
         return self.media._replace(absorption=self.media.absorption._replace(per_mm=per_mm))
 
-    def top_round(self, points: Array) -> Numbers:
-        """Return the body of the highest rank that points are in, (n,); −1: none.
+    def number_of(self, body: int | None) -> int:
+        """Return the number of the medium of a body, None for what bodies stand in."""
+        return AIR if body is None else int(self.medium[body])
+
+    def near(self, surface: Array) -> list[int]:
+        """Return the bodies whose boxes meet that of a surface, given by the corners (n, 3, 3) of its facets."""
+        low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
+        boxes = self.boxes_mm
+        return [
+            body
+            for body in np.flatnonzero(self.rank).tolist()
+            if (boxes[body][0] <= high).all() and (boxes[body][1] >= low).all()
+        ]
+
+    def touching_mm(self, surface: Array, bodies: list[int]) -> float:
+        """Return the distance within which a surface touches some bodies, mm."""
+        parts = [surface, *(self.corners[body] for body in bodies)]
+        return CUT * min(float(np.ptp(corners, axis=(0, 1)).max()) for corners in parts)
+
+    def top_along(self, surface: Array, *, just_inside: bool = False) -> list[int | None]:
+        """Return the bodies in which parts of a surface are, of several in one place that of the highest rank.
+
+        None stands for what bodies stand in. Parts that lie on faces of bodies, within the distance within which bodies
+        touch, are not asked about.
 
         Parameters
         ----------
-        points : (n, 3) float64, mm, world frame
+        surface : (n, 3, 3) float64, mm, world frame
+            Corners of its facets.
+        just_inside : bool
+            Of what is just behind the surface.
         """
-        found, rank = np.full(len(points), -1), np.zeros(len(points), np.int64)
-        for body in np.flatnonzero(self.rank):
-            takes = (winding(self.corners[body], points) != 0) & (self.rank[body] > rank)
-            found[takes], rank[takes] = body, self.rank[body]
-        return found
+        bodies = self.near(surface)
+        if not bodies:
+            return [None]
+        touching = self.touching_mm(surface, bodies)
+        own = set_back(surface, touching) if just_inside else surface
+        parts, _ = parts_in_shells(own, [self.corners[body] for body in bodies], touching)
+        tops = {
+            max((body for body, holds in zip(bodies, row, strict=True) if holds), key=self._rank_of, default=None)
+            for row in parts.tolist()
+        }
+        return sorted(tops, key=self._rank_of) or [None]
+
+    def _rank_of(self, body: int | None) -> int:
+        return 0 if body is None else int(self.rank[body])
 
 
 def hosts_of(scene: Scene, targets: list[TargetMesh], ranks: Numbers, medium: Numbers, media: Media) -> Hosts:

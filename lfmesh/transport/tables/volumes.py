@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.shell_tree import tree_of
+from lfmesh.geometry.objects.primitives import box_of_glass, primitive
 from lfmesh.geometry.objects.refractors import bounding_mesh
 from lfmesh.geometry.voxels import VoxelGrid, read_voxels
 from lfmesh.kernels.by_address import by_address
@@ -22,6 +23,7 @@ from lfmesh.scene.light.spectra import Spectrum, curve_of, planck_curve
 from lfmesh.scene.media.media import Medium, MeshBounds
 from lfmesh.scene.media.phase import IsotropicPhase
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.displaced import refuse_displaced
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.phases import phase_functions
@@ -195,7 +197,10 @@ def volume_tables(
             )
         if body is None:
             _refuse_behind_lens(row, where, moves, corners)
-        _refuse_displaced(row, where, moves, hosts, body, corners)
+        boundary = _boundary(row, corners)
+        if boundary is not None:
+            to_world = frame.compose(moves[OBJECT_FRAME, WORLD_FRAME], frame.inverse(row["to_own"]))
+            refuse_displaced(frame.points(to_world, boundary.reshape(-1, 3)).reshape(-1, 3, 3), where, hosts, body)
         if spectrum.any():
             brightness = _brightness(row, grid, absorption[i], spectrum, planck)
             powers[i] = 4.0 * np.pi / W_MM3 * brightness.sum() * np.prod(row["high"] - row["low"]) / brightness.size
@@ -356,32 +361,20 @@ def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
     row["low"], row["high"] = row["box"]
 
 
-def _refuse_displaced(
-    row: np.void, where: str, moves: Array, hosts: Hosts, body: int | None, shell: Array | None
-) -> None:  # fmt: skip
-    """Refuse a medium in air that lies in a body, which displaces it, and one in a body that it lies beside."""
+def _boundary(row: np.void, shell: Array | None) -> Array | None:
+    """Return the corners of the facets of the boundary of a medium, (m, 3, 3) mm, own frame; None if it has no end."""
     corners = corners_of(row)
     if corners is None:
-        return
+        return None
     if row["cells"][0] == 0 and shell is not None:
-        corners = shell.reshape(-1, 3)
-    elif row["cells"][0] == 0 and row["bounds"] == SPHERE:
-        corners = row["size"][0] * np.concatenate([np.eye(3), -np.eye(3)])
+        return shell
+    low, high = corners[0], corners[-1]
+    mesh = box_of_glass(tuple((high - low).tolist()))
+    if row["cells"][0] == 0 and row["bounds"] == SPHERE:
+        mesh = primitive(Sphere(radius_mm=float(row["size"][0]))).mesh
     elif row["cells"][0] == 0 and row["bounds"] == CYLINDER:
-        corners = corners * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
-    to_world = frame.compose(moves[OBJECT_FRAME, WORLD_FRAME], frame.inverse(row["to_own"]))
-    placed = frame.points(to_world, np.concatenate([corners, corners.mean(axis=0)[None]]))
-    if body is not None:
-        low, high = hosts.boxes_mm[body]
-        if (placed.max(axis=0) < low).any() or (placed.min(axis=0) > high).any():
-            raise SceneError(f"{where}: lies wholly outside {hosts.names[body]}, which it is inside: move it")
-        return
-    displaces = hosts.top_round(placed)
-    if (displaces >= 0).all():
-        name = hosts.names[displaces[0]]
-        raise SceneError(
-            f'{where}: lies inside {name}, which displaces what is round it; give inside = "{name}", or move it'
-        )
+        mesh = primitive(Cylinder(radius_mm=float(row["size"][0]), height_mm=2.0 * float(row["size"][2]))).mesh
+    return np.asarray(mesh.vertices[mesh.faces] + 0.5 * (low + high))
 
 
 def _grid_of(scene: Scene, medium: Medium, where: str) -> VoxelGrid | None:

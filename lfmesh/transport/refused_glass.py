@@ -1,9 +1,9 @@
 """Refuse bodies of glass in object space through which rays cannot be traced.
 
 A packet keeps track of the bodies of glass that it is in, by the surfaces that it crosses. So no surface may cut
-itself, the shells of a body must be nested with the right orientation, and everything that starts packets (the camera,
-lamps, and in the forward method emitting targets) must stand in air. Where bodies overlap, it must be defined which of
-them counts: the one of higher priority or, at equal priority, the one that lies inside the other.
+itself, the shells of a body must be nested with the right orientation, and camera and lamps must stand in air. Where
+bodies overlap, it must be defined which of them counts: the one of higher priority or, at equal priority, the one that
+lies inside the other.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.meshes.crossings import parts_in_shells
 from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, crossings, facet_normals, joined
 from lfmesh.geometry.meshes.winding import shells, winding
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
@@ -71,10 +72,8 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     if len(bodies) > MOST_BODIES:
         raise SceneError(f"{len(bodies)} targets are glass bodies; there can be {MOST_BODIES}")
     priority = {i: _priority(scene, i) for i in bodies}
-    emitting = [i for i, t in enumerate(scene.targets) if t.material.emits and i not in bodies]
-    emitting = emitting if scene.transport.method == "forward" else []
-    names = {i: named_target(scene, i) for i in (*bodies, *emitting)}
-    meshes = {i: targets[i].mesh for i in names}
+    names = {i: named_target(scene, i) for i in bodies}
+    meshes = {i: targets[i].mesh for i in bodies}
     _refuse_cuts(meshes, names, priority)
     parts = {i: [meshes[i].vertices[meshes[i].faces[facets]] for facets in shells(meshes[i])] for i in bodies}
     _refuse_wrong_shells(parts, names)
@@ -83,17 +82,11 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     # A body inside another of its priority is also inside all bodies that enclose that one, and so inside more.
     order = sorted(bodies, key=lambda i: (priority[i], len(holders[i])))
     parts = {i: parts[i] for i in reversed(order)}
-    _refuse_crowds(parts, names)
+    _refuse_crowds(parts, names, touching_mm(list(meshes.values())))
     _refuse_covered_faces(scene, targets, bodies)
     _refuse_camera_inside(parts, names, front)
     for number, light in enumerate(scene.lights):
         _refuse_lamp_inside(parts, names, number, light)
-    for i in emitting:
-        # As nothing cuts it, each connected part lies wholly inside the glass or wholly outside.
-        first = [facets[0] for facets in shells(meshes[i])]
-        body = _holding(parts, meshes[i].vertices[meshes[i].faces[first]].mean(axis=1))
-        if body is not None:
-            raise SceneError(f"{names[i]} emits inside {names[body]}; {FORWARD_IN_GLASS}")
     ranks[order] = np.arange(1, len(bodies) + 1)
     return ranks
 
@@ -103,17 +96,13 @@ def _priority(scene: Scene, number: int) -> int:
     return 0 if refractor is None else refractor.priority
 
 
-FORWARD_IN_GLASS = 'the forward method starts light in air only: move it out, or take transport.method = "adjoint"'
-
-
 def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[int, int]) -> None:
     """Refuse surfaces that cut themselves or another surface of the same priority."""
-    glass = set(priority)
     mesh = joined(meshes.values())
     owner = np.repeat(list(meshes), [len(m.faces) for m in meshes.values()])
     sizes = {i: float(np.ptp(m.vertices, axis=0).max()) for i, m in meshes.items()}
     size = np.array([sizes[i] for i in owner])
-    found = cut(mesh, owner, size, glass, priority)
+    found = cut(mesh, owner, size, priority)
     if found is None:
         return
     one, other, (x, y, z) = found
@@ -123,9 +112,6 @@ def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[
             f"{names[one]}: its surface cuts itself {where}; the surface of a glass body must not: join its parts into "
             "one body (a Boolean union) and export it again"
         )
-    if not {one, other} <= glass:
-        body, emitter = (one, other) if one in glass else (other, one)
-        raise SceneError(f"{names[emitter]} emits partly inside {names[body]}, {where}; {FORWARD_IN_GLASS}")
     raise SceneError(
         f"{names[one]} and {names[other]}: these glass bodies cut each other {where}, and both have priority = "
         f"{priority[one]}; give the one that is to fill what they share the higher one, or move one"
@@ -133,7 +119,7 @@ def _refuse_cuts(meshes: dict[int, Mesh], names: dict[int, str], priority: dict[
 
 
 def cut(
-    mesh: Mesh, owner: Index, size: Array, glass: set[int] | None = None, priority: dict[int, int] | None = None
+    mesh: Mesh, owner: Index, size: Array, priority: dict[int, int] | None = None
 ) -> tuple[int, int, tuple[float, float, float]] | None:
     """Return two owners of facets that cut each other, and the place; None if there are none.
 
@@ -148,8 +134,6 @@ def cut(
         Owner of each facet.
     size : (m,) float64, mm
         Size of the owner of each facet.
-    glass : set of int, optional
-        Owners that may not be cut; the others may cut themselves and each other. All, if omitted.
     priority : dict of int, optional
         Priority of owners; two of different priority may cut each other.
     """
@@ -165,7 +149,6 @@ def cut(
     grain = FLOAT32_GRAIN * float(np.abs(vertices).sum(axis=1).max())
     finder = Finder(Mesh(vertices, mesh.faces))
     going, reach = np.arange(len(edges)), np.full(len(edges), grain)
-    is_glass = np.isin(owner, list(glass)) if glass is not None else np.ones(len(owner), dtype=bool)
     of_facet = np.array([(priority or {}).get(int(i), 0) for i in owner])
     for turn in range(MOST_ROUNDS):
         if not len(going):
@@ -182,8 +165,7 @@ def cut(
         passes = (before * after < 0.0) & (np.minimum(np.abs(before), np.abs(after)) > deep)
         passes &= ~(mesh.faces[facet][:, :, None] == edges[going][:, None, :]).any(axis=(1, 2))
         own = facet_of_edge[going]
-        passes &= is_glass[facet] | is_glass[own]
-        passes &= ~(is_glass[facet] & is_glass[own]) | (of_facet[facet] == of_facet[own])
+        passes &= of_facet[facet] == of_facet[own]
         for p, q in ((a, b), (b, c), (c, a)):
             # Inside the facet by as much, so that contact along an edge does not count.
             inward = np.cross(normals[facet], q - p)
@@ -263,22 +245,23 @@ def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> 
     return holders
 
 
-def _refuse_crowds(parts: Shells, names: dict[int, str]) -> None:
-    """Refuse a body a part of whose surface lies in more bodies at once than packets can keep."""
-    if len(parts) <= MOST_AT_ONCE:
-        return
+def _refuse_crowds(parts: Shells, names: dict[int, str], near: float) -> None:
+    """Refuse a body a part of whose surface lies in more bodies at once than packets can keep.
+
+    Where most bodies are at once, there is a part of the surface of one of them.
+    """
+    corners = {i: np.concatenate(own) for i, own in parts.items()}
     boxes = {i: _box(own) for i, own in parts.items()}
-    for i, own in parts.items():
-        points = _beside(_tried(np.concatenate(own), MOST_TRIED), A_LITTLE_INSIDE)
-        others = np.zeros(len(points), np.int64)
-        for j, its in parts.items():
-            low, high = boxes[j]
-            near = ((points >= low) & (points <= high)).all(axis=1)
-            if i != j and near.any():
-                others[near] += _turns(its, points[near]) != 0
-        most = int(others.max())
+    for i, own in corners.items():
+        low, high = boxes[i]
+        others = [corners[j] for j, its in boxes.items() if j != i and (its[0] <= high).all() and (its[1] >= low).all()]
+        if len(others) < MOST_AT_ONCE:
+            continue
+        inside, places = parts_in_shells(own, others, near)
+        counts = inside.sum(axis=1)
+        most = int(counts.max(initial=0))
         if most >= MOST_AT_ONCE:
-            x, y, z = points[int(others.argmax())]
+            x, y, z = places[int(counts.argmax())]
             raise SceneError(
                 f"{names[i]} lies inside {most} other glass bodies near ({x:.4g}, {y:.4g}, {z:.4g}) mm; it can lie in "
                 f"{MOST_AT_ONCE - 1}"
@@ -355,16 +338,21 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
                 continue
             if not boxes_meet(targets[i].mesh, targets[j].mesh, 0.0):
                 continue
-            meshes = targets[i].mesh, targets[j].mesh
-            parts = [[mesh.vertices[mesh.faces[facets]] for facets in shells(mesh)] for mesh in meshes]
-            shares = {_share_inside(*parts), _share_inside(*reversed(parts))}
-            if PART in shares and WHOLE not in shares:
+            if _cut_each_other(targets[i].mesh, targets[j].mesh):
                 lines.append(
                     f"{named_target(scene, i)} and {named_target(scene, j)} cut each other, and their facets stand for "
                     "curved surfaces. Rays that pass the cut as near as facets stand off these may be lost, or take "
                     "one body for the other. Finer meshes have less of it"
                 )
     return lines
+
+
+def _cut_each_other(one: Mesh, other: Mesh) -> bool:
+    """Tell whether the surfaces of two bodies, neither of which cuts itself, cut each other."""
+    mesh = joined([one, other])
+    counts = [len(one.faces), len(other.faces)]
+    sizes = [float(np.ptp(each.vertices, axis=0).max()) for each in (one, other)]
+    return cut(mesh, np.repeat([0, 1], counts), np.repeat(sizes, counts)) is not None
 
 
 def _box(shells: Sequence[Array]) -> tuple[Array, Array]:

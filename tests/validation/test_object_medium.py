@@ -217,7 +217,7 @@ def test_the_history_of_a_path_names_the_water() -> None:
 
 def test_faults_name_the_key() -> None:
     with pytest.raises(
-        lf.SceneError, match=r"gloss\.index = 1\.3: must be above that of camera\.object_medium, 1\.333"
+        lf.SceneError, match=r"gloss\.index = 1\.3: must not be below that of camera\.object_medium, 1\.333"
     ):
         lf.build(lit_in_water(**{"targets[0].material.gloss": {"index": 1.3, "roughness": 0.2}}))
 

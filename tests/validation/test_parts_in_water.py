@@ -4,10 +4,12 @@ Brewster's angle of a face in water is the arc tangent of its index over that of
 by the same ratio. Power and radiance are those in the water; out of it radiance is divided by n².
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from scipy import stats
 
 import lfmesh as lf
@@ -109,17 +111,23 @@ def test_gloss_in_a_tank_reflects_by_its_index_over_the_liquids() -> None:
     box = {"shape": {"kind": "box", "size_mm": [6.0, 6.0, 6.0]}, "material": lacquer, "position_mm": [0.0, -15.1, -150]}
     outside = box | {"position_mm": [0.0, 0.0, -120.0]}
     scene = lf.Scene(camera=camera_without_array(), tanks=[tank], targets=[box, outside])
-    tables = lf.build(scene).tables.objects.scattering
-    for row, around in ((0, 1.4), (1, 1.0)):
-        place = tables.models["first"][row] + np.array([INDEX, EXTINCTION])
-        reflected = interface_reflectance(*tables.parameters[place, 0], np.array([1.0]))
-        assert reflected[0] == pytest.approx(((1.5 - around) / (1.5 + around)) ** 2, rel=1e-12)
     half_in = scene.changed({"targets[0].position_mm": [0.0, 0.0, -131.0]})
-    with pytest.raises(lf.SceneError, match=r"targets\[0\]: stands in media of the refractive indices 1, 1\.5, 1\.4,"):
-        lf.build(half_in)
-    thin = scene.changed({"targets[0].material.gloss.index": 1.35})
-    with pytest.raises(lf.SceneError, match=r"gloss\.index = 1\.35: must be above that of tanks\[0\] liquid, 1\.4"):
+    # Half in the tank it meets the wall too, in which it reflects nothing.
+    for each, target, media in ((scene, 0, (1.4,)), (scene, 1, (1.0,)), (half_in, 0, (1.0, 1.5, 1.4))):
+        objects = lf.build(each).tables.objects
+        for around in media:
+            medium = objects.media.indices[:, 0].tolist().index(around)
+            model = objects.scattering.models[objects.glass.models[target, medium]]
+            index, extinction = objects.scattering.parameters[model["first"] + np.array([INDEX, EXTINCTION]), 0]
+            reflected = interface_reflectance(index, extinction, np.array([1.0]))
+            assert reflected[0] == pytest.approx(((1.5 - around) / (1.5 + around)) ** 2, rel=1e-12)
+    thin = scene.changed({"targets[0].material.gloss.index": 1.35, "targets[0].position_mm": [0.0, -14.9, -150.0]})
+    with pytest.raises(lf.SceneError, match=r"gloss\.index = 1\.35: must not be below that of tanks\[0\] liquid, 1\.4"):
         lf.build(thin)
+    on_floor = scene.changed({"targets[0].material.gloss.index": 1.45})
+    with pytest.raises(lf.SceneError, match=r"gloss\.index = 1\.45: must not be below that of tanks\[0\] wall, 1\.5"):
+        lf.build(on_floor)
+    lf.build(on_floor.changed({"targets[0].position_mm": [0.0, -14.9, -150.0]}))
 
 
 def test_a_stop_before_the_port_is_no_face_of_water() -> None:
@@ -142,3 +150,89 @@ def test_a_stop_before_the_port_is_no_face_of_water() -> None:
     assert lf.first_order(scene).entrance_pupil_z_mm == pytest.approx(0.0, abs=1e-12)
     paths = lf.trace(lf.build(named), -10.0 * ahead, ahead, split="transmit")
     assert paths.position[0, 0] > x + 0.1
+
+
+SHEET: dict[str, Any] = {
+    "shape": {"kind": "plane", "width_mm": 150.0, "height_mm": 150.0}, "position_mm": [0.0, 0.0, -75.0],
+    "rotation_deg": [0.0, 20.0, 0.0],
+    "material": {"reflectance": 0.0, "gloss": {"index": 1.5, "roughness": 0.3}},
+}  # fmt: skip
+HOT: dict[str, Any] = {
+    "reflectance": 0.9, "temperature_k": 1500.0, "gloss": {"index": 1.5, "roughness": 0.3},
+}  # fmt: skip
+BAND = [{"name": "b", "center_nm": 600.0, "fwhm_nm": 30.0}]
+
+
+def before_a_tank(targets: list[dict[str, Any]], method: str, **changes: Any) -> lf.Scene:
+    """A camera that sees, through the front of a tank, only what stands in the water."""
+    surfaces = [
+        {"radius_mm": 10.0, "thickness_mm": 2.0, "index": 1.5, "semi_diameter_mm": 2.2, "stop": True},
+        {"radius_mm": -10.0, "semi_diameter_mm": 2.4},
+    ]
+    tank = {"size_mm": [40.0, 36.0, 20.0], "wall_mm": 2.0, "position_mm": [0.0, 0.0, -75.0], "wall": {"index": 1.5},
+            "liquid": {"index": WATER}}  # fmt: skip
+    scene = lf.Scene(
+        camera={"focus_mm": 100.0, "lens": {"surfaces": surfaces, "f_number": 2.6},
+                "sensor": {"pixels": [6, 6], "pixel_mm": 0.4}},
+        targets=targets, tanks=[tank],
+        transport={"split": "transmit", "samples": 128 if method == "adjoint" else 4096, "method": method},
+    )  # fmt: skip
+    return scene.changed(changes)
+
+
+def same_totals(one: lf.Scene, other: lf.Scene, within: float) -> None:
+    """Compare the totals of two scenes by a z-test at 4 σ of 12 seeds, whose error is a small share of them."""
+    sums = [np.array([image.mean.sum() for image in by_seed(each, range(12))]) for each in (one, other)]
+    error = np.hypot(*(stats.sem(each) for each in sums))
+    assert error < within * sums[0].mean()
+    assert abs(sums[1].mean() - sums[0].mean()) < 4.0 * error
+
+
+METHODS = pytest.mark.parametrize("method", ["adjoint", pytest.param("forward", marks=pytest.mark.long)])
+
+
+@METHODS
+def test_a_glossy_sheet_in_water_looks_the_same_where_it_goes_on_through_the_wall(method: str) -> None:
+    """The part in view is in the water in both scenes, and reflects none of its own light."""
+    lamp = {"kind": "point", "position_mm": [25.0, 5.0, -55.0], "power_w": 1.0}
+    small = SHEET | {"shape": {"kind": "plane", "width_mm": 30.0, "height_mm": 30.0}}
+    same_totals(*(before_a_tank([each], method, lights=[lamp]) for each in (small, SHEET)), within=0.1)
+
+
+def ring(path: Path, inner: tuple[float, float], outer: tuple[float, float]) -> dict[str, Any]:
+    """A hot glossy sheet between two rectangles, given by width and height in mm, about the middle of the tank."""
+    (a, b), (c, d) = np.multiply(0.5, inner), np.multiply(0.5, outer)
+    corners = [[[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]]
+               for x0, y0, x1, y1 in ((-c, -d, c, -b), (-c, b, c, d), (-c, -b, -a, b), (a, -b, c, b))]  # fmt: skip
+    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(4)])
+    trimesh.Trimesh(np.concatenate(corners), faces, process=False).export(path)
+    return {"file": str(path), "units": "mm", "position_mm": [0.0, 0.0, -75.0], "material": HOT}
+
+
+@METHODS
+def test_a_hot_glossy_sheet_across_a_wall_looks_as_cut_at_the_faces_of_the_wall(tmp_path: Path, method: str) -> None:
+    """Each of the three pieces is in one medium; all light their neighbours by total reflection at the window."""
+    sheet = {"position_mm": [0.0, 0.0, -75.0], "material": HOT}
+    whole = sheet | {"shape": {"kind": "plane", "width_mm": 150.0, "height_mm": 150.0}}
+    gap = 2e-3
+    pieces = [
+        sheet | {"shape": {"kind": "plane", "width_mm": 36.0 - gap, "height_mm": 32.0 - gap}},
+        ring(tmp_path / "wall.stl", (36.0 + gap, 32.0 + gap), (40.0 - gap, 36.0 - gap)),
+        ring(tmp_path / "outside.stl", (40.0 + gap, 36.0 + gap), (150.0, 150.0)),
+    ]
+    bands = {"camera.sensor.bands": BAND}
+    one, other = before_a_tank([whole], method, **bands), before_a_tank(pieces, method, **bands)
+    assert [len(np.unique(lf.build(one).tables.objects.glass.models[0]))] == [3]
+    same_totals(one, other, within=0.02)
+
+
+@pytest.mark.long
+def test_both_methods_show_the_same_hot_gloss_across_a_wall() -> None:
+    """What the forward method starts in water has n² times its power in air."""
+    whole = {
+        "shape": {"kind": "plane", "width_mm": 150.0, "height_mm": 150.0},
+        "position_mm": [0.0, 0.0, -75.0],
+        "material": HOT,
+    }
+    both = (before_a_tank([whole], method, **{"camera.sensor.bands": BAND}) for method in ("adjoint", "forward"))
+    same_totals(*both, within=0.05)

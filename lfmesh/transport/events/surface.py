@@ -17,17 +17,17 @@ EMITTED = 1 << 24
 
 @inlined
 def point_of(
-    objects: ObjectTables, prim: int, colour: int, place: tuple[float, float, float], side: float, to_light: bool
+    objects: ObjectTables, packet: Any, prim: int, place: tuple[float, float, float], side: float, to_light: bool
 ) -> Point:  # fmt: skip
     """Return a point on one side of a facet, with its scattering model and the value of its texture.
 
     Parameters
     ----------
     objects : ObjectTables
+    packet : PACKET
+        Its wavelength and its medium are those at the point.
     prim : int
         Facet.
-    colour : int
-        Number of the wavelength.
     place : (3,) float, mm
     side : float
         1: the side that the normal points to, −1: the other.
@@ -35,17 +35,34 @@ def point_of(
         Whether packets leave it towards the light, as in the adjoint method.
     """
     x, y, z = place
-    texel = _texture_at(objects, prim, colour, x, y, z)
+    texel = _texture_at(objects, prim, packet.colour, x, y, z)
     facet = objects.facets[prim]
     normal = facet.normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    model = objects.model[prim]
+    model = _model_in(objects.glass, objects.model[prim], packet.medium)
     if side < 0.0:
         model = objects.scattering.models[model].behind
     if not objects.smooth[facet.body]:
         return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
     sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
     return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
+
+
+@inlined
+def _model_in(glass: Any, model: int, medium: int) -> int:
+    """Return the row of a scattering model in the medium at the point: a gloss reflects by its index over that.
+
+    Parameters
+    ----------
+    glass : GlassTables or None
+        None: there is only one medium, and numba compiles nothing but the first line.
+    model : int
+        Row of the model in the first medium of its target.
+    medium : int
+    """
+    if glass is None:
+        return model
+    return glass.models[model, medium]
 
 
 @inlined

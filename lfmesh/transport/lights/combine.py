@@ -316,7 +316,7 @@ def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) ->
     cosine = side * (own.normal[0] * ux + own.normal[1] * uy + own.normal[2] * uz)
     if cosine <= EDGE:
         return 0.0, 0.0, 0.0
-    point = point_of(objects, packet.facet, packet.colour, (x, y, z), side, True)
+    point = point_of(objects, packet, packet.facet, (x, y, z), side, True)
     by_chance = density(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
     brdf = evaluate(objects.scattering, point, packet.colour, (ix, iy, iz), (ux, uy, uz))
     if by_chance > 0.0:

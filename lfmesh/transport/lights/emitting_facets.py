@@ -102,7 +102,7 @@ def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
     """
     ray, normal = way.ray, objects.facets[way.goal].normal
     side = -1.0 if normal[0] * ray.dx + normal[1] * ray.dy + normal[2] * ray.dz > 0.0 else 1.0
-    there = point_of(objects, way.goal, packet.colour, along(ray, way.reach), side, True)
+    there = point_of(objects, packet, way.goal, along(ray, way.reach), side, True)
     return emitted_radiance(objects, packet, there, -ray.dx, -ray.dy, -ray.dz)
 
 

@@ -100,7 +100,7 @@ def meet_target(space: ObjectSpace, packet: Any, prim: int, x: float, y: float, 
             return
         packet.weight = weight
     side = -1.0 if along > 0.0 else 1.0
-    point = point_of(objects, prim, packet.colour, (x, y, z), side, options.adjoint)
+    point = point_of(objects, packet, prim, (x, y, z), side, options.adjoint)
     share = albedo(objects.scattering, point, packet.colour, dx, dy, dz)
     if options.adjoint and counts(options, packet):
         _gather(space, packet, point, share > 0.0)

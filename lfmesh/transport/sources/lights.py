@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
-from lfmesh.kernels.decorators import kernel
+from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.kernels.search import drawn_by
 from lfmesh.optics.scattering import about
 from lfmesh.transport.engine import Workspace
@@ -36,6 +36,7 @@ from lfmesh.transport.sources.source import Source
 from lfmesh.transport.sources.wavelengths import ALONE, Turn, order_of_packets
 from lfmesh.transport.tables.lights import MM2
 from lfmesh.transport.tables.lines import Nodes
+from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, FIRST_VOLUME, ObjectTables
 
 Array = NDArray[np.float64]
@@ -214,12 +215,50 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     side = 1.0
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0
-    weight *= objects.emission_spectra[body, packet.colour]
+    weight *= objects.emission_spectra[body, packet.colour] * _enter_bodies(
+        objects.glass, objects, packet, body, x, y, z
+    )
     if objects.opacity[body] < 1.0:
         weight *= opacity_at(objects, prim, x, y, z)
-    point = emission_of(objects, point_of(objects, prim, packet.colour, (x, y, z), side, False), key)
+    point = emission_of(objects, point_of(objects, packet, prim, (x, y, z), side, False), key)
     emitted = weight * albedo(objects.scattering, point, packet.colour, 0.0, 0.0, 0.0)
     flow.book[EMITTED] += emitted
     packet.start = emitted
     packet.weight = emitted
     scatter(space, packet, point, weight, emitted)
+
+
+@inlined
+def _enter_bodies(
+    glass: Any, objects: ObjectTables, packet: Any, target: int, x: float, y: float, z: float
+) -> float:  # fmt: skip
+    """Let a packet start in the bodies round its place; return its power there over that in what bodies stand in.
+
+    Parameters
+    ----------
+    glass : GlassTables or None
+        None: there are no bodies, and numba compiles nothing but the first line.
+    objects : ObjectTables
+    packet : PACKET
+    target : int
+        That emits.
+    x, y, z : float, mm
+        The place, object frame.
+
+    Returns
+    -------
+    float
+        n² by temperature, as the radiance of a black body; else 1. 0: in more bodies than packets can keep.
+    """
+    if glass is None or not glass.emits_inside[target]:
+        return 1.0
+    inside = bodies_at(objects, x, y, z)
+    if inside == TOO_MANY:
+        return 0.0
+    packet.medium = medium_of(objects, inside)
+    set_bodies(packet, inside)
+    emission = objects.scattering.models[objects.scattering.models[target].emission]
+    if emission.kind != THERMAL:
+        return 1.0
+    ratio = objects.media.indices[packet.medium, packet.colour] / objects.media.indices[AIR, packet.colour]
+    return ratio * ratio

@@ -57,18 +57,21 @@ def emitter_table(objects: ObjectTables) -> Emitters:
 def mean_emissions(objects: ObjectTables) -> Array:
     """Return the mean radiance over all directions of each target, its sides added, (targets, 2, wavelengths).
 
-    The first of the two is that where the texture is 0; the second is what a texture of 1 adds.
+    The first of the two is that where the texture is 0; the second is what a texture of 1 adds. In several media each
+    is the largest in any of them.
 
     Parameters
     ----------
     objects : ObjectTables
     """
     means = np.zeros((len(objects.radiance), 2, objects.radiance.shape[1]))
+    behind = objects.scattering.models["behind"]
     for body, radiance in enumerate(objects.radiance):
-        means[body] = radiance * mean_emission(objects.scattering, body)
+        rows = [body] if objects.glass is None else np.unique(objects.glass.models[body]).tolist()
+        means[body] = np.max([radiance * mean_emission(objects.scattering, row) for row in rows], axis=0)
         if not objects.one_sided[body]:
-            behind = int(objects.scattering.models["behind"][body])
-            means[body] += radiance * mean_emission(objects.scattering, behind)
+            others = [radiance * mean_emission(objects.scattering, int(behind[row])) for row in rows]
+            means[body] += np.max(others, axis=0)
     return means
 
 

@@ -1,7 +1,6 @@
-"""Places of glossy targets: a gloss reflects by its index over that of the medium round it."""
+"""Places of glossy targets: a gloss reflects by its index over that of the medium in which light meets it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.objects.targets import TargetMesh
@@ -10,12 +9,11 @@ from lfmesh.scene import Scene
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.tables import AIR, OPAQUE
 
-INWARDS = 1.0 / 16.0
-"""Share of the way to a target's middle by which places are asked for: facets that rest on a wall are in the liquid."""
 
+def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> list[tuple[int, ...]]:
+    """Return the numbers of the media that the surface of each target is in, one for each index among them.
 
-def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> NDArray[np.int64]:
-    """Return the number of the medium that each target stands in, (targets,); of those without gloss, what bodies do.
+    A target without gloss scatters alike in all media: its only number is that of the medium that bodies stand in.
 
     Parameters
     ----------
@@ -27,35 +25,35 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
     Raises
     ------
     SceneError
-        A glossy target stands in media of several indices, or its gloss, or its file's, has no higher index than the
-        medium.
+        A gloss, or that of a file's materials, has a lower index than a medium that the target reaches into.
     """
-    numbers = np.full(len(targets), AIR)
+    found: list[tuple[int, ...]] = []
     for i, (given, target) in enumerate(zip(scene.targets, targets, strict=True)):
-        gloss = given.material.gloss
-        if hosts.medium[i] != OPAQUE or (gloss is None and not target.materials):
+        if hosts.medium[i] != OPAQUE or (given.material.gloss is None and not target.materials):
+            found.append((AIR,))
             continue
-        places = target.mesh.vertices[target.mesh.faces].mean(axis=1)
-        places += INWARDS * (places.mean(axis=0) - places)
-        bodies = np.unique(hosts.top_round(places))
-        media = np.where(bodies < 0, AIR, hosts.medium[bodies])
-        indices = hosts.media.indices[media]
-        if (indices != indices[0]).any():
-            found = ", ".join(f"{index:.6g}" for index in indices[:, 0])
-            raise SceneError(
-                f"targets[{i}]: stands in media of the refractive indices {found}, by which its gloss reflects "
-                "differently; move it, or make it a target in each medium"
-            )
-        numbers[i] = media[0]
-        most = float(indices[0].max())
-        where = "camera.object_medium" if bodies[0] < 0 else hosts.names[bodies[0]]
-        if gloss is not None and gloss.index is not None and not gloss.index > most:
-            raise SceneError(
-                f"targets[{i}].material.gloss.index = {gloss.index:g}: must be above that of {where}, {most:.6g}"
-            )
-        if any(each.metallic < 1.0 for each in target.materials) and not most < DIELECTRIC_INDEX:
-            raise SceneError(
-                f"targets[{i}].file = {given.file!r}: the gloss of glTF materials has the index {DIELECTRIC_INDEX:g}, "
-                f'which must be above that of {where}, {most:.6g}; give materials = "ignore", and material'
-            )
-    return numbers
+        bodies = hosts.top_along(target.mesh.vertices[target.mesh.faces])
+        for body in bodies:
+            _refuse_lower_index(scene, i, target, hosts, body)
+        media = sorted({hosts.number_of(body) for body in bodies})
+        _, first = np.unique(hosts.media.indices[media], axis=0, return_index=True)
+        found.append(tuple(media[k] for k in sorted(first)))
+    return found
+
+
+def _refuse_lower_index(scene: Scene, number: int, target: TargetMesh, hosts: Hosts, body: int | None) -> None:
+    """Refuse a gloss that would reflect light totally: its facets have no table of that."""
+    given = scene.targets[number]
+    gloss, most = given.material.gloss, float(hosts.index_of(body).max())
+    where = "camera.object_medium" if body is None else hosts.names[body]
+    if gloss is not None and gloss.index is not None and gloss.index < most:
+        raise SceneError(
+            f"targets[{number}].material.gloss.index = {gloss.index:g}: must not be below that of {where}, {most:.6g}, "
+            "which the target reaches into: keep it clear of that, or give a higher index"
+        )
+    if any(each.metallic < 1.0 for each in target.materials) and most > DIELECTRIC_INDEX:
+        raise SceneError(
+            f"targets[{number}].file = {given.file!r}: the gloss of glTF materials has the index "
+            f"{DIELECTRIC_INDEX:g}, which must not be below that of {where}, {most:.6g}, which the target reaches "
+            'into; give materials = "ignore", and material'
+        )

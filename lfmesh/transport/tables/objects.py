@@ -13,7 +13,6 @@ from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.geometry.objects.texture import Texture, is_grey
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import mesh_sag, on_circles, revolved
-from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
@@ -21,14 +20,13 @@ from lfmesh.transport.packets.book import LOST_OUTSIDE, Book
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.tables.contacts import contacts, touching_mm
 from lfmesh.transport.tables.emitting_facets import emitter_table, mean_emissions, no_emitters
+from lfmesh.transport.tables.facet_models import facet_models
 from lfmesh.transport.tables.frames import frame_table
-from lfmesh.transport.tables.gloss_places import media_round_gloss
-from lfmesh.transport.tables.hosts import hosts_of
+from lfmesh.transport.tables.hosts import Hosts, hosts_of
 from lfmesh.transport.tables.lens import curved
 from lfmesh.transport.tables.lights import MM2, light_tables, power_towards
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList
-from lfmesh.transport.tables.scattering import scattering_tables
 from lfmesh.transport.tables.single_scatter import single_scatter_tables
 from lfmesh.transport.tables.spectra import radiance_at, reflectance_at
 from lfmesh.transport.tables.tables import (
@@ -203,14 +201,23 @@ def object_tables(
     media = known.table_of_objects(wavelengths_nm, book, medium.tolist())
     # A black body in a medium has n² times the radiance that it has in air.
     radiance[[m.temperature_k is not None for m in materials]] *= media.indices[AIR] ** 2
-    around = media_round_gloss(scene, targets, hosts_of(scene, targets, ranks, medium, media))
-    models, from_files = _models_of_facets(targets, around, len(housing.faces))
-    surroundings = media.indices[[*around, *(number for _, number in from_files)]]
+    hosts = hosts_of(scene, targets, ranks, medium, media)
+    models = facet_models(scene, targets, hosts, wavelengths_nm, reflectances)
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
     lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
     glass = GlassTables(
-        interfaces, level, patches, across, tree, first, partners, near, _boxes(parts, ranks > 0, level)
+        interfaces,
+        level,
+        patches,
+        across,
+        tree,
+        first,
+        partners,
+        near,
+        _boxes(parts, ranks > 0, level),
+        _emitters_inside(scene, targets, hosts),
+        models.in_media,
     )
     tables = ObjectTables(
         facets=facets,
@@ -224,10 +231,8 @@ def object_tables(
             ],
             dtype=np.bool_,
         ),
-        scattering=scattering_tables(
-            materials, wavelengths_nm, reflectances, [each for each, _ in from_files], surroundings
-        ),
-        model=models,
+        scattering=models.scattering,
+        model=np.append(models.of_facets, np.zeros(len(housing.faces), np.int64)),
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         emission_spectra=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
@@ -260,6 +265,16 @@ def object_tables(
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_emitting_facets(tables, mesh), *_emitting_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
+
+
+def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> NDArray[np.bool_]:
+    """Tell which targets the forward method starts light at in bodies of glass, (targets,)."""
+    forward = scene.transport.method == "forward"
+    found = [
+        forward and each.material.emits and hosts.top_along(target.mesh.vertices[target.mesh.faces]) != [None]
+        for each, target in zip(scene.targets, targets, strict=True)
+    ]
+    return np.array(found, np.bool_)
 
 
 def _boxes(bodies: list[Mesh], is_glass: NDArray[np.bool_], level: NDArray[np.int64]) -> Array:
@@ -349,30 +364,6 @@ def with_volumes(
         lit = np.inf if endless else max(lit, reach)
     outer = np.inf if endless else max(tables.outer_radius, reach)
     return tables._replace(media=media, volumes=volumes, outer_radius=outer, lit_radius=lit)
-
-
-def _models_of_facets(
-    targets: list[TargetMesh], around: NDArray[np.int64], others: int
-) -> tuple[NDArray[np.int64], list[tuple[GltfMaterial, int]]]:
-    """Return the row of each facet's scattering model, and mesh files' materials with the media round them, by row.
-
-    Parameters
-    ----------
-    targets : list of TargetMesh
-    around : (targets,) int64
-        Number of the medium that each stands in.
-    others : int
-        Number of facets after those of the targets.
-    """
-    known: dict[tuple[GltfMaterial, int], int] = {}
-    rows = []
-    for number, (target, outer) in enumerate(zip(targets, around.tolist(), strict=True)):
-        own = np.full(len(target.mesh.faces), number)
-        if target.material_of is not None:
-            row_of = [known.setdefault((each, outer), len(targets) + len(known)) for each in target.materials]
-            own = np.append(row_of, number)[target.material_of]
-        rows.append(own)
-    return np.concatenate([*rows, np.zeros(others)]).astype(np.int64), list(known)
 
 
 def _refuse_touched_finishes(scene: Scene, bodies: NDArray[np.int64], first: NDArray[np.int64]) -> None:

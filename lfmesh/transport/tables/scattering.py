@@ -39,8 +39,9 @@ THERMAL = 3  # emission by temperature; parameters: mean emissivity where the te
 class ScatteringTables(NamedTuple):
     """The scattering models of all targets, and of the materials that mesh files bring."""
 
-    # (n,) SCATTERING: of targets, of files' materials, a black one where a hot sheet has a black side, of what each hot
-    # target emits, of what its black side emits, and of a given radiance, which is the same in all directions
+    # (n,) SCATTERING: of targets, then of files' materials, each in all media round it; a black one where a hot sheet
+    # has a black side; of what each hot target emits, of what its black side emits, and of a given radiance, which is
+    # the same in all directions
     models: NDArray[np.void]
     parameters: Array  # (parameters of all models, wavelengths)
 

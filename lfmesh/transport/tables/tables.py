@@ -207,6 +207,8 @@ class GlassTables(NamedTuple):
     contacts: NDArray[np.int64]  # for each facet, facets of other bodies of glass that it may lie on
     contact_mm: float  # distance within which facets are in contact
     boxes: Array  # (targets, 2, 3) mm, object frame: corners of the box that holds each target
+    emits_inside: NDArray[np.bool_]  # (targets,) emits in bodies, where the forward method starts light
+    models: NDArray[np.int64]  # (rows of `ScatteringTables.models`, media) row of the same surface in each medium
 
 
 @by_address
@@ -217,7 +219,8 @@ class ObjectTables(NamedTuple):
     uv: Array  # (m, 3, 2)
     one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other absorbs
     scattering: ScatteringTables
-    model: NDArray[np.int64]  # (m,) row of the scattering model of each facet; of the housing 0
+    # (m,) row of the scattering model of each facet, in the first of the media round its target; of the housing 0
+    model: NDArray[np.int64]
     smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
     radiance: Array  # (targets, wavelengths) W/(m² sr), which the model of emission lowers
     emission_spectra: Array  # (targets, wavelengths) radiance relative to the largest of its target

@@ -1,6 +1,7 @@
 """Interpolated normals of a mesh: how near a ball of facets comes to the closed form of a sphere under a lamp."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import lfmesh as lf
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.scattering import evaluate
 from lfmesh.transport.events.surface import point_of
-from lfmesh.transport.tables.tables import ObjectTables
+from lfmesh.transport.tables.tables import AIR, ObjectTables
 from tests.cameras import camera_without_array
 
 Array = NDArray[np.float64]
@@ -24,11 +25,18 @@ ERROR = {80: (0.071, 0.032), 320: (0.036, 0.0135), 1280: (0.018, 0.0052)}
 flat and of interpolated normals: by number of facets, as an independent sum in numpy gave it, rounded up."""
 
 
+class In(NamedTuple):
+    """The part of a packet that a point depends on."""
+
+    colour: int
+    medium: int
+
+
 @kernel
 def cosines(objects: ObjectTables, facets: NDArray[np.int64], places: Array, lamps: Array, found: Array) -> None:
     """Write π BRDF · cos θ of points of white facets under lamps, seen along their normals, (n,)."""
     for i in range(len(found)):
-        point = point_of(objects, facets[i], 0, (places[i, 0], places[i, 1], places[i, 2]), 1.0, True)
+        point = point_of(objects, In(0, AIR), facets[i], (places[i, 0], places[i, 1], places[i, 2]), 1.0, True)
         ux, uy, uz = lamps[i, 0], lamps[i, 1], lamps[i, 2]
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         found[i] = 0.0

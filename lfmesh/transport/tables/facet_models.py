@@ -1,0 +1,94 @@
+"""Scattering models of the facets of a scene: a row for each target or file's material, in each medium round it."""
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.objects.targets import TargetMesh
+from lfmesh.optics.gltf_material import GltfMaterial
+from lfmesh.scene import Scene
+from lfmesh.transport.tables.gloss_places import media_round_gloss
+from lfmesh.transport.tables.hosts import Hosts
+from lfmesh.transport.tables.scattering import ScatteringTables, scattering_tables
+
+Rows = NDArray[np.int64]
+Key = tuple[int | GltfMaterial, int]
+"""Target or file's material, and number of a medium."""
+
+
+class FacetModels(NamedTuple):
+    """Scattering models, and which of them each facet has."""
+
+    scattering: ScatteringTables
+    of_facets: Rows  # (m,) row of each facet, in the first of the media round its target
+    in_media: Rows  # (rows, media) row of the same surface in each medium
+
+
+def facet_models(
+    scene: Scene, targets: list[TargetMesh], hosts: Hosts, wavelengths_nm: tuple[float, ...], reflectances: list[Array]
+) -> FacetModels:
+    """Return the scattering models of targets and of the materials of their files.
+
+    The row of a target's own material is the number of the target.
+
+    Parameters
+    ----------
+    scene : Scene
+    targets : list of TargetMesh
+        World frame.
+    hosts : Hosts
+    wavelengths_nm : tuple of float
+    reflectances : list of (wavelengths,) float64
+        Of the targets.
+    """
+    around = media_round_gloss(scene, targets, hosts)
+    own: list[tuple[int, int]] = [(i, media[0]) for i, media in enumerate(around)]
+    own += [(i, medium) for i, media in enumerate(around) for medium in media[1:]]
+    used = [(each, medium) for i, media in enumerate(around) for medium in media for each in targets[i].materials]
+    from_files = list(dict.fromkeys(used))
+    keys: list[Key] = [*own, *from_files]
+    rows = {key: row for row, key in enumerate(keys)}
+    scattering = scattering_tables(
+        [scene.targets[i].material for i, _ in own],
+        wavelengths_nm,
+        [reflectances[i] for i, _ in own],
+        [material for material, _ in from_files],
+        hosts.media.indices[[medium for _, medium in keys]],
+    )
+    of_facets = [np.zeros(0, np.int64)]
+    for i, target in enumerate(targets):
+        chosen = np.full(len(target.mesh.faces), i)
+        if target.material_of is not None:
+            chosen = np.append([rows[each, around[i][0]] for each in target.materials], i)[target.material_of]
+        of_facets.append(chosen)
+    return FacetModels(
+        scattering, np.concatenate(of_facets).astype(np.int64),
+        _in_media(keys, hosts.media.indices, len(scattering.models)),
+    )  # fmt: skip
+
+
+def _in_media(keys: list[Key], indices: Array, count: int) -> Rows:
+    """Return the row of each model in each medium, (count, media): that of the same surface in one of the same index.
+
+    Light that finds a surface in a medium that only touches it, within the distance within which surfaces touch, meets
+    the model of its first medium.
+
+    Parameters
+    ----------
+    keys : list of Key
+        Of the first rows; the others are asked for in no medium.
+    indices : (media, wavelengths) float64
+    count : int
+    """
+    in_media = np.tile(np.arange(count)[:, None], len(indices))
+    several = Counter(what for what, _ in keys)
+    for row, (what, _) in enumerate(keys):
+        if several[what] == 1:
+            continue
+        for other, (its, medium) in enumerate(keys):
+            if its == what:
+                in_media[row, (indices == indices[medium]).all(axis=1)] = other
+    return in_media

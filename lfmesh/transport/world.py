@@ -180,7 +180,7 @@ class World(Shown):
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether all facets of all targets lie in one plane, so that no light goes from target to target."""
+        """True if all facets of all targets lie in one plane, so that no light goes from target to target."""
         return in_one_plane(
             np.concatenate([np.zeros((0, 3, 3)), *(t.mesh.vertices[t.mesh.faces] for t in self.targets)])
         )

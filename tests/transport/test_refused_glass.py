@@ -11,7 +11,8 @@ import trimesh
 import lfmesh as lf
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.mesh import Mesh
-from lfmesh.transport.refused_glass import cut
+from lfmesh.geometry.objects.targets import target_mesh
+from lfmesh.transport.refused_glass import cut, cut_bodies
 from tests.cameras import camera_without_array
 
 CAMERA = camera_without_array(100.0, 8, 0.5)
@@ -250,6 +251,36 @@ def test_a_surface_that_cuts_itself_is_refused(glass: Body, step: tuple[float, f
 def test_a_hollow_must_face_into_itself(glass: Body) -> None:
     lf.build(scene(glass(ball(), ball(5.0, inwards=True))))
     assert "there is not glass behind its surface and air before it" in refused(scene(glass(ball(), ball(5.0))))
+
+
+def test_five_rods_through_one_place_are_refused_though_no_middle_of_a_facet_is_there() -> None:
+    """Each of another priority, so that they may cut each other; four of them may."""
+    rods = [
+        {"refractor": {"box_mm": [60.0, 1.0, 1.0], "index": 1.5, "priority": i}, "position_mm": list(PLACE),
+         "rotation_deg": [0.0, 0.0, 36.0 * i]}
+        for i in range(5)
+    ]  # fmt: skip
+    assert "lies inside 4 other glass bodies" in refused(scene(*rods))
+    lf.build(scene(*rods[:4]))
+
+
+def test_curved_bodies_that_cut_each_other_are_named_however_little_they_do(glass: Body) -> None:
+    """A corner of one pokes through the side of a facet of the other, where no middle of a facet is near."""
+    coarse = trimesh.creation.icosphere(1, 8.0)
+    corner = coarse.vertices[0] / 8.0
+    facet = coarse.vertices[coarse.faces[7]]
+    met = np.array([0.6, 0.2, 0.2]) @ facet
+    other = coarse.copy()
+    normal = np.cross(facet[1] - facet[0], facet[2] - facet[0])
+    other.apply_transform(trimesh.geometry.align_vectors(corner, -normal / np.linalg.norm(normal)))
+    for depth_mm, named in ((0.1, 1), (-0.1, 0)):
+        away = met + (8.0 - depth_mm) * normal / np.linalg.norm(normal)
+        bodies = (
+            glass(coarse, surface="smooth"),
+            glass(other, at=tuple(np.add(PLACE, away)), surface="smooth", priority=1),
+        )
+        both = scene(*bodies)
+        assert len(cut_bodies(both, [target_mesh(target, both) for target in both.targets])) == named
 
 
 def test_cuts_are_found_wherever_two_tetrahedra_truly_cut() -> None:

@@ -117,6 +117,7 @@ CASES: tuple[Callable[[], Outcome], ...] = (
     surfaces.polarisation_at_its_ends,
     surfaces.bands_at_their_ends,
     lamps.lamps_at_an_opal_front,
+    lamps.tubes_at_an_opal_front,
     lenses.diverging_newton,
     lenses.mild_asphere_of_a_deep_sphere,
     lenses.odd_powers,

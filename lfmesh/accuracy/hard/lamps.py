@@ -1,10 +1,13 @@
 """Lamps that shine onto a rough surface of the camera from as near and as far as they may stand."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lfmesh.accuracy.hard.outcome import Outcome, case
-from lfmesh.scene import Camera, Lens, Scene, Sensor, Surface, Target
-from lfmesh.scene.light.lights import PointLight
+from lfmesh.accuracy.hard.truth import Array
+from lfmesh.scene import Camera, Lens, Light, Scene, Sensor, Surface, Target
+from lfmesh.scene.light.lights import LineLight, PointLight
 from lfmesh.scene.objects.targets import Material, Plane
 from lfmesh.transport.render.render import Renderer
 from lfmesh.transport.world import build
@@ -18,8 +21,11 @@ SAMPLES, REPLICATES = 2048, 16
 MOST_SIGMAS, LARGEST_SIGMA = 4.0, 0.015
 
 
-def _scene(distance_mm: float) -> Scene:
-    """Return a lamp on the axis before an opal window, with the sensor close behind."""
+TUBE_MM = 10.0
+
+
+def _scene(lamp: Light) -> Scene:
+    """Return a lamp before an opal window, with the sensor close behind."""
     window = (
         Surface(
             thickness_mm=WINDOW_MM, index=ALMOST_AIR, semi_diameter_mm=APERTURE_MM, finish="diffuse", stop=True
@@ -33,19 +39,41 @@ def _scene(distance_mm: float) -> Scene:
     return Scene(
         camera=Camera(lens=Lens(surfaces=window), sensor=sensor),
         targets=(black,),
-        lights=(PointLight(kind="point", position_mm=(0.0, 0.0, -distance_mm), power_w=1.0),),
+        lights=(lamp,),
     ).changed({"transport.samples": SAMPLES, "transport.replicates": REPLICATES})
 
 
 def _expected(distance_mm: float) -> float:
     """Return the power on the sensor by quadrature: each ring of the window scatters what falls on it evenly."""
-    nodes, weights = np.polynomial.legendre.leggauss(48)
     widest = 0.5 * np.arctan2(APERTURE_MM, distance_mm)
-    angles = widest * (nodes + 1.0)
-    rings, radii = widest * weights * 0.5 * np.sin(angles), distance_mm * np.tan(angles)
+    angles = widest * (NODES + 1.0)
+    return _on_sensor(widest * WEIGHTS * 0.5 * np.sin(angles), distance_mm * np.tan(angles))
+
+
+def _expected_of_tube(distance_mm: float) -> float:
+    """Return the power on the sensor of a tube along the axis, from a distance on.
+
+    Its irradiance at a radius ρ is ∫ sin θ cos θ / r² along it, which is ρ/2 (1 / (ρ² + a²) − 1 / (ρ² + b²)) over its
+    length and times its largest intensity, with a and b the distances of its ends.
+    """
+    near, far = distance_mm, distance_mm + TUBE_MM
+    # By pieces that grow with the radius, from well inside the near end's own distance.
+    edges = np.concatenate([[0.0], np.geomspace(min(1e-3 * near, 1e-3), APERTURE_MM, 24)])
+    half = 0.5 * np.diff(edges)[:, None]
+    radii = (edges[:-1, None] + half * (NODES + 1.0)).ravel()
+    # 1 / (ρ² + a²) − 1 / (ρ² + b²), without the digits that cancel far away.
+    apart = TUBE_MM * (near + far) / ((radii**2 + near**2) * (radii**2 + far**2))
+    return _on_sensor((half * WEIGHTS).ravel() * radii**2 * apart / (np.pi * TUBE_MM), radii)
+
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
+
+
+def _on_sensor(rings: Array, radii: Array) -> float:
+    """Return the power on the sensor of that on rings of the window, W, of their radii, mm."""
     half = 0.5 * SENSOR_MM
-    x, y = np.meshgrid(half * nodes, half * nodes)
-    areas = half * half * np.outer(weights, weights)
+    x, y = np.meshgrid(half * NODES, half * NODES)
+    areas = half * half * np.outer(WEIGHTS, WEIGHTS)
     phi = 2.0 * np.pi * (np.arange(32) + 0.5) / 32
     total = 0.0
     for ring, radius in zip(rings, radii, strict=True):
@@ -61,12 +89,27 @@ def _expected(distance_mm: float) -> float:
 @case
 def lamps_at_an_opal_front() -> Outcome:
     """Light a window that scatters by a lamp from 1 pm to 100 m before it."""
-    found, errors, expected, lost = [], [], [], 0.0
-    for distance in DISTANCES_MM:
-        image = Renderer(build(_scene(distance))).image()
+    lamps = [PointLight(position_mm=(0.0, 0.0, -distance), power_w=1.0) for distance in DISTANCES_MM]
+    return _outcome(lamps, [_expected(distance) for distance in DISTANCES_MM])
+
+
+@case
+def tubes_at_an_opal_front() -> Outcome:
+    """Light a window that scatters by a tube of 10 mm along the axis, whose end is 1 pm to 100 m before it."""
+    lamps = [
+        LineLight(start_mm=(0.0, 0.0, -distance), end_mm=(0.0, 0.0, -distance - TUBE_MM), power_w=1.0)
+        for distance in DISTANCES_MM
+    ]
+    return _outcome(lamps, [_expected_of_tube(distance) for distance in DISTANCES_MM])
+
+
+def _outcome(lamps: Sequence[Light], expected: list[float]) -> Outcome:
+    """Compare the light of each lamp on the sensor with what is expected."""
+    found, errors, lost = [], [], 0.0
+    for lamp in lamps:
+        image = Renderer(build(_scene(lamp))).image()
         found.append(float(image.mean.sum()))
         errors.append(float(np.sqrt((image.stderr**2).sum())))
-        expected.append(_expected(distance))
         lost = max(lost, image.ledger.lost_share)
     sigmas = np.array(errors) / expected
     off = np.abs(np.array(found) / expected - 1.0) / sigmas

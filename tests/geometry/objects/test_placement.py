@@ -78,6 +78,10 @@ def test_the_unit_that_is_suspected_is_the_files(tmp_path: Path) -> None:
     assert " m large by the unit that its file names, and the camera sees" in step.warnings[0]
 
 
+PANEL = {"kind": "rectangle", "position_mm": LAMP["position_mm"], "width_mm": 20.0, "height_mm": 10.0, "power_w": 1.0}
+TUBE = {"kind": "line", "start_mm": [0.0, 0.0, -1000.0], "end_mm": [0.0, 40.0, -100.0], "power_w": 1.0}
+
+
 @pytest.mark.parametrize(
     ("target", "lights", "words"),
     [
@@ -89,6 +93,8 @@ def test_the_unit_that_is_suspected_is_the_files(tmp_path: Path) -> None:
         ({}, [{"kind": "directional", "direction": [0.0, 0.0, 1.0], "irradiance_w_m2": 1.0}], "lit by no lamp"),
         ({}, [{"kind": "spot", "direction": [0.0, 0.0, 1.0], "half_angle_deg": 20.0} | LAMP | {"kind": "spot"}], "lit"),
         ({}, [{"kind": "disk", "direction": [0.0, 0.0, 1.0], "radius_mm": 5.0} | LAMP | {"kind": "disk"}], "lit by no"),
+        ({}, [PANEL | {"direction": [0.0, 0.0, 1.0]}], "lit by no"),
+        ({}, [TUBE | {"end_mm": [0.0, 0.0, -2000.0]}], "lit by no"),
     ],
 )
 def test_a_target_of_which_nothing_is_seen_is_warned_of(
@@ -104,6 +110,9 @@ def test_a_target_of_which_nothing_is_seen_is_warned_of(
         ({"rotation_deg": [0.0, 180.0, 0.0]}, None),
         ({"position_mm": [0.0, 0.0, -40.0], "material": {"radiance_w_m2_sr": 1.0}}, None),
         ({"position_mm": [0.0, 0.0, -40.0]}, []),
+        # A panel whose centre is behind the plane, and a tube with an end before it.
+        ({}, [PANEL | {"direction": [-1.0, 0.0, -1.0], "width_mm": 4000.0, "position_mm": [900.0, 0.0, -900.0]}]),
+        ({}, [TUBE]),
         # A cone that meets a wide plane far from the centres of its two facets.
         (
             {"shape": {"kind": "plane", "width_mm": 90.0, "height_mm": 90.0}},

@@ -1,7 +1,7 @@
 """Real rays of field points through chosen points of the stop: what a layout drawing shows.
 
-Every ray is one of `lf.trace` through the built world. Where it must start follows from trials: a fan that searches the
-pupil, then ray aiming at the point where the ray crosses the stop. Positions are in the camera frame, mm.
+Every ray is one of `lf.trace` through the built world. Its start follows from ray aiming at the stop (`StopAim`), and
+where surfaces are facets from one more search among these. Positions are in the camera frame, mm.
 """
 
 import math
@@ -20,20 +20,18 @@ from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World
+from lfmesh.waves.stop_aim import INSIDE, StopAim
 
 Array = NDArray[np.float64]
 
 FAN = 33
-"""Trials across the pupil from which the first guess is made."""
+"""Trials across the pupil from which the first guess is made where surfaces of the lens have no formulas."""
 
 FAN_WIDTH = 1.6
 """Over the paraxial entrance pupil: real pupils have aberrations."""
 
 DIFFERENCE = 1e-5
 """Of two trials whose difference is the derivative, over the stop's radius."""
-
-INSIDE = 1.0 - 1e-9
-"""Marginal rays are aimed at the rim of the stop times this, so that they pass it."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +85,7 @@ class Aim:
         self._before_stop = sum(number < self.paraxial.stop for number in shape.numbers)
         self._pure_stop = self.lens.is_pure_stop(self.paraxial.stop)
         self._into_stop = frames.inverse(pose_of(self.lens, self.paraxial.stop))
+        self._stop_aim = StopAim(world, self.vergence)
 
     def through(self, slope: ArrayLike, stop: ArrayLike) -> list[AimedRay]:
         """Return the rays from object points through points of the stop.
@@ -218,7 +217,20 @@ class Aim:
         return np.stack([points[last], ahead / np.linalg.norm(ahead)])
 
     def _guess(self, slope: Array, aim: Array) -> Array:
-        """Return about where rays cross the plane of the first vertex (n, 2), from a fan for every object point."""
+        """Return about where rays cross the plane of the first vertex (n, 2); by paraxial optics those that do not."""
+        if not self.world.lens_shape.analytic.all():
+            return self._guess_by_fan(slope, aim)
+        by_slope = self._stop_by_slope
+        entry = (aim + by_slope * slope) / (self.paraxial.to_stop.a + by_slope * self.vergence)
+        fields, which = np.unique(slope, axis=0, return_inverse=True)
+        for number, field in enumerate(fields):
+            mine = which.ravel() == number
+            found = self._stop_aim.through(field, aim[mine], self.wavelength_nm).entry
+            entry[mine] = np.where(np.isfinite(found), found, entry[mine])
+        return entry
+
+    def _guess_by_fan(self, slope: Array, aim: Array) -> Array:
+        """Return the same from a fan of trials for every object point."""
         by_slope = self._stop_by_slope
         scale = self.paraxial.to_stop.a + by_slope * self.vergence
         entry = (aim + by_slope * slope) / scale

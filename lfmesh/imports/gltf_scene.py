@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import MeshError, SceneError
+from lfmesh.geometry.files.gltf_left_out import left_out, left_out_of_scene
 from lfmesh.geometry.files.gltf_nodes import Node, node_called, nodes_of, not_read, primitives_of
 from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document
 from lfmesh.geometry.lens.solved_camera import first_order
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.imports.gltf_lights import light_of
-from lfmesh.imports.gltf_materials import left_out, left_out_of_scene
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene import Pose, Scene, Target
 from lfmesh.scene.light.lights import Light

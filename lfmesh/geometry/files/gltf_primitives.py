@@ -94,6 +94,7 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
         look.alpha_cutoff,
         look.wrap,
         _with_channels(np.clip(colours, 0.0, 1.0), len(look.factor)) if colours is not None else None,
+        f"materials[{primitive['material']}]" if "material" in primitive else "",
     )
 
 

@@ -15,6 +15,7 @@ from lfmesh.errors import LensFileWarning, MeshError, warn_caller
 from lfmesh.geometry.files import cad_file, obj_file, off_file, ply_file, stl_file
 from lfmesh.geometry.files.companion import check_companion
 from lfmesh.geometry.files.gltf_buffers import names_of
+from lfmesh.geometry.files.gltf_left_out import left_out
 from lfmesh.geometry.files.gltf_looks import check_material
 from lfmesh.geometry.files.gltf_nodes import check_document, node_called, nodes_of, not_read, primitives_of
 from lfmesh.geometry.files.gltf_primitives import load_primitives
@@ -100,7 +101,7 @@ def load_mesh(
     if facets == 0:
         left = f" ({'; '.join(notes.texts)[:200]})" if notes.texts else ""
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file{left}")
-    pieces = [_with_plain_colours(piece, notes) for piece in pieces]
+    pieces = [_without_colours_beside_picture(piece, notes) for piece in pieces]
     for piece in pieces:
         bad = int((~np.isfinite(piece.mesh.vertices[piece.mesh.faces])).any(axis=(1, 2)).sum())
         if bad:
@@ -113,14 +114,9 @@ def load_mesh(
     return pieces
 
 
-def _with_plain_colours(piece: Piece, notes: Notes) -> Piece:
-    """Return a piece with vertex colours of one colour alone in its factor, and with none beside a picture."""
-    if piece.colours is None or not len(piece.colours):
-        return replace(piece, colours=None)
-    first = piece.colours[0, 0]
-    if (piece.colours == first).all():
-        return replace(piece, colours=None, factor=piece.factor * first[: len(piece.factor)])
-    if piece.picture is not None:
+def _without_colours_beside_picture(piece: Piece, notes: Notes) -> Piece:
+    """Return a piece without vertex colours of several colours where a picture has their place."""
+    if piece.picture is not None and piece.colours is not None and (piece.colours != piece.colours[:1, :1]).any():
         notes.count(len(piece.colours), "the vertex colours of {} facets with a picture are left out")
         return replace(piece, colours=None)
     return piece
@@ -211,7 +207,11 @@ def _placed_nodes(
     parts = {node.number: primitives_of(path, document, node) for node in taken}
     for node in taken:
         for what in not_read(path, document, node):
-            notes.add(f"{node.place}: {what}, without facets; left out")
+            notes.add(f"{node.place}: {what}, without facets that can be read; left out")
+        if key is None:
+            # Of a node that a scene names, it was said when the scene was read.
+            for words in left_out(document, node, parts[node.number]):
+                notes.add(f"{node.place}: {words}")
     made = load_primitives(path, document, (part for each in parts.values() for part in each), alpha, notes)
     scale = MM_PER_UNIT[UNIT_OF_FORMAT[".glb"]]
     return [made[part].placed(node.to_scene, scale) for node in taken for part in parts[node.number] if part in made]

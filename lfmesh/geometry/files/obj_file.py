@@ -302,11 +302,13 @@ def _pieces(
 ) -> list[Piece]:  # fmt: skip
     """Return the pieces of facets with one material: apart those with and without texture coordinates and normals."""
     vertices = np.ascontiguousarray(obj.tables["v"][:, :3])
-    triangles = cut(vertices, facets.corners[:, 0], facets.counts).corners
+    done = cut(vertices, facets.corners[:, 0], facets.counts)
+    pictures.notes.count(done.short, done.in_words)
+    triangles = done.corners
     channels = 4 if pictures.alpha else 3
-    factor, picture, given = np.ones(channels), None, None
+    factor, picture, given, called = np.ones(channels), None, None, ""
     if material is not None:
-        factor = np.append(material.colour, material.opacity)[:channels]
+        factor, called = np.append(material.colour, material.opacity)[:channels], material.name
         if (given := material.picture) is not None:
             picture = pictures.of_file(list(given.names))
     first = facets.corners[triangles[:, 0]] != _NONE
@@ -325,7 +327,9 @@ def _pieces(
         mesh = Mesh(vertices[used], faces, normals)
         wrap = ("clamp", "clamp") if given is not None and given.clamped else REPEAT
         own_colours = colours[facets.corners[own, 0]] if colours is not None else None
-        made.append(Piece(mesh, uv, picture if with_uv else None, factor, wrap=wrap, colours=own_colours))
+        made.append(
+            Piece(mesh, uv, picture if with_uv else None, factor, wrap=wrap, colours=own_colours, called=called)
+        )
     return made
 
 

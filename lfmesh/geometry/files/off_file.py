@@ -87,7 +87,8 @@ def _piece(path: Path, values: Array, rows: list[str], kinds: tuple[str | None, 
     order = np.arange(len(flat)) - np.repeat(starts, given)
     corners = flat[(order >= 1) & (order <= np.repeat(counts, given))].astype(np.int64)
     check_corners(corners, len(values))
-    triangles, polygon = cut(values[:, :3], corners, counts)
+    triangles, polygon, short = done = cut(values[:, :3], corners, counts)
+    notes.count(short, done.in_words)
     faces = corners[triangles]
     # Vertices have their normal, then their colour, then their place in a picture.
     normal = values[:, 3:6][faces] if normals and values.shape[1] >= 6 else None

@@ -36,6 +36,8 @@ class Piece:
         "clamp" (its edge goes on).
     colours : (m, 3, 3) float64 or None
         Colours at each facet's corners, linear, that multiply the factor; (m, 3, 4) with their alpha.
+    called : str
+        The material in the file; "" where it has none.
     """
 
     mesh: Mesh
@@ -47,6 +49,7 @@ class Piece:
     alpha_cutoff: float = 0.5
     wrap: tuple[str, str] = REPEAT
     colours: Array | None = None
+    called: str = ""
 
     def placed(self, transform: Array, scale: float) -> "Piece":
         """Return the piece where its file's scene places it, in mm.

@@ -98,6 +98,12 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
     rows: dict[str, Rows] = {}
     for element in elements:
         rows[element.name], body.at = body.rows(element)
+    if order == "" and body.at != len(body.raw):
+        # Programs write rows longer than their header says: the lines tell where each row begins.
+        notes.add("its rows have more numbers than its header names: the last ones of each are left out")
+        body = _Body(numbers(_cut_to_header(content[end.end() :], elements)).view(np.uint8), "", 0)
+        for element in elements:
+            rows[element.name], body.at = body.rows(element)
     if "vertex" not in rows or not {"x", "y", "z"} <= set(rows["vertex"].plain):
         raise ValueError("its vertices have no x, y and z")
     plain = rows["vertex"].plain
@@ -272,6 +278,24 @@ def _body(content: bytes, at: int, order: str) -> _Body:
     return _Body(numbers(body).view(np.uint8), "", 0)
 
 
+def _cut_to_header(body: bytes, elements: list[Element]) -> bytes:
+    """Return the rows of a text file with the numbers alone that its header names."""
+    lines = [line.split() for line in body.splitlines()]
+    lines = [words for words in lines if words and words[0] not in (b"comment", b"obj_info")]
+    kept: list[bytes] = []
+    at = 0
+    for element in elements:
+        for words in lines[at : at + element.count]:
+            size = 0
+            for kind in element.properties.values():
+                if size >= len(words):
+                    raise _short(element)
+                size += 1 + (int(words[size]) if len(kind) == 2 else 0)
+            kept += words[:size]
+        at += element.count
+    return b" ".join(kept)
+
+
 def _short(element: Element) -> ValueError:
     return ValueError(f"cut short: its element {element.name[:40]} has fewer rows than the {element.count:,} it counts")
 
@@ -289,6 +313,7 @@ def _piece(
         corners, counts = lists[key][0].astype(np.int64), lists[key][1]
         check_corners(corners, len(vertices))
         cut_places = cut(vertices, corners, counts)
+        notes.count(cut_places.short, cut_places.in_words)
         parts.append(corners[cut_places.corners])
     for values, counts in (strips[key] for key in CORNERS if key in strips):
         parts.append(_of_strips(values.astype(np.int64), counts, len(vertices)))
@@ -303,7 +328,7 @@ def _piece(
     colours = _colours(plain, elements["vertex"], alpha, "vertex", notes)
     colours = colours[faces] if colours is not None else None
     if key is not None and len(parts) == 1:
-        triangles, polygon = cut_places
+        triangles, polygon, _ = cut_places
         if uv is None and PLACES_OF_FACETS in lists:
             given, counts = lists[PLACES_OF_FACETS]
             if (counts == 2 * lists[key][1]).all():

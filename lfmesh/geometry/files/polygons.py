@@ -24,10 +24,18 @@ class Cut(NamedTuple):
         Place of each triangle's corners among the corners of all polygons.
     polygon : (m,) int64
         Polygon that each triangle is cut from, ascending.
+    short : int
+        Triangles that are fewer than the polygons' corners ask for, as of those that touch or cross themselves.
     """
 
     corners: Index
     polygon: Index
+    short: int = 0
+
+    @property
+    def in_words(self) -> str:
+        """What to say of the triangles that are fewer, with `{}` in place of their number."""
+        return "its polygons have {} triangles fewer than their corners ask for: some touch or cross themselves"
 
 
 def cut(points: Array, corners: Index, counts: Index) -> Cut:
@@ -67,11 +75,12 @@ def cut(points: Array, corners: Index, counts: Index) -> Cut:
             owners.append(np.full(len(cut_off), polygon))
     if not found:
         return Cut(np.zeros((0, 3), np.int64), np.zeros(0, np.int64))
+    short = int((counts[counts >= 3] - 2).sum()) - sum(map(len, found))
     if len(found) == 1:
         return Cut(found[0], owners[0])
     owner = np.concatenate(owners)
     order = np.argsort(owner, kind="stable")
-    return Cut(np.concatenate(found)[order], owner[order])
+    return Cut(np.concatenate(found)[order], owner[order], short)
 
 
 def _newell(polygons: Array) -> Array:

@@ -4,6 +4,7 @@ Every mesh and picture is loaded for it; no ray is traced, so that bodies in fro
 """
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.errors import LensFileWarning
 from lfmesh.geometry import frame
-from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT
+from lfmesh.geometry.files.contents import counted, held
+from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, load_mesh
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array, facet_normals
 from lfmesh.geometry.meshes.winding import winding
@@ -53,6 +56,8 @@ class Placement:
     lit_by : tuple of str, or None
         Lamps that stand before a side that the camera sees and shine its way. None where the camera sees no such side,
         or the target is of glass.
+    contents : str
+        Counts of its mesh file, beside those of what is held; "" where nothing is counted.
     warnings : tuple of str
     """
 
@@ -65,6 +70,7 @@ class Placement:
     facets: int
     picture: tuple[int, int] | None
     lit_by: tuple[str, ...] | None
+    contents: str
     warnings: tuple[str, ...]
 
     def lines(self) -> list[str]:
@@ -76,6 +82,7 @@ class Placement:
         lamps = [] if self.lit_by is None else [f"  lit by               {', '.join(self.lit_by) or 'no lamp'}"]
         return [
             f"{self.name}: {self.facets} facets{texture}",
+            *([f"  its file holds       {self.contents}"] if self.contents else []),
             f"  box in the world     {box} mm",
             f"  before the lens      {self.nearest_mm:.5g} mm to {self.farthest_mm:.5g} mm",
             f"  share of the field   {100 * self.share:.3g} % at most",
@@ -117,8 +124,20 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
         len(body.mesh.faces),
         (body.texture.shape[1], body.texture.shape[0]) if body.texture is not None else None,
         lit_by,
+        _contents(scene, target),
         tuple(_warnings(scene, facts, target, body, seen, share, lit_by)),
     )
+
+
+def _contents(scene: Scene, target: Target) -> str:
+    """Return the counts of a target's mesh file, and those of what is read of it where they differ."""
+    if target.file is None or (told := counted(scene.resolve(target.file), target.node)) is None:
+        return ""
+    with warnings.catch_warnings():
+        # They have been said when the target was made.
+        warnings.simplefilter("ignore", LensFileWarning)
+        read = held(load_mesh(scene.resolve(target.file), target.units))
+    return f"{told}" if read == told else f"{told}; read are {read}: see the warnings"
 
 
 def _warnings(

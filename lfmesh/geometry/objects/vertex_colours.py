@@ -14,9 +14,12 @@ from lfmesh.geometry.objects.texture import Texture
 
 
 def with_colours_as_picture(piece: Piece) -> Piece:
-    """Return a piece whose vertex colours, if it has any, are a picture with its places in it."""
+    """Return a piece whose vertex colours, if it has any, are its factor or a picture with its places in it."""
     if piece.colours is None:
         return piece
+    first = piece.colours[0, 0]
+    if (piece.colours == first).all():
+        return replace(piece, colours=None, factor=piece.factor * first[: len(piece.factor)])
     picture, uv = picture_of(piece.colours)
     return replace(piece, colours=None, picture=picture, uv=uv, wrap=REPEAT)
 

@@ -7,6 +7,7 @@ light, or left out with the words that say so. What stands in none of them, such
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from lfmesh.geometry.files.gltf_looks import SPECULAR_GLOSSINESS, only_specular
 from lfmesh.geometry.files.gltf_nodes import Node
 
 SILENT = ""
@@ -27,8 +28,9 @@ OF_PRIMITIVE = _EVERYWHERE | {
     "targets": "its shape keys (morph targets) are left out",
 }
 OF_ATTRIBUTES = {
-    **dict.fromkeys(("POSITION", "NORMAL", "TANGENT"), SILENT),
-    "COLOR_0": "its vertex colours are left out",
+    # Where a picture leaves vertex colours no place, that is said when the facets are read.
+    **dict.fromkeys(("POSITION", "NORMAL", "TANGENT", "COLOR_0"), SILENT),
+    "COLOR_1": "its second vertex colours are left out",
 }
 """Those that end in a number beyond what is told here, such as joints and further places in pictures, are silent:
 other properties that use them are told of."""
@@ -99,6 +101,11 @@ def left_out(document: dict[str, Any], node: Node, parts: list[tuple[int, int]])
 
 def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
     material = _entry(document, "materials", number)
+    if only_specular(material) is not None:
+        # In place of the surface that the material does not have.
+        yield f"materials[{number}]: {SPECULAR_GLOSSINESS} is read without its specular colour and its picture of both"
+        extensions = {key: value for key, value in material["extensions"].items() if key != SPECULAR_GLOSSINESS}
+        material = material | {"extensions": extensions}
     glow = material.get("emissiveFactor", [0.0])
     dark = not (isinstance(glow, list) and any(glow))
     shown = {key: value for key, value in material.items() if not (dark and key.startswith("emissive"))}

@@ -6,7 +6,7 @@ line between the points at which it crosses their sides, which are found by bise
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ SHIFT = (0.37, 0.61)
 SMOOTH = 0.1
 """Cells whose values differ by more than this share of the largest are divided like those at an edge."""
 
+HIDDEN = -1e9
+"""Value where a shadow hides light; all other numbers of darkness differ from it."""
+
 _CORNERS = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
 """Of a cell, in their order round it."""
 
@@ -47,7 +50,24 @@ class Integral(NamedTuple):
     error: float
 
 
-def integral(function: Function, radius: float) -> Integral:
+class Shade(Protocol):
+    """Region in which a function is zero, with a sharp outline that is known.
+
+    Attributes
+    ----------
+    edges : (k, 2, 2) float64
+        Segments that hold the outline.
+    """
+
+    @property
+    def edges(self) -> Array:
+        """Segments (k, 2, 2) that hold the outline."""
+
+    def hides(self, at_mm: Array) -> NDArray[np.bool_]:
+        """Tell which points (n, 2) are in the region."""
+
+
+def integral(function: Function, radius: float, shade: Shade | None = None) -> Integral:
     """Integrate a function that is positive within a region and not beyond, nor outside a disk about the origin.
 
     Where it is not positive, its value may be any negative number that tells apart why: the function is not integrated
@@ -66,7 +86,13 @@ def integral(function: Function, radius: float) -> Integral:
         Maps points (n, 2) to values (n,).
     radius : float
         Of the disk.
+    shade : Shade, optional
+        Where the function is zero all the same. Cells that its outline crosses are divided; where two outlines cross
+        one of the smallest cells and all of its corners are alike, what it may hold counts as error.
     """
+    whole = function
+    if shade is not None:
+        function = _shaded(function, shade)
     cells = np.stack(np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij"), axis=-1).reshape(-1, 2)
     value, within = 0.0, 0.0
     parts_before = np.zeros(0)
@@ -86,7 +112,8 @@ def integral(function: Function, radius: float) -> Integral:
         cells, corners, kinds, between = seen
         lit = (corners > 0.0).sum(axis=1)
         least, most = corners.min(axis=1), corners.max(axis=1)
-        rough = (between > 0.0) | ((lit > 0) & ((lit < 4) | (most - least > SMOOTH * most)))
+        outlined = _crossed(cells, shade.edges, side, origin) if shade is not None else np.zeros(len(cells), bool)
+        rough = outlined | (between > 0.0) | ((lit > 0) & ((lit < 4) | (most - least > SMOOTH * most)))
         smooth = np.flatnonzero((lit == 4) & ~rough)
         middles = function((cells[smooth] + 0.5) * side + origin)
         # A hole within the cell is an edge, too.
@@ -103,7 +130,9 @@ def integral(function: Function, radius: float) -> Integral:
             off = parts.reshape(-1, 4).sum(axis=1) - parts_before
             edge = abs(float(off.sum())) + float(np.sqrt((off * off).sum()))
             blur = side * side * float(most[rough].sum()) / (1 << BISECTIONS)
-            unseen = side * side * float(between.sum())
+            alike = cells[outlined & ((lit == 0) | (lit == 4))]
+            inside = np.maximum(whole((alike + 0.5) * side + origin), 0.0) if len(alike) else np.zeros(0)
+            unseen = side * side * float(between.sum() + inside.sum())
             return Integral(value + float(parts[rough].sum()), within + edge + blur + unseen)
         # Where three ways to be dark come together may be light that no side of the cell meets.
         knots = followed & (kinds > 2)
@@ -114,6 +143,41 @@ def integral(function: Function, radius: float) -> Integral:
         searched, followed = np.repeat(rough[divided], 4), np.repeat(knots[divided], 4)
         cells = _halved(cells[divided])
     raise AssertionError
+
+
+def _shaded(function: Function, shade: Shade) -> Function:
+    """Return a function that is dark where a shade hides its light."""
+
+    def shaded(at: Array) -> Array:
+        values = function(at)
+        lit = np.flatnonzero(values > 0.0)
+        values[lit[shade.hides(at[lit])]] = HIDDEN
+        return values
+
+    return shaded
+
+
+def _crossed(cells: Cells, segments: Array, side: float, origin: Array) -> NDArray[np.bool_]:
+    """Tell which cells are crossed by a segment (k, 2, 2)."""
+    # Pieces no longer than a cell lie in the four cells of their two ends, by row and column.
+    ends = (segments - origin) / side
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    pieces = np.ceil(length).astype(np.int64).clip(min=1)
+    which = np.repeat(np.arange(len(ends)), pieces)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    half = 0.5 * (ends[which, 1] - ends[which, 0]) / pieces[which, None]
+    middle = ends[which, 0] + (2 * number + 1)[:, None] * half
+    places = np.stack([np.floor(middle - half), np.floor(middle + half)], axis=1)
+    found = []
+    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cell = np.column_stack([places[:, row, 0], places[:, column, 1]])
+        off = middle - cell - 0.5
+        # Separating axes: the two sides of the cell, and the one square to the piece.
+        meets = (np.abs(off) <= 0.5 + np.abs(half)).all(axis=1)
+        meets &= np.abs(off[:, 0] * half[:, 1] - off[:, 1] * half[:, 0]) <= 0.5 * np.abs(half).sum(axis=1)
+        inside = meets & (cell >= 0).all(axis=1) & (cell < 1 << 30).all(axis=1)
+        found.append(_names(cell[inside].astype(np.int64)))
+    return _among(_names(cells), np.unique(np.concatenate(found)))
 
 
 class _Seen(NamedTuple):

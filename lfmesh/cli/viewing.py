@@ -6,8 +6,8 @@ from typing import Any
 
 from lfmesh.cli.view_options import Launches, Reports, Serving
 from lfmesh.errors import LfmeshError
-from lfmesh.view.rays.exact_ghosts import exact_of
-from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
+from lfmesh.view.rays.exact_ghosts import exact_of, origin_in_words
+from lfmesh.view.rays.ghosts import DARK, GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.path_table import path_table
 from lfmesh.view.scene3d.gl import Probe, has_display
 from lfmesh.view.scene3d.plotter import Drawing
@@ -97,8 +97,13 @@ def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
     if reports.ghosts is not None:
         # A filter chooses among the rays; what is integrated over the pupil it cannot divide.
         chosen = exact if seen.chosen.all() else None
-        written.append(ghost_matrix(seen.rays, chosen).save(reports.ghosts))
-        lines += chosen.lines() if chosen is not None else []
+        matrix = ghost_matrix(seen.rays, chosen)
+        if matrix.total > 0.0:
+            written.append(matrix.save(reports.ghosts))
+        else:
+            lines.append(f"{reports.ghosts} is not drawn: {DARK}")
+        whole = bool(seen.chosen.all())
+        lines += chosen.lines() if chosen is not None else [origin_in_words(seen.all_rays, is_whole=whole)]
     return lines, written
 
 

@@ -1,12 +1,8 @@
 """The ghosts of a launch as the page lists them: pair by pair, with the error and the origin of each power."""
 
-from lfmesh.view.rays.exact_ghosts import refusal
 from lfmesh.view.rays.ghosts import GhostPair
-from lfmesh.view.rays.paths import Rays
 
 GHOST_HEADS = ("ghost", "power / {unit}", "±", "of the sensor's", "origin")
-
-BY_QUADRATURE = "Origin quadrature: the pair's sequences are integrated over the pupil; ± is the error of that."
 
 
 def ghost_cells(pair: GhostPair) -> list[str]:
@@ -20,24 +16,3 @@ def ghost_cells(pair: GhostPair) -> list[str]:
         f"{100.0 * pair.share:.3g} %",
         origin,
     ]
-
-
-def origin_in_words(rays: Rays, *, is_whole: bool) -> str:
-    """Say how the powers are had, and why not by quadrature where they are not.
-
-    Parameters
-    ----------
-    rays : Rays
-        Of the launch.
-    is_whole : bool
-        Whether the filter keeps all of them.
-    """
-    if rays.field is None:
-        why = "they are integrated for rays of field points alone"
-    elif (obstacle := refusal(rays.world)) is not None:
-        why = obstacle
-    elif not is_whole:
-        why = "a filter chooses among the rays, and what is integrated over the pupil it cannot divide"
-    else:
-        return BY_QUADRATURE
-    return f"All from the rays, ± the standard error: {why}."

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.literals import counted
 from lfmesh.transport.world import World
-from lfmesh.view.browser.ghost_rows import GHOST_HEADS, ghost_cells, origin_in_words
+from lfmesh.view.browser.ghost_rows import GHOST_HEADS, ghost_cells
 from lfmesh.view.browser.replies import Replies
 from lfmesh.view.pictures import figure_url
 from lfmesh.view.rays import launch
-from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_of
+from lfmesh.view.rays.exact_ghosts import ExactGhosts, exact_of, origin_in_words
 from lfmesh.view.rays.filters import FilterError, parse
 from lfmesh.view.rays.ghosts import GHOST_CUTOFF, GHOST_RAYS, ghost_matrix
 from lfmesh.view.rays.history import Step, history

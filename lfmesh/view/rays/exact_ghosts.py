@@ -17,6 +17,7 @@ from lfmesh.analysis.quadrature import Integral, integral
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.meshes.levels import EXACT
+from lfmesh.geometry.objects.targets import named_target
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.transport.aims.aim_table import widest_disk
 from lfmesh.transport.packets.packet import CAMERA_FRAME, SENSOR_FRAME, WORLD_FRAME
@@ -29,6 +30,7 @@ from lfmesh.transport.world import World
 from lfmesh.view.rays.launch import INTENSITY_W_SR
 from lfmesh.view.rays.names import label, mirror_names
 from lfmesh.view.rays.paths import Rays
+from lfmesh.view.rays.shadows import Shadow, in_the_way, is_opaque, shadow
 
 Floats = NDArray[np.float64]
 
@@ -36,6 +38,8 @@ DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
 
 SHOWN = 10
 """Ghosts that are printed."""
+
+BY_QUADRATURE = "Origin quadrature: the pair's sequences are integrated over the pupil; ± is the error of that."
 
 
 @dataclass(frozen=True)
@@ -120,10 +124,8 @@ class ExactGhosts:
         lines = [f"{'ghost':<10}{'power/W':>11}{'error/W':>10}{'of image':>10}{'focus/mm':>11}"]
         for row in lit[:most]:
             focus = f"{row.focus_mm:.2f}" if math.isfinite(row.focus_mm) else "-"
-            lines.append(
-                f"{DASH.join(row.mirrors):<10}{row.power:11.4e}{row.error:10.1e}"
-                f"{row.power / self.image.power:10.1e}{focus:>11}"
-            )  # fmt: skip
+            share = f"{row.power / self.image.power:.1e}" if self.image.power > 0.0 else "-"
+            lines.append(f"{DASH.join(row.mirrors):<10}{row.power:11.4e}{row.error:10.1e}{share:>10}{focus:>11}")
         if len(lit) > most:
             rest = sum(row.power for row in lit[most:])
             lines.append(f"and {len(lit) - most} more with {rest:.3e} W")
@@ -139,7 +141,8 @@ class ExactGhosts:
 def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[float] | None = None) -> ExactGhosts:
     """Integrate what the image path and the ghosts of two reflections in the camera bring to the sensor.
 
-    Each field point shines with 1 W/sr at each wavelength. Targets do not hide the lens from it.
+    Each field point shines with 1 W/sr at each wavelength. Opaque targets hide the lens from it where they stand in the
+    way; light that they reflect, or scatter, is none of a sequence's.
 
     Parameters
     ----------
@@ -159,9 +162,9 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         The scene has what sequences are not followed through, see `refusal`, or a point is not in front of the lens.
     """
     shape = world.lens_shape
-    if (obstacle := refusal(world)) is not None:
+    if (obstacle := refusal(world, points_mm)) is not None:
         raise LfmeshError(f"ghosts by sequence: {obstacle}")
-    points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
+    points = _in_camera(world, points_mm)
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
     tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.wavelengths_nm]
@@ -172,7 +175,8 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
         for behind in (False, True)
         if surface["terms"] > 0 or (surface["curvature"] > 0.0 if behind else surface["curvature"] < 0.0)
     ]
-    found = [_brought(world, tables, points, path) for path in _paths(world.tables, sides)]
+    shaded = [(point, shadow(world, point)) for point in points]
+    found = [_brought(world, tables, shaded, path) for path in _paths(world.tables, sides)]
     camera = world.scene.camera
     plane = camera.mla.distance_mm if camera.mla is not None else camera.sensor.distance_mm
     ghosts = sorted(found[1:], key=lambda row: -row.power)
@@ -193,8 +197,14 @@ def _mirrors_in_words(tables: Tables) -> str:
     return " and ".join([", ".join(["lens", *behind[:-1]]), *behind[-1:]])
 
 
-def refusal(world: World) -> str | None:
-    """Say why ghosts cannot be followed by sequence through a scene; None if they can."""
+def refusal(world: World, points_mm: ArrayLike) -> str | None:
+    """Say why ghosts of field points cannot be followed by sequence through a scene; None if they can.
+
+    Parameters
+    ----------
+    world : World
+    points_mm : (n, 3) float, mm, world frame
+    """
     scene, shape = world.scene, world.lens_shape
     if not (shape.analytic.all() and (shape.surfaces["level"] == EXACT).all()):
         return 'they need exact surfaces of the lens: transport.surface = "exact", and no mesh glass in it'
@@ -206,7 +216,20 @@ def refusal(world: World) -> str | None:
     for name in ("media", "particles", "tanks"):
         if getattr(scene, name):
             return f"{name} stand between field points and lens, through which sequences are not followed"
-    return refused_in_order(scene)
+    if (rough := refused_in_order(scene)) is not None:
+        return rough
+    clear = [number for number in range(len(world.targets)) if not is_opaque(world, number)]
+    for point in _in_camera(world, points_mm):
+        for number in in_the_way(world, point, clear) if point[2] < world.tables.lens.box_low[2] else ():
+            return (
+                f"{named_target(scene, number)} stands between a field point and the lens and lets light through, "
+                "along paths that no sequence follows"
+            )
+    return None
+
+
+def _in_camera(world: World, points_mm: ArrayLike) -> Floats:
+    return frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], np.atleast_2d(np.asarray(points_mm, float)))
 
 
 def exact_of(rays: Rays) -> ExactGhosts | None:
@@ -214,14 +237,37 @@ def exact_of(rays: Rays) -> ExactGhosts | None:
 
     It can be had of rays from field points alone, in a scene that has no `refusal`.
     """
-    if rays.field is None or refusal(rays.world) is not None:
+    if rays.field is None or refusal(rays.world, rays.field.points_mm) is not None:
         return None
     return exact_ghosts(rays.world, rays.field.points_mm, rays.field.wavelengths_nm)
 
 
-def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary) -> SequencePower:
-    """Return what field points (camera frame) bring to the sensor along a path."""
-    parts = [_from_point(each, point, path) for each in tables for point in points]
+def origin_in_words(rays: Rays, *, is_whole: bool) -> str:
+    """Say how the powers are had, and why not by quadrature where they are not.
+
+    Parameters
+    ----------
+    rays : Rays
+        Of the launch.
+    is_whole : bool
+        Whether the filter keeps all of them.
+    """
+    if rays.field is None:
+        why = "they are integrated for rays of field points alone"
+    elif (obstacle := refusal(rays.world, rays.field.points_mm)) is not None:
+        why = obstacle
+    elif not is_whole:
+        why = "a filter chooses among the rays, and what is integrated over the pupil it cannot divide"
+    else:
+        return BY_QUADRATURE
+    return f"All from the rays, ± the standard error: {why}."
+
+
+def _brought(
+    world: World, tables: list[Tables], points: list[tuple[Floats, Shadow | None]], path: Itinerary
+) -> SequencePower:
+    """Return what field points (camera frame), each with what hides it, bring to the sensor along a path."""
+    parts = [_from_point(each, point, path, shade) for each in tables for point, shade in points]
     faces = [label(name) for name in mirror_names(world)]
     words = [
         f"{faces[face]} {'R' if mirrors else 'T'}" for face, mirrors in zip(path.faces, path.reflected, strict=True)
@@ -229,11 +275,11 @@ def _brought(world: World, tables: list[Tables], points: Floats, path: Itinerary
     return SequencePower(
         path, ", ".join([*words, "sensor"]), tuple(faces[face] for face in path.mirrors),
         sum(part.value for part in parts), sum(part.error for part in parts),
-        _focus_mm(world, path, -float(points[0, 2])),
+        _focus_mm(world, path, -float(points[0][0][2])),
     )  # fmt: skip
 
 
-def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
+def _from_point(tables: Tables, point: Floats, path: Itinerary, shade: Shadow | None) -> Integral:
     """Integrate the intensity that arrives on the sensor over the plane before the lens."""
     plane_z, radius = float(tables.lens.box_low[2]), widest_disk(tables.lens, point[None], front=True)
 
@@ -246,7 +292,7 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary) -> Integral:
         light = INTENSITY_W_SR * found * ray[:, 2] / length**3
         return np.where(light > 0.0, light, -_darkness(arrived, side))
 
-    return integral(irradiance, radius)
+    return integral(irradiance, radius, shade)
 
 
 def _darkness(arrived: Arrived, beside: NDArray[np.int64]) -> Floats:

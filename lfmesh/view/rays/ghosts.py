@@ -45,6 +45,9 @@ SIZE_IN, DPI = (10.6, 6.5), 120
 
 LETTERS_A_LINE = 130
 
+DARK = "no light of these rays reaches the sensor, so that there is no ghost to draw; look for a target in their way"
+"""Why there is no figure."""
+
 
 class GhostPair(NamedTuple):
     """A pair of surfaces that reflect, with what it brings to the sensor."""
@@ -185,6 +188,8 @@ class GhostMatrix:
         return path
 
     def _share(self) -> NDArray[np.float64]:
+        if self.total == 0.0:
+            raise LfmeshError(DARK)
         if not (self.power > 0.0).any():
             raise LfmeshError(
                 'no ghost of two reflections is among the rays: launch with split = "both", and more of them'

@@ -35,7 +35,8 @@ def true_depth_mm(scene: Scene) -> Array:
 def depth_errors_mm(field: LightField, truth_mm: Array, where: NDArray[np.bool_]) -> Array:
     """Return by how much depth is too large at samples where both it and the truth are known, (n,) mm.
 
-    A single NaN where there are none. Samples whose depth is estimated beyond infinity are infinitely wrong.
+    A single NaN where depth is unknown at half or more of the samples with a known truth: of the rest alone the error
+    would be that of the samples that are easy. Samples whose depth is estimated beyond infinity are infinitely wrong.
 
     Parameters
     ----------
@@ -49,6 +50,6 @@ def depth_errors_mm(field: LightField, truth_mm: Array, where: NDArray[np.bool_]
     LfmeshError
         As `estimate_depth`.
     """
-    error = estimate_depth(field).distance_mm - truth_mm
-    error = error[where & ~np.isnan(error)]
-    return error if error.size else np.array([np.nan])
+    error = (estimate_depth(field).distance_mm - truth_mm)[where & ~np.isnan(truth_mm)]
+    known = error[~np.isnan(error)]
+    return known if 2 * known.size > error.size else np.array([np.nan])

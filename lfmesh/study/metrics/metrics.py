@@ -615,7 +615,10 @@ METRICS: Mapping[str, Metric] = {
         _mtf50,
         needs_mla=True,
         unknown=_no_mtf50,
-        unseen="the middle of the photograph shows no straight edge, or one that is lost in noise",
+        unseen=(
+            "the middle of the photograph shows no straight edge, or one that is lost in noise or sharper than its "
+            "samples can tell"
+        ),
     ),
     "refocus": Metric(
         (
@@ -637,7 +640,7 @@ METRICS: Mapping[str, Metric] = {
         unknown=_no_refocus,
         unseen=(
             "the edge leaves the middle of the picture, is lost in noise, or is seen by fewer than "
-            f"{LEAST_VIEWS} columns of views that the pupil does not cut"
+            f"{LEAST_VIEWS} columns of views that the pupil does not cut; or it is sharpest at no finite distance"
         ),
     ),
     "depth": Metric(
@@ -648,7 +651,10 @@ METRICS: Mapping[str, Metric] = {
         ("scene", "white"),
         _depth,
         needs_mla=True,
-        unseen="no part of the reference's picture has texture enough to tell depth",
+        unseen=(
+            "no part of the reference's picture has texture enough to tell depth, or half of it or more has no known "
+            "depth here"
+        ),
     ),
     "crosstalk": Metric(
         (Column("crosstalk_share", CROSSED, "chance", worse="high", possible=SHARE),),

@@ -301,7 +301,7 @@ def _span(table: Table, row: Row) -> str:
     if not (found.column or found.unknown):
         return f"{change:+.4g} (all that was studied)"
     low, high = _ends_of(table, row)
-    return f"{change:+.4g} ({'at least, the limit lies from ' * bool(found.unknown)}{low:+.3g} to {high:+.3g})"
+    return f"{change:+.4g} ({'at least; not known from ' * bool(found.unknown)}{low:+.3g} to {high:+.3g})"
 
 
 def _ends_of(table: Table, row: Row) -> tuple[float, float]:

@@ -36,7 +36,7 @@ def demo(
 
 @app.command
 def check(scene: SceneFile, /) -> int:
-    """Check a scene file and print its first-order optics and where its targets stand, with warnings and notes.
+    """Check a scene file and print its first-order optics and where its targets, media and particles stand, with notes.
 
     Loads every mesh and picture, and traces nothing but a few rays of particles that are to be pictured by waves.
 
@@ -79,6 +79,10 @@ def check(scene: SceneFile, /) -> int:
     said = {f"Note: {each}" for each in found}
     lines = [line for line in lines if line not in said]
     lines += lamp_lines(loaded, world.targets)
+    if world.scene.media or world.particles:
+        from lfmesh.transport.checks.media_places import media_places
+
+        lines += [line for place in media_places(world) for line in place.lines(world.scene.primary_nm)]
     print("\n".join(map(wrapped, lines)))
     return 0
 

@@ -111,8 +111,8 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
     corners = body.mesh.vertices[np.unique(body.mesh.faces)]
     seen = frame.points(to_camera, corners)
     before = seen[:, 2] < 0.0
-    picture = _in_field(seen[before], facts)
-    share = _share(picture) if before.any() else 0.0
+    picture = in_field(seen[before], facts)
+    share = share_of_field(picture) if before.any() else 0.0
     lit_by = _lamps(scene, target, body, frame.inverse(to_camera)) if share else None
     return Placement(
         named_target(scene, number),
@@ -216,7 +216,7 @@ def is_round(body: TargetMesh, eye: Array) -> bool:
     return bool(winding(body.mesh.vertices[body.mesh.faces], eye)[0] != 0)
 
 
-def _in_field(points: Array, facts: FirstOrder) -> Array:
+def in_field(points: Array, facts: FirstOrder) -> Array:
     """Return (n, 2) where points of the camera frame, before the lens, stand in the field, whose edges are ±1."""
     z, which = np.unique(points[:, 2], return_inverse=True)
     half = np.array([half_field_mm(float(depth), facts) for depth in z]).reshape(-1, 2)
@@ -224,7 +224,7 @@ def _in_field(points: Array, facts: FirstOrder) -> Array:
         return np.nan_to_num(points[:, :2] / half[which], nan=0.0)
 
 
-def _share(picture: Array) -> float:
+def share_of_field(picture: Array) -> float:
     """Return the share of the field that the box round a picture fills."""
     low, high = np.clip(picture.min(axis=0), -1.0, 1.0), np.clip(picture.max(axis=0), -1.0, 1.0)
     if (picture.min(axis=0) > 1.0).any() or (picture.max(axis=0) < -1.0).any():

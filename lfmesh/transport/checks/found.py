@@ -4,6 +4,7 @@ Everything that a run knows of itself comes to one list here. It is warned of in
 written into `report.json`, see `lfmesh.errors.PictureWarning`.
 """
 
+import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -84,10 +85,24 @@ def found(image: "Image") -> list[PictureWarning]:
 
 def _black(image: "Image") -> Iterator[PictureWarning]:
     if not image.mean.any():
+        out = _out_of_field(image.scene)
         yield BlackPictureWarning(
             "no path found light, and the picture is black. lfmesh check names what is not lit or not in view; "
-            "image.ledger says where the paths ended"
+            f"image.ledger says where the paths ended{'; out of the field: ' if out else ''}{', '.join(out)}"
         )
+
+
+def _out_of_field(scene: Scene) -> list[str]:
+    """Return the names of the media and particles of a scene that are out of the field."""
+    if not (scene.media or scene.particles):
+        return []
+    # Only a black picture asks for it, and a world is built from what is asked here.
+    from lfmesh.transport.checks.media_places import unseen
+    from lfmesh.transport.world import build
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return unseen(build(scene))
 
 
 def proofs(scene: Scene, aim: AimProof | None, order: OrderCheck | None) -> list[PictureWarning]:

@@ -1,0 +1,178 @@
+"""Places of a scene's media and particles as the camera sees them, and how much light the media take away."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.objects.placement import in_field, share_of_field
+from lfmesh.scene import FirstOrder
+from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.volumes import CYLINDER, NOT_IN_GRID, SHELL, SPHERE, Volumes, corners_of
+from lfmesh.transport.world import World
+
+Array = NDArray[np.float64]
+
+LINES = 33
+"""Lines of sight along each side of the field on which optical depths are found."""
+
+STEPS = 4
+"""Points on a line of sight for each voxel that the longest side of a grid has."""
+
+OUT_OF_FIELD = "is out of the field: the camera does not see it"
+
+
+@dataclass(frozen=True)
+class MediumPlace:
+    """Place of a medium, or of a group of particles.
+
+    Attributes
+    ----------
+    name : str
+    what : str
+        What it does to light; of particles, how many shine.
+    reach_mm : (float, float)
+        Distances of its ends before the first vertex; inf for a medium without an end.
+    share : float
+        Of the field of view: of a medium that the box round its picture fills, at most; of particles that are in it.
+    depths : (float, float) or None
+        Optical depth along the axis, and the largest found over the field, at the primary wavelength; of a medium
+        without an end per mm. None of particles, and of a medium bounded by a mesh.
+    """
+
+    name: str
+    what: str
+    reach_mm: tuple[float, float]
+    share: float
+    depths: tuple[float, float] | None
+
+    def lines(self, wavelength_nm: float) -> list[str]:
+        """Return what is known in words, a warning last, as a note."""
+        near, far = self.reach_mm
+        endless = not np.isfinite(far)
+        of_particles = self.what.startswith("particles")
+        lines = [
+            f"{self.name}: {self.what}",
+            f"  before the lens      {near:.5g} mm " + ("on, without an end" if endless else f"to {far:.5g} mm"),
+            f"  {'in the field' if of_particles else 'share of the field':<20} {100 * self.share:.3g} %"
+            + ("" if of_particles or endless else " at most"),
+        ]
+        if self.depths is not None and endless:
+            lines.append(f"  optical depth        {self.depths[0]:.4g} per mm at {wavelength_nm:g} nm")
+        elif self.depths is not None:
+            axis, most = self.depths
+            lines.append(
+                f"  optical depth        {axis:.4g} along the axis, {most:.4g} the largest of {LINES} × {LINES} lines "
+                f"of sight over the field, at {wavelength_nm:g} nm"
+            )
+        return lines + [f"Note: {self.name} {OUT_OF_FIELD}"] * (self.share == 0.0)
+
+
+def media_places(world: World) -> list[MediumPlace]:
+    """Return the place of each medium and of each group of particles of a built scene.
+
+    Lines of sight are the straight chief rays before the lens: refraction at bodies of glass is left out.
+    """
+    return [*_media(world), *_particles(world)]
+
+
+def unseen(world: World) -> list[str]:
+    """Return the names of media and particles that are out of the field."""
+    return [place.name for place in media_places(world) if place.share == 0.0]
+
+
+def _media(world: World) -> Iterator[MediumPlace]:
+    volumes, facts = world.tables.objects.volumes, world.first_order
+    colour = int(np.argmin(np.abs(np.array(world.lines.wavelengths_nm) - world.scene.primary_nm)))
+    for number, medium in enumerate(world.scene.media):
+        row = volumes.rows[number]
+        name = f"media[{number}]" + (f" ({medium.name})" if medium.name else "")
+        takes = {
+            "absorbs": volumes.absorption[number, colour] > 0.0,
+            "scatters": volumes.scattering[number, colour] > 0.0,
+            "emits": bool(volumes.emission[number].any()),
+        }
+        what = ", ".join(word for word, does in takes.items() if does) or "does nothing at this wavelength"
+        to_camera = frame.compose(world.tables.frames[OBJECT_FRAME, CAMERA_FRAME], frame.inverse(row["to_own"]))
+        corners = corners_of(row)
+        if corners is None:
+            extinction = float(volumes.absorption[number, colour] + volumes.scattering[number, colour])
+            yield MediumPlace(name, what, (0.0, np.inf), 1.0, (extinction, extinction))
+            continue
+        seen = frame.points(to_camera, corners)
+        depths = None if row["bounds"] == SHELL else _depths(volumes, number, colour, to_camera, facts)
+        share = share_of_field(in_field(seen, facts))
+        yield MediumPlace(name, what, (float(-seen[:, 2].max()), float(-seen[:, 2].min())), share, depths)
+
+
+def _particles(world: World) -> Iterator[MediumPlace]:
+    move = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
+    for group in world.particles:
+        seen = frame.points(move, group.points)
+        share = float((np.abs(in_field(seen, world.first_order)) <= 1.0).all(axis=1).mean())
+        reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
+        yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} that shine", reach, share, None)
+
+
+def _depths(volumes: Volumes, number: int, colour: int, to_camera: Array, facts: FirstOrder) -> tuple[float, float]:
+    """Return the optical depth of a medium along the axis, and the largest over the field."""
+    sides = np.linspace(-0.5, 0.5, LINES)
+    field, middle = facts.field, LINES * LINES // 2
+    start, way = np.zeros((2, LINES * LINES, 3))
+    way[:, 2] = -1.0
+    if np.isfinite(field.slope).all():
+        places = np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
+        start[:, :2], way[:, :2] = places * field.at_vertex_mm, -places * field.slope
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    to_own = frame.inverse(to_camera)
+    found = _along(volumes, number, colour, frame.points(to_own, start), frame.directions(to_own, way))
+    return float(found[middle]), float(found.max())
+
+
+def _along(volumes: Volumes, number: int, colour: int, start: Array, way: Array) -> Array:
+    """Return the optical depth along lines from places in a medium's own frame, (n,)."""
+    row = volumes.rows[number]
+    low, high = np.maximum(row["box"][0], row["low"]), np.minimum(row["box"][1], row["high"])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.stack([low, high])[:, None] - start) / way
+    first = np.nan_to_num(ends.min(axis=0), nan=-np.inf).max(axis=1)
+    last = np.nan_to_num(ends.max(axis=0), nan=np.inf).min(axis=1)
+    if row["bounds"] in (SPHERE, CYLINDER):
+        across = 3 if row["bounds"] == SPHERE else 2
+        p, d = start[:, :across], way[:, :across]
+        a, b, c = (d * d).sum(axis=1), (p * d).sum(axis=1), (p * p).sum(axis=1) - row["size"][0] ** 2
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # A line along a cylinder's axis is in it everywhere, or nowhere.
+            enters = np.where(a > 0.0, (-b - root) / a, -np.inf)
+            leaves = np.where(a > 0.0, (-b + root) / a, np.inf)
+        misses = (b * b < a * c) | ((a == 0.0) & (c > 0.0))
+        first, last = np.maximum(first, enters), np.where(misses, -np.inf, np.minimum(last, leaves))
+    first = np.maximum(first, 0.0)
+    chord = np.maximum(last - first, 0.0)
+    taken = np.zeros(len(start))
+    for quantity in ("absorption", "scattering"):
+        value = getattr(volumes, quantity)[number, colour] * chord
+        held = row[quantity] != NOT_IN_GRID
+        taken += value * (_mean(volumes, row, quantity, (start, way), (first, chord)) if held else 1.0)
+    return taken
+
+
+def _mean(
+    volumes: Volumes, row: np.void, quantity: str, lines: tuple[Array, Array], span: tuple[Array, Array]
+) -> Array:
+    """Return the mean of a grid's quantity along chords, (n,)."""
+    shape = tuple(row["cells"])
+    values = volumes.values[row[quantity] : row[quantity] + int(np.prod(shape))].reshape(shape)
+    steps, order = STEPS * max(shape), 0 if row["constant"] else 1
+    (start, way), (first, chord) = lines, span
+    total = np.zeros(len(start))
+    lit = np.flatnonzero(chord > 0.0)
+    for step in range(steps):
+        along = first[lit] + (step + 0.5) / steps * chord[lit]
+        cells = (start[lit] + along[:, None] * way[lit] - row["origin"]) / row["spacing"]
+        total[lit] += ndimage.map_coordinates(values, cells.T, order=order, mode="nearest")
+    return total / steps

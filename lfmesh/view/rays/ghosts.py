@@ -46,7 +46,7 @@ SIZE_IN, DPI = (10.6, 6.5), 120
 LETTERS_A_LINE = 130
 
 DARK = "no light of these rays reaches the sensor, so that there is no ghost to draw; look for a target in their way"
-"""Why there is no figure."""
+"""Reason that no figure is drawn."""
 
 
 class GhostPair(NamedTuple):

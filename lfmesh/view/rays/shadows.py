@@ -24,7 +24,7 @@ CLOSEST = 2.0**-30
 
 
 class Shadow(NamedTuple):
-    """What hides the lens from a field point.
+    """Targets that hide the lens from a field point, with the outlines of their shadows.
 
     Attributes
     ----------

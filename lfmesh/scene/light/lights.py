@@ -6,7 +6,7 @@ spreads, by which law. Nothing else needs to know which lamp it is.
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,13 @@ class CircularPolarisation(Model):
 Polarisation = Annotated[LinearPolarisation | CircularPolarisation, Field(discriminator="kind")]
 
 
+class _InOnePlace(Protocol):
+    """Fields of most lamps."""
+
+    power_w: float
+    position_mm: Vector
+
+
 class _Shines(Model):
     spectrum: Shape | None = None
     """Spectrum of its power, in any unit; the same at all wavelengths if omitted. An illuminant's name such as "D65",
@@ -70,9 +77,6 @@ class _Shines(Model):
     { blackbody_k = ... }. Needs bands."""
 
     law: ClassVar[Emission] = "even"
-    if TYPE_CHECKING:
-        power_w: float
-        position_mm: Vector
 
     @property
     def emission(self) -> Emission:
@@ -82,7 +86,7 @@ class _Shines(Model):
     @property
     def strength(self) -> float:
         """Power in W; of parallel light, irradiance in W/m²."""
-        return self.power_w
+        return cast(_InOnePlace, self).power_w
 
     @property
     def region(self) -> Region | None:
@@ -92,7 +96,7 @@ class _Shines(Model):
     @property
     def place_in_words(self) -> str:
         """Key and value of its place, as in a scene file, and its size."""
-        return f"position_mm = {list(self.position_mm)}"
+        return f"position_mm = {list(cast(_InOnePlace, self).position_mm)}"
 
     @property
     def axes(self) -> Array:

@@ -160,7 +160,8 @@ def as_meshes(scene: Tables, draw: np.random.Generator, change: Change | None = 
         if (shape := target.pop("shape", None)) is not None:
             mesh = of_shape(shape)
             fold = draw.uniform(10.0, 60.0) if shape["kind"] == "plane" and draw.random() < 0.5 else 0.0
-            target |= in_file(folded(mesh, fold) if fold else mesh, change)
+            # Only the material of the scene counts.
+            target |= in_file(folded(mesh, fold) if fold else mesh, change) | {"materials": "ignore"}
         elif (size := target.get("refractor", {}).pop("box_mm", None)) is not None:
             target["refractor"] |= in_file(of_shape({"kind": "box", "size_mm": size}), change) | {"surface": "flat"}
     for medium in scene.get("media", []):

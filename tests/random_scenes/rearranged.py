@@ -89,9 +89,9 @@ def _with_size(lamp: Tables) -> Tables:
             kept = {key: value for key, value in lamp.items() if key != "radius_mm"}
             return kept | {"kind": "rectangle", "width_mm": 2.4 * radius, "height_mm": radius}
         case "point":
-            start = np.array(lamp["position_mm"])
-            # Along a direction that is that of no axis, by a tenth of the way to the origin.
-            end = start + 0.1 * np.linalg.norm(start) * np.array([0.48, 0.6, 0.64])
+            x, y, z = start = np.array(lamp["position_mm"])
+            # Away from the axis, where the camera is not moved: lamps are beside the field.
+            end = start + 0.3 * np.array([x - 0.4 * y, y + 0.4 * x, 0.1 * z])
             return {"kind": "line", "start_mm": start.tolist(), "end_mm": end.tolist(), "power_w": lamp["power_w"]}
     return lamp
 

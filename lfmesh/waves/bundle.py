@@ -21,7 +21,7 @@ from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence, lens
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
-from lfmesh.waves.stop_aim import INSIDE, Ends, StopAim
+from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, StopAim
 
 Array = NDArray[np.float64]
 
@@ -185,6 +185,11 @@ class LensRays:
         pupil : (n, 2) float
             Points of the stop, in units of its radius.
         wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            Ray aiming did not converge: neither a ray nor an edge was found.
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
@@ -192,6 +197,11 @@ class LensRays:
         field = given if given.ndim else np.array([0.0, float(given)])
         slope = np.broadcast_to(field, aim.shape)
         entry, ends = self.aim.through(field, aim, wavelength_nm)
+        if (unknown := int((ends.edge == Edge.UNKNOWN).sum())) > 0:
+            raise LfmeshError(
+                f"ray aiming did not converge for {unknown} of {len(aim)} rays of the field with a slope of "
+                f"{float(field[1]):.4g} at {wavelength_nm:g} nm; give a smaller field or stop"
+            )
         known = np.isfinite(entry).all(axis=1)
         place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
         if known.any():
@@ -204,6 +214,31 @@ class LensRays:
             place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
             direction[mine] = d
         return Bundle(pupil, place, entry, direction, weight, ends)
+
+    def refuse_crossing(self, slope: ArrayLike, wavelength_nm: float) -> None:
+        """Refuse a field whose rays cross before the stop: to some of its points then comes more than one.
+
+        Parameters
+        ----------
+        slope : float, or (2,) float64
+            As for `bundle`.
+        wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            Trials across the front of the lens that pass the lens lie turned over in the stop.
+        """
+        given = np.asarray(slope, dtype=np.float64)
+        field = given if given.ndim else np.array([0.0, float(given)])
+        entry = self.aim.trials()
+        passes = self._followed(np.broadcast_to(field, entry.shape), entry, wavelength_nm).weight > 0.0
+        share = self.aim.turned_share(field, entry[passes], wavelength_nm)
+        if share > 0.0:
+            raise LfmeshError(
+                f"rays of this field cross before the stop, {100.0 * share:.2g} % of those that pass the lens, so that "
+                "several go through one point of the stop; move the stop or make a clear aperture smaller"
+            )
 
     def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
         """Follow rays that pass the lens face by face, with their optical paths.

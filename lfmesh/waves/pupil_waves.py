@@ -205,9 +205,10 @@ def waves_of_field(
     NoLightError
         None of its light passes.
     LfmeshError
-        Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass, or light that is
-        collimated or too aberrated behind the lens.
+        Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass or crosses before the
+        stop, or light that is collimated or too aberrated behind the lens.
     """
+    rays.refuse_crossing(slope, wavelength_nm)
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
     passes = bundle.passes
     if not passes.any():

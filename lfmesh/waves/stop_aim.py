@@ -362,13 +362,37 @@ class StopAim:
 
     def _by_trials(self, field: Array, wavelength_nm: float) -> _Known:
         """Return rays of a field that trials across the front find."""
-        steps = np.linspace(-1.0, 1.0, TRIALS) * self.front_radius
-        trial = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        trial = self.trials()
         hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
         ok = np.isfinite(hit).all(axis=1)
         nearest = np.argsort(np.hypot(*hit[ok].T))[:TRIALS]
         start = _Known(hit[ok][nearest], trial[ok][nearest], np.full((len(nearest), 2, 2), np.nan))
         return _of(self._continued((field, field), start, start.aim, wavelength_nm), start.aim)
+
+    def trials(self) -> Array:
+        """Return places (n, 2) in the plane of the first vertex, mm, on a square grid across the front of the lens."""
+        steps = np.linspace(-1.0, 1.0, TRIALS) * self.front_radius
+        return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+    def turned_share(self, field: Array, entry: Array, wavelength_nm: float) -> float:
+        """Return the share of rays whose neighbourhood lies turned over in the stop, as beyond a caustic.
+
+        The smaller of both senses counts as turned over.
+
+        Parameters
+        ----------
+        field : (2,) float64
+        entry : (n, 2) float64, mm
+        wavelength_nm : float
+        """
+        sides = DIFFERENCE * self.stop_radius * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        trial = (entry + sides[:, None]).reshape(-1, 2)
+        hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm).reshape(4, -1, 2)
+        (a, b), (c, d) = (hit[0] - hit[1]).T, (hit[2] - hit[3]).T
+        senses = np.sign(a * d - b * c)
+        # At borders the neighbourhood is not known.
+        turned = senses[np.isfinite(senses)] < 0.0
+        return float(min(turned.mean(), 1.0 - turned.mean())) if len(turned) else 0.0
 
     def _interpolated(self, known: _Known, field: Array, aim: Array, wavelength_nm: float) -> Array:
         """Return the entries of rays that are found from guesses by polynomials through known ones; NaN: not found."""

@@ -159,7 +159,8 @@ def wavefront(
     Raises
     ------
     LfmeshError
-        Surfaces that are meshes, ideal lenses beside real ones, a field whose rays do not pass, or a wrong value.
+        Surfaces that are meshes, ideal lenses beside real ones, a field whose rays do not pass or cross before the
+        stop, or a wrong value.
     """
     camera = solved_camera(scene)
     facts = camera.report
@@ -199,8 +200,9 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     Raises
     ------
     LfmeshError
-        The chief ray does not pass, or all others, or rays miss the reference sphere.
+        The chief ray does not pass, or all others, rays cross before the stop, or they miss the reference sphere.
     """
+    rays.refuse_crossing(slope, wavelength_nm)
     pupil = np.vstack([np.zeros(2), pupil_grid(across)])
     bundle = rays.bundle(slope, pupil, wavelength_nm)
     passes = bundle.passes

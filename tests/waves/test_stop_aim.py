@@ -98,6 +98,19 @@ def test_light_passes_the_points_of_the_stop_that_brute_force_finds(seed: int) -
     assert unknown == 0
 
 
+@pytest.mark.parametrize(("behind_mm", "crosses"), [(20.0, False), (95.0, True)])
+def test_waves_are_refused_where_rays_cross_before_the_stop(behind_mm: float, crosses: bool) -> None:
+    """A biconvex lens of f = 100 mm: near its focus the rays of its rim have crossed those of its middle."""
+    front = {"radius_mm": 100.0, "thickness_mm": 8.0, "index": 1.5, "semi_diameter_mm": 25.0}
+    back = {"radius_mm": -100.0, "thickness_mm": behind_mm, "semi_diameter_mm": 25.0}
+    scene = scene_of([front, back, {"stop": True, "semi_diameter_mm": 6.0}])
+    if crosses:
+        with pytest.raises(lf.LfmeshError, match=r"rays of this field cross before the stop, .* % of those"):
+            lf.wavefront(scene, object_mm=math.inf, image_z_mm=107.0)
+    else:
+        assert lf.wavefront(scene, object_mm=math.inf, image_z_mm=107.0).passed == 1.0
+
+
 @pytest.mark.long
 def test_a_thousand_random_pupils_are_those_of_brute_force() -> None:
     results = [differing(seed) for seed in range(1000)]

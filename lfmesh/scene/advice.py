@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import length_in_words, reach_in_words
+from lfmesh.scene.first_order.axial_beam import beam_heights_mm
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
@@ -239,13 +239,14 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     marginal = lens.marginal_ray(distance, radius)
     heights = lens.heights_mm(marginal)
     if not camera.lens.has_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
-        # Coefficients beyond all bounds leave no real ray to be followed.
-        with suppress(OverflowError, ValueError):
-            heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)
-    if camera.lens.number_off_revolution is not None:
-        across = Paraxial.of(camera.lens, wavelength, section_x=True)
-        in_x = across.heights_mm(across.marginal_ray(distance, radius))
-        heights = [max(abs(y), abs(x)) for y, x in zip(heights, in_x, strict=False)]
+        try:
+            if camera.lens.number_off_revolution is None:
+                heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)
+            else:
+                heights = beam_heights_mm(camera.lens, wavelength, distance)
+        except (OverflowError, ValueError):
+            # Coefficients beyond all bounds leave no real ray to be followed, and nothing to be said of it.
+            return
     for number, height in enumerate(heights):
         clear = surfaces[number].semi_diameter_mm or math.inf
         if number != lens.stop and abs(height) > clear * (1 + 1e-6):

@@ -401,9 +401,9 @@ class StopAim:
         if degree is None:
             return entry
         fit = np.linalg.lstsq(_powers(known.aim * scale, degree), known.entry, rcond=None)[0]
-        guess: Array = _powers(aim * scale, degree) @ fit
+        guess = np.asarray(_powers(aim * scale, degree) @ fit, dtype=np.float64)
         by_x, by_y = (_powers_by(aim * scale, degree, axis) @ fit * scale for axis in (0, 1))
-        derivative: Array = np.linalg.inv(_regular(np.stack([by_x, by_y], axis=2)))
+        derivative = np.asarray(np.linalg.inv(_regular(np.stack([by_x, by_y], axis=2))), dtype=np.float64)
 
         def landing(entry: Array, which: Whole) -> Array:
             return self.at_stop(np.broadcast_to(field, entry.shape), entry, wavelength_nm)

@@ -1,0 +1,111 @@
+"""Real rays of the axial beam through the whole rim of the stop, for lenses whose surfaces are none of revolution."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.optics.glass import refractive_index
+from lfmesh.optics.ray_aiming import continue_rays
+from lfmesh.scene.camera.lens import Lens, Surface
+
+Array = NDArray[np.float64]
+
+AZIMUTHS = 96
+"""Rays through the rim of the stop; the largest height between them follows from a parabola through three."""
+
+STEPS = 20
+"""Of Newton's method towards a surface."""
+
+DIFFERENCE = 1e-6
+"""Step by which the slope of a surface is found, over its clear aperture; of rays over the stop's radius."""
+
+
+def beam_heights_mm(lens: Lens, wavelength_nm: float, object_mm: float) -> list[float]:
+    """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
+
+    Parameters
+    ----------
+    lens : Lens
+        Solved; its elements stand as prescribed.
+    wavelength_nm, object_mm : float
+        As for `meridional.heights_mm`.
+
+    Returns
+    -------
+    list of float
+        mm; empty where no ray reaches the rim of the stop.
+    """
+    stop = lens.stop_index or 0
+    radius = lens.surfaces[stop].semi_diameter_mm or math.nan
+    angle = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    rim = radius * np.column_stack([np.sin(angle), np.cos(angle)])
+    middle = _crossings(lens, wavelength_nm, object_mm, np.zeros((1, 2)))[stop]
+
+    def miss(entry: Array, share: Array, which: NDArray[np.int64]) -> Array:
+        wanted = middle + share[:, None] * (rim[which] - middle)
+        return _crossings(lens, wavelength_nm, object_mm, entry)[stop] - wanted
+
+    found = continue_rays(miss, np.zeros_like(rim), DIFFERENCE * radius, radius)
+    if not found.arrived.any():
+        return []
+    met = np.hypot(*np.moveaxis(_crossings(lens, wavelength_nm, object_mm, found.start), 2, 0))
+    return [_largest(heights) for heights in met]
+
+
+def _largest(heights: Array) -> float:
+    """Return the largest of heights round a circle, by a parabola through the highest and its neighbours."""
+    k = int(np.nanargmax(heights)) if np.isfinite(heights).any() else 0
+    before, top, behind = heights[k - 1], heights[k], heights[(k + 1) % len(heights)]
+    bend = 2.0 * top - before - behind
+    rise = (before - behind) ** 2 / (8.0 * bend) if bend > 0.0 else 0.0
+    return float(top + rise)
+
+
+def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array) -> Array:
+    """Return where rays of the axial point that enter at places (n, 2) meet surfaces, (surfaces, n, 2) mm.
+
+    NaN from where a ray misses a surface or is totally reflected.
+    """
+    p, met = np.column_stack([entry, np.zeros(len(entry))]), []
+    d = np.column_stack([entry / object_mm, np.ones(len(entry))])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    indices = [refractive_index(medium, wavelength_nm) for medium in lens.media]
+    with np.errstate(all="ignore"):
+        for number, (surface, vertex) in enumerate(zip(lens.surfaces, lens.vertices_mm, strict=True)):
+            p = _met(surface, p - np.array([0.0, 0.0, vertex]), d)
+            met.append(p[:, :2])
+            if surface.paraxial:
+                d = d / d[:, 2:] - np.pad(surface.thin_lens_power_per_mm * p[:, :2], ((0, 0), (0, 1)))
+                d /= np.linalg.norm(d, axis=1, keepdims=True)
+            else:
+                d = _bent(_normal(surface, p), d, indices[number] / indices[number + 1])
+            p = p + np.array([0.0, 0.0, vertex])
+    return np.stack(met)
+
+
+def _met(surface: Surface, p: Array, d: Array) -> Array:
+    p = p - (p[:, 2] / d[:, 2])[:, None] * d
+    for _ in range(STEPS):
+        normal = _normal(surface, p)
+        above = p[:, 2] - surface.sag_at_mm(p[:, 0], p[:, 1])
+        # The normal is the gradient of the height above the surface, times its z component.
+        p = p - (above * normal[:, 2] / (normal * d).sum(axis=1))[:, None] * d
+    return p
+
+
+def _normal(surface: Surface, p: Array) -> Array:
+    """Return unit normals (n, 3), towards +z at the vertex."""
+    x, y = p[:, 0], p[:, 1]
+    step = DIFFERENCE * (surface.semi_diameter_mm or 1.0)
+    by_x = (surface.sag_at_mm(x + step, y) - surface.sag_at_mm(x - step, y)) / (2.0 * step)
+    by_y = (surface.sag_at_mm(x, y + step) - surface.sag_at_mm(x, y - step)) / (2.0 * step)
+    normal = np.column_stack([-by_x, -by_y, np.ones(len(p))])
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _bent(normal: Array, d: Array, ratio: float) -> Array:
+    """Return refracted directions, NaN under total reflection."""
+    cosine = (normal * d).sum(axis=1)
+    along = np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2)) - ratio * cosine
+    return np.asarray(ratio * d + along[:, None] * normal)

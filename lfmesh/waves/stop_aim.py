@@ -98,6 +98,10 @@ class Ends(NamedTuple):
     edge: Whole
     surface: Whole
 
+    def words_of(self, ray: int) -> str:
+        """Return the name of the edge that ends a ray."""
+        return WORDS[Edge(self.edge[ray])].format(self.surface[ray])
+
     def words(self) -> list[str]:
         """Return each edge that ends a ray, once, with the share of all rays that it ends."""
         pairs, count = np.unique(np.stack([self.edge, self.surface]), axis=1, return_counts=True)

@@ -207,7 +207,7 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     bundle = rays.bundle(slope, pupil, wavelength_nm)
     passes = bundle.passes
     if not passes[0]:
-        raise LfmeshError(f"{words}: the lens stops the chief ray of this field")
+        raise LfmeshError(f"{words}: the lens stops the chief ray of this field, by {bundle.ends.words_of(0)}")
     if passes.sum() < 2:
         raise LfmeshError(f"{words}: the lens stops all rays of this field but the chief ray")
     image = np.array([*bundle.place[0], rays.image_z_mm])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene.first_order import kick_error
+from lfmesh.scene.literals import percent
 from tests.instances import instances
 
 Array = NDArray[np.float64]
@@ -202,3 +203,15 @@ def test_a_camera_has_the_errors_of_its_distance_or_none() -> None:
         facts = lf.first_order(scene.changed({f"camera.mla.{key}": value for key, value in unlike_both.items()}))
         assert facts.kick_error is None
         assert any("no table of errors" in line for line in facts.lines())
+
+
+def test_the_stated_error_is_said_to_be_that_of_thin_lenslets() -> None:
+    """True faces add to it, as `tests/validation/test_lenslet_faces.py` measures."""
+    scene = lf.load(asset_path("scenes/diffraction.toml"))
+    facts = lf.first_order(scene)
+    assert facts.microlens_f_number is not None
+    faces = percent(kick_error.error_of_faces(facts.microlens_f_number))
+    (line,) = (text for name, text in facts.rows() if name == "diffraction, lenslets")
+    assert f"behind thin lenslets and up to {faces} more behind true faces" in line
+    warned = lf.first_order(scene.changed({"transport.diffraction": "none"})).warnings
+    assert any(f"behind thin lenslets and up to {faces} more" in str(each) for each in warned)

@@ -13,7 +13,7 @@ from lfmesh.transport.render.tally import Film, Mean
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.sources.wavelengths import ALONE
 from tests.cameras import camera_without_array
-from tests.renders import unchecked
+from tests.renders import by_seed, unchecked
 
 REPLICATES = [1, 2, 7, 8, 9, 16, 24, 61, 64]
 
@@ -96,3 +96,30 @@ def test_replicates_that_a_study_compares_are_independent() -> None:
     world = lf.build(scene(replicates=16))
     assert Tracer(world, check=False, independent=True).groups.place(8) == (8, ALONE)
     assert Renderer(world, check=False).groups.place(8)[0] == 0
+
+
+SEEDS = 60
+HONEST = 0.8, 1.3
+"""True over reported error."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("adaptive", [False, True])
+@pytest.mark.parametrize("replicates", [2, 8, 16, 64])
+def test_the_error_of_pixels_blocks_and_totals_of_bands_is_the_scatter_over_seeds(
+    replicates: int, adaptive: bool
+) -> None:
+    """No ratio of variances is beyond the bounds by more than χ² of as many seeds allows, at 1e-3 in all."""
+    settings: dict[str, Any] = {"samples": 64, "replicates": replicates}
+    if adaptive:
+        settings |= {"target_error": 0.01, "max_samples": 256}
+    images = list(by_seed(scene(**settings), range(SEEDS)))
+    light, square = (np.array([getattr(image, name) for image in images]) for name in ("mean", "stderr"))
+    for side in (1, 3, 6):
+        blocks = -1, 6 // side, side, 6 // side, side, 3
+        true = light.reshape(blocks).sum(axis=(2, 4)).var(axis=0, ddof=1)
+        reported = (square**2).reshape(blocks).sum(axis=(2, 4)).mean(axis=0)
+        ratio = true.sum(axis=(0, 1)) / reported.sum(axis=(0, 1))
+        low, high = stats.chi2.ppf([5e-4 / 9.0, 1.0 - 5e-4 / 9.0], SEEDS - 1) / (SEEDS - 1)
+        assert (ratio > HONEST[0] ** 2 * low).all()
+        assert (ratio < HONEST[1] ** 2 * high).all()

@@ -1,6 +1,7 @@
 """Mesh files and pictures with bytes changed at random are read or refused by one line that names the file."""
 
 import io
+import warnings
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,9 +13,11 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lfmesh.errors import LfmeshError
+from lfmesh.errors import LensFileWarning, LfmeshError
 from lfmesh.geometry.files.mesh_file import NODE_ENDINGS, load_mesh
 from lfmesh.geometry.objects.texture import load_texture
+from tests.geometry.files.test_plain_files import ply
+from tests.glb import QUAD, QUAD_UV, SPLIT, Glb
 
 
 def exported(ending: str) -> bytes:
@@ -28,6 +31,50 @@ def gltf() -> bytes:
     return files["model.gltf"]
 
 
+OBJ = b"""mtllib file.mtl
+v 0 0 0 0.1 0.2 0.3
+v 2 0 0 0.1 0.2 0.3
+v 2 1 0 0.4 0.5 0.6
+v 1 0.5 0 1 1 1
+v 0 1 0 1 1 1
+vt 0 0
+vt 1 0
+vt 1 1
+vn 0 0 1
+usemtl a # the first
+f 1/1/1 2/2/1 3/3/1 4/1/1 5//
+usemtl b
+f -5//1 -4//1 -3//1 # back
+l 1 2
+"""
+MTL = b"newmtl a\nKd 0.5\nmap_Kd -s 2 2 1 -clamp on file.png\nd 0.5\n\nnewmtl b # other\nKd 0.1 0.2 0.3\nKe 1 1 1\n"
+
+
+def glb_with_everything() -> bytes:
+    """Return a GLB file with sparse positions, whole texture coordinates, vertex colours, a strip and a fan."""
+    glb = Glb()
+    material = glb.material(picture=picture("png"))
+    glb.tree["materials"][material]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = {
+        "KHR_texture_transform": {"offset": [0.1, 0.2], "rotation": 0.3, "scale": [2.0, 1.0]}
+    }
+    first = glb.primitive(QUAD, SPLIT, material, TEXCOORD_0=QUAD_UV)
+    accessors = glb.tree["accessors"]
+    accessors[first["attributes"]["POSITION"]]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": glb.view(np.array([1], "<u2").tobytes()), "componentType": 5123},
+        "values": {"bufferView": glb.view(np.ones((1, 3), "<f4").tobytes())},
+    }
+    accessors[first["attributes"]["TEXCOORD_0"]] |= {
+        "bufferView": glb.view((255 * QUAD_UV).astype("<u2").tobytes()),
+        "componentType": 5123,
+        "normalized": True,
+    }
+    others = [glb.primitive(QUAD, range(4)) | {"mode": mode} for mode in (5, 6)]
+    others[0]["attributes"]["COLOR_0"] = glb.table(np.eye(4, 3), "VEC3")
+    glb.node("A", mesh=glb.add("meshes", {"primitives": [first, *others]}))
+    return glb.bytes()
+
+
 def picture(format_name: str) -> bytes:
     pixels = (np.arange(16 * 16 * 3).reshape(16, 16, 3) % 251).astype(np.uint8)
     stream = io.BytesIO()
@@ -35,11 +82,17 @@ def picture(format_name: str) -> bytes:
     return stream.getvalue()
 
 
+PLY_KINDS = ("ascii", "binary_little_endian", "binary_big_endian")
+
 WHOLE = {
     **{ending: exported(ending) for ending in ("stl", "obj", "ply", "off", "glb")},
     "gltf": gltf(),
     **{name: picture(name) for name in ("png", "jpeg", "tiff", "bmp", "webp", "gif")},
 }
+BESIDE = {"file.mtl": MTL, "file.png": WHOLE["png"]}
+RICH = {"obj": OBJ, "mtl": MTL, "glb": glb_with_everything(), **{f"{kind} ply": ply(kind) for kind in PLY_KINDS}}
+"""Files that use much of their formats; the material file is read by the OBJ file beside it."""
+
 PICTURES = ("png", "jpeg", "tiff", "bmp", "webp", "gif")
 
 # Whole numbers that stand for a count, an index or an offset once they are put there.
@@ -85,6 +138,19 @@ def is_read_or_refused(folder: Path, ending: str, content: bytes) -> None:
         assert message.startswith(str(path))
         assert len(message.splitlines()) == 1
         assert len(message) < 500 + len(str(path))
+
+
+def is_read_or_refused_beside(folder: Path, kind: str, content: bytes) -> None:
+    """Read a damaged file whose companions are whole, or a whole OBJ file whose companion is damaged."""
+    for name, whole in BESIDE.items():
+        (folder / name).write_bytes(whole)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LensFileWarning)
+        if kind == "mtl":
+            (folder / "file.mtl").write_bytes(content)
+            is_read_or_refused(folder, "obj", OBJ)
+        else:
+            is_read_or_refused(folder, kind.split()[-1], content)
 
 
 SOLIDS = Path(__file__).resolve().parents[1] / "solids"
@@ -138,6 +204,23 @@ def test_many_damaged_meshes_and_pictures_are_read_or_refused(
     tmp_path: Path, ending: str, damage: list[tuple[float, bytes]], kept: float
 ) -> None:
     is_read_or_refused(tmp_path, ending, damaged(WHOLE[ending], damage, kept))
+
+
+@settings(unhurried, max_examples=200)
+@given(st.sampled_from(sorted(RICH)), damages, kept)
+def test_a_damaged_file_that_uses_much_of_its_format_is_read_or_refused(
+    tmp_path: Path, kind: str, damage: list[tuple[float, bytes]], kept: float
+) -> None:
+    is_read_or_refused_beside(tmp_path, kind, damaged(RICH[kind], damage, kept))
+
+
+@pytest.mark.long
+@settings(unhurried, max_examples=20_000)
+@given(st.sampled_from(sorted(RICH)), damages, kept)
+def test_many_damaged_files_that_use_much_of_their_format_are_read_or_refused(
+    tmp_path: Path, kind: str, damage: list[tuple[float, bytes]], kept: float
+) -> None:
+    is_read_or_refused_beside(tmp_path, kind, damaged(RICH[kind], damage, kept))
 
 
 @settings(unhurried, max_examples=8)

@@ -23,7 +23,7 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 """Kinds of numbers by glTF's own (section 5.1.3)."""
 
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-"""How many numbers an entry has, of those types that meshes use (section 5.1.6)."""
+"""Numbers of an entry, for the types that meshes use (section 5.1.6)."""
 
 LONGEST_STRIDE = 252
 """Bytes from one entry to the next (section 5.11)."""

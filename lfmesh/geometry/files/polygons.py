@@ -34,7 +34,7 @@ class Cut(NamedTuple):
 
     @property
     def in_words(self) -> str:
-        """What to say of the triangles that are fewer, with `{}` in place of their number."""
+        """Words for the triangles that are fewer, with `{}` in place of their number."""
         return "its polygons have {} triangles fewer than their corners ask for: some touch or cross themselves"
 
 

@@ -189,12 +189,11 @@ def _size(target: Target, facts: FirstOrder, size_mm: float, z_mm: float) -> Ite
     fixed = UNIT_OF_FORMAT.get(Path(file).suffix.lower())
     of_file = f"by the unit of its format, {fixed}," if fixed else "by the unit that its file names,"
     what = f"with units = {unit!r}," if unit else of_file
-    if target.scale is not None:
-        what = f"{what[:-1]} and scale = {target.scale:g},"
     remedy = "check the unit"
-    if not unit:
-        wrong, right = (1e-3, "are in mm") if size_mm > LARGE_MM else (1e3, "are in units of 1000 of it")
-        remedy = f"if its numbers {right}, give the target scale = {wrong:g}"
+    if target.scale is not None:
+        what, remedy = f"{what} with scale = {target.scale:g}", "check the scale"
+    elif not unit:
+        remedy = "if its numbers are in mm, give the target scale = 0.001" if size_mm > LARGE_MM else "give it a scale"
     if size_mm > LARGE_MM and size_mm > 2.0 * MOST_SEEN * max(half):
         yield (f"is {1e-3 * size_mm:.4g} m large {what} and the camera sees {2e-3 * max(half):.3g} m there; {remedy}")
     sample = facts.object_sampling_mm * abs(z_mm / facts.object_distance_mm) if facts.object_distance_mm else 0.0

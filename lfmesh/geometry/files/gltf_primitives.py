@@ -93,7 +93,7 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
         look.alpha_mode,
         look.alpha_cutoff,
         look.wrap,
-        _with_channels(np.clip(colours, 0.0, 1.0), len(look.factor)) if colours is not None else None,
+        np.clip(colours, 0.0, 1.0) if colours is not None else None,
         f"materials[{primitive['material']}]" if "material" in primitive else "",
     )
 
@@ -118,10 +118,3 @@ def _in_picture(uv: Array, look: Look) -> Array:
         look.to_picture[k, 0] * uv[..., 0] + look.to_picture[k, 1] * uv[..., 1] + look.to_picture[k, 2] for k in (0, 1)
     )
     return np.stack([u, 1.0 - v], axis=-1)
-
-
-def _with_channels(colours: Array, channels: int) -> Array:
-    """Return colours with as many channels as a factor has; they are opaque where they give no alpha."""
-    if colours.shape[2] < channels:
-        return np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=2)
-    return colours[..., :channels]

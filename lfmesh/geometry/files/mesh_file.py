@@ -101,7 +101,8 @@ def load_mesh(
     if facets == 0:
         left = f" ({'; '.join(notes.texts)[:200]})" if notes.texts else ""
         raise MeshError(f"{path}: holds no facets: empty, cut short, or not a {ending[1:].upper()} file{left}")
-    pieces = [_without_colours_beside_picture(piece, notes) for piece in pieces]
+    channels = 4 if alpha else 3
+    pieces = [_without_colours_beside_picture(piece.with_channels(channels), notes) for piece in pieces]
     for piece in pieces:
         bad = int((~np.isfinite(piece.mesh.vertices[piece.mesh.faces])).any(axis=(1, 2)).sum())
         if bad:

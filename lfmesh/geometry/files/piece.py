@@ -76,6 +76,19 @@ class Piece:
         made = replace(self, mesh=Mesh(vertices * scale, faces, normals))
         return made.turned() if np.linalg.det(linear) < 0.0 else made
 
+    def with_channels(self, channels: int) -> "Piece":
+        """Return the piece with colours of so many channels: with the alpha or without it, opaque where it has none.
+
+        Parameters
+        ----------
+        channels : int
+            3 or 4.
+        """
+        colours = self.colours
+        if colours is not None and colours.shape[2] != channels:
+            colours = np.concatenate([colours, np.ones((*colours.shape[:2], 1))], axis=2)[..., :channels]
+        return replace(self, factor=np.append(self.factor, 1.0)[:channels], colours=colours)
+
     def turned(self) -> "Piece":
         """Return the piece with the corners of each facet in the opposite order; its normals stay as they are."""
         mesh = self.mesh

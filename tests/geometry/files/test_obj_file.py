@@ -167,3 +167,11 @@ def test_colours_behind_the_coordinates_are_those_of_the_vertices(tmp_path):
     rows = [(0, 0, 0, 0.1, 0.2, 0.3), (1, 0, 0, 0.4, 0.5, 0.6), (0, 1, 0, 1.0, 0.0, 0.5)]
     (piece,) = loaded(tmp_path, "".join(f"v {' '.join(map(str, row))}\n" for row in rows) + "f 1 2 3\n")
     np.testing.assert_array_equal(piece.colours[0], np.array(rows)[:, 3:])
+
+
+def test_opacity_and_vertex_colours_have_an_alpha_where_one_is_asked_for(tmp_path):
+    (tmp_path / "m.mtl").write_text("newmtl m\nKd 0.5\nTr 0.25\n")
+    (tmp_path / "t.obj").write_text("mtllib m.mtl\nusemtl m\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    (piece,) = load_mesh(tmp_path / "t.obj", "mm", alpha=True)
+    np.testing.assert_array_equal(piece.factor, (0.5, 0.5, 0.5, 0.75))
+    np.testing.assert_array_equal(piece.colours[0], np.column_stack([np.eye(3), np.ones(3)]))

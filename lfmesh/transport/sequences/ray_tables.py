@@ -68,7 +68,19 @@ def follow_sequence(
 def follow_to(
     camera: Camera, route: Route, p: Array, d: Array, weight: Array | float = 1.0, colour: int = 0
 ) -> Arrived:
-    """Follow rays along all legs of a route; see `follow_sequence`."""
+    """Follow rays along all legs of a route.
+
+    Parameters
+    ----------
+    camera : Camera
+    route : Route
+    p, d : (n, 3) float64
+        Starts, mm, and unit directions, camera frame.
+    weight : (n,) float64
+        Power of the rays.
+    colour : int
+        Number of the wavelength.
+    """
     rays = np.empty((RAY_WEIGHT + 1, len(p)))
     rays[:3], rays[3:6], rays[RAY_WEIGHT] = p.T, d.T, weight
     ends = follow_route(camera, route, rays, (0, len(route.legs)), colour)

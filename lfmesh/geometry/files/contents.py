@@ -157,7 +157,7 @@ _SIZES |= {
 }
 
 
-def _of_ply(path: Path) -> Contents:
+def _of_ply(path: Path) -> Contents | None:
     content = read_bytes(path)
     head, _, body = content.partition(b"end_header")
     body = body[body.index(b"\n") + 1 :]
@@ -177,7 +177,8 @@ def _of_ply(path: Path) -> Contents:
         if name == "face":
             facets += sum(max(0, count - 2) for count in counts)
         elif name == "tristrips":
-            return Contents(-1)
+            # Restarts of strips stand among the indices, which only a reader looks at.
+            return None
     coloured = any("red" in kind or "diffuse_red" in kind for _, _, kinds in elements for kind in kinds)
     return Contents(facets, 0, 1 if b"TextureFile" in head else 0, facets if coloured else 0)
 

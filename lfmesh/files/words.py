@@ -16,6 +16,7 @@ from lfmesh.transport.checks.found import few_hits_share, lit_pixels
 from lfmesh.transport.render.adaptive import Refinement
 from lfmesh.transport.render.certainty import typical_over_rms
 from lfmesh.transport.render.image import Image
+from lfmesh.transport.tables.spectra import reflectance_at
 
 DARK_SHARE = 0.1
 """A picture is called dark when fewer pixels than this share got any light."""
@@ -400,7 +401,7 @@ def _reasons(image: Image) -> list[str]:
         for number, (target, place) in enumerate(zip(scene.targets, places, strict=True)):
             # Of what scatters everything, nothing ends on it.
             own = target.shape is not None or not target.takes_materials
-            takes = own and isinstance(target.material.reflectance, float) and target.material.reflectance < 1.0
+            takes = own and (reflectance_at(scene, number, scene.wavelengths_nm) < 1.0).any()
             ended = ledger.absorbed.get(_in_ledger(scene, number), 0.0)
             if place.share and target.refractor is None and takes and not ended and ledger.reached_target > 0.0:
                 lines.append(

@@ -165,9 +165,9 @@ def _report(table: "Table", out: Path, parquet: bool) -> int:
 
     files = [out / TABLE, out / PAGE]
     if parquet:
-        from lfmesh.files.whole import write_whole
+        from lfmesh.files.folder import write_inside
 
-        write_whole(out / PARQUET, table.to_parquet())
+        write_inside(out, PARQUET, table.to_parquet())
         files.append(out / PARQUET)
     for row in table.failed:
         if row.fault != "not done":

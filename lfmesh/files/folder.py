@@ -3,13 +3,15 @@
 New files are written into a staging folder inside the run folder, the new manifest among them. Then a journal, which
 names what will be moved and what removed, appears in one step: from there on the change is decided. Whoever looks at
 the folder next finishes what a journal says, and removes staging folders whose process is gone; it knows that by a lock
-on the folder, which the system releases with the process.
+on the folder, which the system releases with the process. A folder may come from elsewhere, journal and links included:
+what it says is done inside it or not at all.
 """
 
 import json
 import os
 import secrets
 import shutil
+import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,6 +22,7 @@ from typing import Any, NamedTuple
 
 import lfmesh
 from lfmesh.errors import FileError
+from lfmesh.files.inside import NO_LINK, Inside, refuse_link
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.regular_file import read_text
 from lfmesh.scene.inputs import COPIES, digest_of
@@ -59,7 +62,11 @@ Manifest = dict[str, Entry]
 
 def is_safe(name: Any) -> bool:
     """Tell whether a name from a file on disk stays inside the run: a plain name, or one of the copied inputs."""
-    if not isinstance(name, str) or not name or "\\" in name or ":" in name:
+    if not isinstance(name, str) or not name or {"\\", ":", "\0"} & set(name):
+        return False
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:
         return False
     parts = PurePosixPath(name).parts
     inside = not ({"..", "/", "."} & set(parts)) and not name.startswith("/")
@@ -87,7 +94,7 @@ def manifest_of(folder: Path) -> Manifest | None:
         return None
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise FileError(f"{path} is damaged; render the scene again") from None
     return {name: entry for name, entry in entries.items() if is_safe(name)}
 
@@ -109,7 +116,13 @@ def saved(folder: Path, name: str) -> Path | None:
 
 
 def is_forgotten(path: Path) -> bool:
-    """Tell whether nobody works in a staging folder (or on a staged file) any more."""
+    """Tell whether nobody works in a staging folder (or on a staged file) any more.
+
+    A link, a pipe or a device is no staging of ours: it is neither opened nor removed.
+    """
+    mode = path.lstat().st_mode
+    if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
+        return False
     with _lock(path, wait=False) as locked:
         if locked is None:
             return time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS
@@ -145,6 +158,45 @@ def recover(folder: Path) -> None:
                 f"{folder} holds a save that was cut short, and cannot be written to finish it:"
                 f" {error.strerror or error}"
             ) from None
+
+
+def made_inside(folder: Path, name: str) -> Path:
+    """Make a folder inside a folder of results, unless it is there; finish or clear what was left in it.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the results, as its user names it.
+    name : str
+        Of the folder inside.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    FileError
+        It is a link: what is written into it would stand elsewhere.
+    """
+    inner = folder / name
+    refuse_link(inner)
+    inner.mkdir(parents=True, exist_ok=True)
+    recover(inner)
+    return inner
+
+
+def write_inside(folder: Path, name: str, content: str | bytes) -> None:
+    """Write a file of a folder of results, whole or not at all, in place of what has its name; text as UTF-8.
+
+    Raises
+    ------
+    FileError
+        It cannot be written; one that was there before is left as it was.
+    """
+    try:
+        with staged_file(folder, name) as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        raise FileError(f"{folder / name} cannot be written: {error.strerror or error}") from None
 
 
 @contextmanager
@@ -222,6 +274,10 @@ def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) ->
         if (folder / JOURNAL).exists():
             _finish(folder)
         change = decide(new)
+        # A link is named before the change is decided.
+        with Inside(folder) as inside:
+            for name in [*names, *change.removed, *change.moved, *change.moved.values()]:
+                inside.has(name)
         _write_json(
             staging / MANIFEST,
             {
@@ -250,30 +306,42 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
 
 def _finish(folder: Path) -> None:
     """Do what the journal says; each step may have been done before."""
-    path = folder / JOURNAL
+    with Inside(folder) as inside:
+        staging, files, removed, moved = _journal(inside)
+        # All is looked at before anything is changed.
+        for name in files:
+            inside.refuse_irregular(f"{staging}/{name}")
+        for name in [*files, *removed, *moved, *moved.values()]:
+            inside.has(name)
+        for name, other in moved.items():
+            if inside.has(f"{staging}/{name}") and inside.has(name) and not inside.has(other):
+                inside.move(name, other)
+        for name in files:
+            if inside.has(f"{staging}/{name}"):
+                inside.move(f"{staging}/{name}", name)
+        for name in removed:
+            inside.remove(name)
+        _remove_empty(folder / COPIES)
+        _to_disk(folder)
+        shutil.rmtree(folder / staging, ignore_errors=True)
+        inside.remove(JOURNAL)
+
+
+def _journal(inside: Inside) -> tuple[str, list[str], list[str], dict[str, str]]:
+    """Return what a journal names: staging folder, new files, removed files, files with other names."""
+    path = inside.folder / JOURNAL
+    inside.refuse_irregular(JOURNAL)
     try:
         journal = json.loads(read_text(path))
-        staging = folder / str(journal["staging"])
-        files, removed, moved = journal["files"], journal["removed"], dict(journal["moved"])
-    except (ValueError, KeyError, TypeError):
+        staging, files, removed = str(journal["staging"]), list(journal["files"]), list(journal["removed"])
+        moved = dict(journal["moved"])
+    except (ValueError, KeyError, TypeError, RecursionError):
         # Nobody writes half a journal: this is no work of ours.
         raise FileError(f"{path} is damaged; delete it, and render the scene again") from None
-    names = [*files, *removed, *moved, *moved.values()]
-    if not all(map(is_safe, names)) or not staging.name.startswith(STAGING) or staging.parent != folder:
+    names = [staging, *files, *removed, *moved, *moved.values()]
+    if not all(map(is_safe, names)) or "/" in staging or not staging.startswith(STAGING):
         raise FileError(f"{path} names files outside of the run; delete it, and render the scene again")
-    for name, other in moved.items():
-        if (staging / name).exists() and (folder / name).exists() and not (folder / other).exists():
-            os.replace(folder / name, folder / other)  # noqa: PTH105
-    for name in files:
-        if (staging / name).exists():
-            (folder / name).parent.mkdir(exist_ok=True, parents=True)
-            os.replace(staging / name, folder / name)  # noqa: PTH105
-    for name in removed:
-        (folder / name).unlink(missing_ok=True)
-    _remove_empty(folder / COPIES)
-    _to_disk(folder)
-    shutil.rmtree(staging, ignore_errors=True)
-    path.unlink(missing_ok=True)
+    return staging, files, removed, moved
 
 
 def _remove(entry: Path) -> None:
@@ -324,7 +392,8 @@ def _lock(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
     if fcntl is None:
         yield None
         return
-    handle = os.open(path, os.O_RDONLY)
+    # The user's own folder may be reached through a link; what lies in it may not.
+    handle = os.open(path, os.O_RDONLY | (0 if wait else NO_LINK))
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

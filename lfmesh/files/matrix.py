@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import lfmesh
 from lfmesh.errors import FileError, LfmeshError, PictureWarning
-from lfmesh.files.folder import staged_file
+from lfmesh.files.folder import made_inside, staged_file
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.volumes.projection import (
     THRESHOLD,
@@ -223,7 +223,7 @@ def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
 
 def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
     """Make the folder of blocks, or find the one of a run that was cut short; return how many blocks are there."""
-    parts.mkdir(exist_ok=True)
+    made_inside(parts.parent, parts.name)
     file = parts / FACTS
     if not file.exists():
         with staged_file(parts, FACTS) as new:

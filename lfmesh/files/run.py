@@ -32,6 +32,7 @@ from lfmesh.files.folder import (
 )
 from lfmesh.files.image_file import ERROR, FORMAT, HITS, PARTS, UPPER, image_from, refuse_damage, write_image
 from lfmesh.files.inputs import within
+from lfmesh.files.inside import refuse_link
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
@@ -83,6 +84,7 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     """
     path = Path(folder)
     with _writable(path) as made:
+        refuse_link(path / COPIES)
         if edited := _edited(path, _held_by(path)):
             raise FileError(
                 f"{path / edited[0]} was edited since lfmesh wrote it, and the new run would replace it: rename it, or"

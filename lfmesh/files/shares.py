@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, LfmeshError
-from lfmesh.files.folder import recover, staged_file
+from lfmesh.files.folder import made_inside, recover, staged_file
 from lfmesh.files.image_file import scene_from, scene_metadata
 from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
 from lfmesh.provenance import program
@@ -190,9 +190,9 @@ def merged(folders: Sequence[Path]) -> Image:
 def _begin(folder: Path, cut: Cut) -> None:
     """Make the folder of a share, or see that it is one of this render."""
     try:
-        (folder / PIECES).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
-        recover(folder / PIECES)
+        made_inside(folder, PIECES)
         if not (folder / FACTS).exists():
             others = [path.name for path in folder.iterdir() if path.name != PIECES]
             if others:

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order, summed_up, warn_caller
-from lfmesh.files.folder import recover
+from lfmesh.files.folder import made_inside, recover, write_inside
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.paths import relative
 from lfmesh.files.sealed import refuse_maker
-from lfmesh.files.whole import write_whole
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.lightfield.rays.chief_rays import refuse_undecodable
 from lfmesh.provenance import program
@@ -356,13 +355,14 @@ class _Making:
         self.failed: dict[int, str] = {}
         self.began, self.done, self.new = time.perf_counter(), 0, 0
         try:
-            for place in (folder, folder / ITEMS, folder / CAMERAS):
-                place.mkdir(parents=True, exist_ok=True)
-                recover(place)
+            folder.mkdir(parents=True, exist_ok=True)
+            recover(folder)
+            for name in (ITEMS, CAMERAS):
+                made_inside(folder, name)
         except OSError as error:
             raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
         self._refuse_other()
-        write_whole(folder / FACTS, json.dumps(plain_json(dataset.summary()), indent=1, ensure_ascii=False) + "\n")
+        write_inside(folder, FACTS, json.dumps(plain_json(dataset.summary()), indent=1, ensure_ascii=False) + "\n")
 
     def _refuse_other(self) -> None:
         try:
@@ -446,7 +446,7 @@ class _Making:
         wanted = map(self.dataset.item, range(len(self.dataset)))
         known = [facts for item in wanted if (facts := self._facts(item)) is not None]
         lines = [json.dumps(facts, ensure_ascii=False, sort_keys=True) + "\n" for facts in known]
-        write_whole(self.folder / INDEX, "".join(lines))
+        write_inside(self.folder, INDEX, "".join(lines))
         items = {f"item {facts['item']}": warnings_in(facts) for facts in known}
         cameras = {name: self._camera_warnings(name) for name in sorted({f["camera"] for f in known if f["camera"]})}
         told = in_order([*summed_up(items, len(items), "items"), *summed_up(cameras, len(cameras), "cameras")])

@@ -19,6 +19,7 @@ from lfmesh.files.camera_model import write_camera_model
 from lfmesh.files.depth import save_truth
 from lfmesh.files.field import save_field
 from lfmesh.files.folder import staged, staged_file
+from lfmesh.files.inside import refuse_link
 from lfmesh.files.json_values import plain_json
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.calibration.white import white_scene
@@ -155,6 +156,7 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
         The folder is damaged, or follows from something else.
     """
     path = folder / FACTS
+    refuse_link(folder)
     if not folder.exists():
         return None
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lfmesh.errors import FileError, LfmeshError, warn_caller
-from lfmesh.files.whole import write_whole
+from lfmesh.files.folder import write_inside
 from lfmesh.regular_file import read_bytes
 from lfmesh.scene import Scene
 from lfmesh.scene.model import Model
@@ -444,12 +444,12 @@ class Run:
         from lfmesh.study.sweeps.report import page
 
         table = self.table()
-        write_whole(self.folder.path / TABLE, table.to_csv())
-        write_whole(self.folder.path / PAGE, page(table))
+        write_inside(self.folder.path, TABLE, table.to_csv())
+        write_inside(self.folder.path, PAGE, page(table))
         if efficiency := table.efficiency():
             lines = [f"{row.point.number},{row.seconds!r},{value!r},{error!r}\n" for row, value, error in efficiency]
             text = "point,seconds,efficiency_per_s,efficiency_per_s_stderr\n" + "".join(lines)
-            write_whole(self.folder.path / TIMES, text)
+            write_inside(self.folder.path, TIMES, text)
         return table
 
     def take(self, other: Path) -> None:

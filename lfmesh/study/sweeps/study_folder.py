@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from lfmesh.errors import FileError, LfmeshError
-from lfmesh.files.folder import recover, staged_file
+from lfmesh.files.folder import made_inside, recover, staged_file
+from lfmesh.files.inside import opened_here
 from lfmesh.files.json_values import plain_json
 from lfmesh.files.sealed import refuse_maker
 from lfmesh.provenance import program
@@ -50,9 +51,10 @@ class StudyFolder:
     def __init__(self, path: Path, plan: Plan) -> None:
         self.path, self.plan = path, plan
         try:
-            for folder in (path, path / UNITS, path / REFERENCE):
-                folder.mkdir(parents=True, exist_ok=True)
-                recover(folder)
+            path.mkdir(parents=True, exist_ok=True)
+            recover(path)
+            for name in (UNITS, REFERENCE):
+                made_inside(path, name)
             known = read_facts(path)
             if known is None:
                 self._write(path, FACTS, self._facts().encode())
@@ -158,7 +160,8 @@ def append_event(folder: Path, event: str, **values: Any) -> None:
         What it is about.
     """
     line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
-    with suppress(OSError), (folder / LOG).open("a+b") as file:
+    # A link or a pipe in its place is not written into.
+    with suppress(OSError), open(folder / LOG, "a+b", opener=opened_here) as file:
         # A process that was killed may have left half a line.
         file.seek(0, os.SEEK_END)
         if file.tell():

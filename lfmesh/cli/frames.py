@@ -48,12 +48,13 @@ def frames(
         run.prepare(folder)
     for number, (frame, folder) in enumerate(zip(scenes, folders, strict=True)):
         seeded = frame.changed({"transport.seed": frame.transport.seed + number})
-        with progress() as report:
-            image = render(seeded, progress=report)
-        if not image.complete:
-            say_note(f"stopped in frame {number}; the frames before it are complete")
-            raise KeyboardInterrupt
-        run.save(image, folder)
+        with run.rendering(folder):
+            with progress() as report:
+                image = render(seeded, progress=report)
+            if not image.complete:
+                say_note(f"stopped in frame {number}; the frames before it are complete")
+                raise KeyboardInterrupt
+            run.save(image, folder)
         if number < len(moves):
             write_vectors(out / f"vectors_{number}.csv", *moves[number])
     list_files([*folders, *(out / f"vectors_{number}.csv" for number in range(len(moves)))])

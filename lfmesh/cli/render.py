@@ -200,10 +200,11 @@ def _merged(
         from lfmesh.files import run, shares
 
     run.prepare(out)
-    image = shares.merged(folders)
-    if with_white:
-        _refuse_undecodable(image.scene)
-    return _told(image, out, verbose=verbose)
+    with run.rendering(out):
+        image = shares.merged(folders)
+        if with_white:
+            _refuse_undecodable(image.scene)
+        return _told(image, out, verbose=verbose)
 
 
 def _render(
@@ -220,7 +221,10 @@ def _render(
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
     with defer_interrupt():
         from lfmesh.files import run
+        from lfmesh.files.folder import refuse_claimed
 
+    # A render that runs has a checkpoint, too.
+    refuse_claimed(folder)
     if run.has_checkpoint(folder) and not restart:
         raise FileError(
             f"{folder} holds a render that was cut short: lfmesh render --resume {folder} goes on with it; --restart "
@@ -230,7 +234,8 @@ def _render(
         _refuse_undecodable(scene)
     run.prepare(folder)
     _say_beforehand(scene)
-    return _traced(scene, folder, None, dask, verbose=verbose)
+    with run.rendering(folder):
+        return _traced(scene, folder, None, dask, verbose=verbose)
 
 
 def _refuse_undecodable(scene: "Scene") -> None:
@@ -261,15 +266,18 @@ def _resume(
         raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
     with defer_interrupt():
         from lfmesh.files import checkpoint, image_file, run
+        from lfmesh.files.folder import refuse_claimed
 
+    refuse_claimed(folder)
     if run.is_complete(folder):
         print(f"{folder} is complete: there is nothing to go on with.")
         return 0
     run.prepare(folder)
-    kept = checkpoint.read(folder, image_file.scene_from)
-    if with_white:
-        _refuse_undecodable(kept.scene)
-    return _traced(overridden(kept.scene, threads), folder, kept.arrays, verbose=verbose)
+    with run.rendering(folder):
+        kept = checkpoint.read(folder, image_file.scene_from)
+        if with_white:
+            _refuse_undecodable(kept.scene)
+        return _traced(overridden(kept.scene, threads), folder, kept.arrays, verbose=verbose)
 
 
 def _traced(

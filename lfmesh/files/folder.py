@@ -9,6 +9,7 @@ what it says is done inside it or not at all.
 
 import json
 import os
+import platform
 import secrets
 import shutil
 import stat
@@ -35,6 +36,9 @@ STAGING = ".lfmesh-"
 
 FORMAT = 1
 """Of the manifest; a reader refuses any other."""
+
+CLAIM = f"{STAGING}rendering"
+"""Stands in a run folder and is locked while a render runs that will be saved there; it names the process."""
 
 FORGOTTEN_SECONDS = 86_400.0
 """Age of staging that belongs to a dead process, where files cannot be locked."""
@@ -197,6 +201,66 @@ def write_inside(folder: Path, name: str, content: str | bytes) -> None:
             file.write(content.encode() if isinstance(content, str) else content)
     except OSError as error:
         raise FileError(f"{folder / name} cannot be written: {error.strerror or error}") from None
+
+
+def refuse_claimed(folder: Path) -> None:
+    """Refuse a folder into which another process renders.
+
+    Raises
+    ------
+    FileError
+        Naming the process.
+    """
+    try:
+        # Under the folder's lock nobody else tries the claim's own.
+        with _lock(folder), _lock(folder / CLAIM, wait=False) as free:
+            owner = read_text(folder / CLAIM) if free is False else ""
+    except (OSError, ValueError):
+        return
+    if free is False and owner != _this_process():
+        raise FileError(f"{folder}: process {owner} is rendering into it: wait for its end, or give another folder")
+
+
+def claim(folder: Path) -> int | None:
+    """Claim a folder for a render of this process, until `release`; None where files cannot be locked.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    FileError
+        Another render has claimed it.
+    """
+    if fcntl is None:
+        return None
+    path = folder / CLAIM
+    with _lock(folder):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | NO_LINK, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(handle)
+            if not isinstance(error, BlockingIOError):
+                path.unlink()
+                return None
+        else:
+            os.ftruncate(handle, 0)
+            os.write(handle, _this_process().encode())
+            return handle
+    refuse_claimed(folder)
+    raise FileError(f"{folder}: this process is rendering into it already: give another folder")
+
+
+def release(folder: Path, handle: int | None) -> None:
+    """Give up a claim."""
+    if handle is not None:
+        with suppress(OSError):
+            (folder / CLAIM).unlink()
+        os.close(handle)
+
+
+def _this_process() -> str:
+    return f"{os.getpid()} on {platform.node()}"
 
 
 @contextmanager

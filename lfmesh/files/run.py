@@ -23,10 +23,13 @@ from lfmesh.files.folder import (
     Change,
     Entry,
     Manifest,
+    claim,
     commit,
     is_safe,
     manifest_of,
     recover,
+    refuse_claimed,
+    release,
     saved,
     staged,
 )
@@ -93,6 +96,31 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
         for made_folder in reversed(made):
             made_folder.rmdir()
     return path
+
+
+@contextmanager
+def rendering(folder: Path) -> Iterator[None]:
+    """Keep other processes from rendering or saving into a run folder while the body computes what belongs there.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is missing, and removed at the end if it stays empty.
+
+    Raises
+    ------
+    FileError
+        Another process renders into it, or it cannot be written.
+    """
+    with _writable(folder) as made:
+        handle = claim(folder)
+    try:
+        yield
+    finally:
+        release(folder, handle)
+        for empty in reversed(made):
+            with suppress(OSError):
+                empty.rmdir()
 
 
 def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
@@ -331,6 +359,7 @@ def _writable(path: Path) -> Iterator[list[Path]]:
     """
     _refuse_unwritable_name(path)
     recover(path)
+    refuse_claimed(path)
     _refuse_foreign(path)
     made: list[Path] = []
     try:

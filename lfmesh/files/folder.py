@@ -191,6 +191,13 @@ def made_inside(folder: Path, name: str) -> Path:
 def write_inside(folder: Path, name: str, content: str | bytes) -> None:
     """Write a file of a folder of results, whole or not at all, in place of what has its name; text as UTF-8.
 
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Name of the file within the folder.
+    content : str or bytes
+
     Raises
     ------
     FileError

@@ -349,10 +349,9 @@ def cut_bodies(scene: Scene, targets: list[TargetMesh]) -> list[str]:
 
 def _cut_each_other(one: Mesh, other: Mesh) -> bool:
     """Tell whether the surfaces of two bodies, neither of which cuts itself, cut each other."""
-    mesh = joined([one, other])
-    counts = [len(one.faces), len(other.faces)]
-    sizes = [float(np.ptp(each.vertices, axis=0).max()) for each in (one, other)]
-    return cut(mesh, np.repeat([0, 1], counts), np.repeat(sizes, counts)) is not None
+    # Edges of equal bodies may meet exactly in each other's edges, which `cut` takes for contact.
+    own, shell = (each.vertices[each.faces] for each in (one, other))
+    return len(parts_in_shells(own, [shell], touching_mm([one, other]))[0]) > 1
 
 
 def _box(shells: Sequence[Array]) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
+from lfmesh.scene.literals import percent
 from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence, lens_of_faces
 from lfmesh.transport.sequences.sequences import image_path
 from lfmesh.transport.trace import at_wavelength
@@ -236,7 +237,7 @@ class LensRays:
         share = self.aim.turned_share(field, entry[passes], wavelength_nm)
         if share > 0.0:
             raise LfmeshError(
-                f"rays of this field cross before the stop, {100.0 * share:.2g} % of those that pass the lens, so that "
+                f"rays of this field cross before the stop, {percent(share)} of those that pass the lens, so that "
                 "several go through one point of the stop; move the stop or make a clear aperture smaller"
             )
 

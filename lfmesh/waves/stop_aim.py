@@ -19,6 +19,7 @@ from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.optics.ray_aiming import ContinuedRays, aim_rays, continue_rays
+from lfmesh.scene.literals import percent
 from lfmesh.transport.packets.book import STOP
 from lfmesh.transport.sequences.bundle import DROPPED
 from lfmesh.transport.sequences.follower import route_of
@@ -106,7 +107,7 @@ class Ends(NamedTuple):
         """Return each edge that ends a ray, once, with the share of all rays that it ends."""
         pairs, count = np.unique(np.stack([self.edge, self.surface]), axis=1, return_counts=True)
         return [
-            f"{100.0 * n / len(self.edge):.3g} % by {WORDS[Edge(edge)].format(surface)}"
+            f"{percent(n / len(self.edge))} by {WORDS[Edge(edge)].format(surface)}"
             for (edge, surface), n in zip(pairs.T, count, strict=True)
             if edge != Edge.NONE
         ]

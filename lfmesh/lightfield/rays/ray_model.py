@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 ROUNDS = 10
 """Of successive approximation, for the distance of a shift."""
 
+ROUNDING = 2.0**-50
+"""Relative difference below which two vergences are equal, as each is known to a few units in its last place."""
+
 
 class ShiftMap(Protocol):
     """Map between the distance of a plane and its shift on the array from one view to the next."""
@@ -246,7 +249,10 @@ class RayModel:
             # What aberrations add depends on the vergence by so little that every round settles two digits more.
             for _ in range(ROUNDS):
                 image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
-                vergence = (1.0 / self.efl_mm - 1.0 / image) / self.object_index
+                of_lens, of_image = 1.0 / self.efl_mm, 1.0 / image
+                # A difference below its own rounding is that of an object at infinity.
+                left = of_lens - of_image
+                vergence = np.where(abs(left) <= ROUNDING * abs(of_lens), 0.0, left) / self.object_index
             return _alike(shift_mm, 1.0 / (vergence + 0.0) - self.front_principal_z_mm)
 
     def object_scale(self, distance_mm: float) -> float:

@@ -1,7 +1,7 @@
 """Real rays of field points through chosen points of the stop: what a layout drawing shows.
 
 Every ray is one of `lf.trace` through the built world. Its start follows from ray aiming at the stop (`StopAim`), and
-where surfaces are facets from one more search among these. Positions are in the camera frame, mm.
+where surfaces are facets, or glass stands before the lens, from a fan of trials. Positions are in the camera frame, mm.
 """
 
 import math
@@ -218,7 +218,8 @@ class Aim:
 
     def _guess(self, slope: Array, aim: Array) -> Array:
         """Return about where rays cross the plane of the first vertex (n, 2); by paraxial optics those that do not."""
-        if not self.world.lens_shape.analytic.all():
+        if not self.world.lens_shape.analytic.all() or self.world.tables.objects.glass is not None:
+            # Glass and liquids before the lens bend rays on their way, which only traced ones know.
             return self._guess_by_fan(slope, aim)
         by_slope = self._stop_by_slope
         entry = (aim + by_slope * slope) / (self.paraxial.to_stop.a + by_slope * self.vergence)

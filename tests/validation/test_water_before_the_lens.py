@@ -92,12 +92,12 @@ def plate_of_a_file(folder: Path, metallic: float) -> lf.Scene:
     ).in_folder(folder)
 
 
-def test_gloss_of_a_file_needs_an_index_above_the_liquids(tmp_path: Path) -> None:
+def test_gloss_of_a_file_needs_an_index_not_below_the_liquids(tmp_path: Path) -> None:
     """Metal has its colour in any liquid; a matt material in place of the file's has no gloss."""
-    oil = {"camera.object_medium": {"index": DIELECTRIC_INDEX}}
+    oil = {"camera.object_medium": {"index": DIELECTRIC_INDEX + 0.01}}
     scene = plate_of_a_file(tmp_path, 0.0)
     with pytest.raises(
-        lf.SceneError, match=r"targets\[0\]\.file = 'plate\.glb': .* above that of camera\.object_medium, 1\.5; give"
+        lf.SceneError, match=r"targets\[0\]\.file = 'plate\.glb': .* below that of camera\.object_medium, 1\.51, "
     ):
         lf.build(scene.changed(oil))
     lf.build(scene.changed(IN_WATER))

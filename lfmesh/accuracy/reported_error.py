@@ -39,6 +39,7 @@ CROPS = {
     "light_field_microscope": (0.0, 0.0),
     "lit_chart": (-1.0, 0.5),
     "lytro_class": (-2.5, 1.5),
+    "panel_and_tube": (-1.0, 0.5),
     "particles": (-1.0, 0.5),
     "polarised": (-1.0, 0.5),
     "tank": (-1.0, 0.5),

@@ -52,8 +52,9 @@ def agree(one: tuple[float, float], other: tuple[float, float], known: float) ->
 
 
 @pytest.mark.filterwarnings("ignore::lfmesh.PictureWarning")
-@pytest.mark.parametrize(("place", "name"), instances(CASES, long=CASES[2:]))
-def test_forward_equals_adjoint(place: str, name: str) -> None:
+@pytest.mark.parametrize("case", instances(CASES, long=CASES[2:]))
+def test_forward_equals_adjoint(case: tuple[str, str]) -> None:
+    place, name = case
     scene = PLACES[place] | {"lights": [LAMPS[name]]}
     agree(watts(512, "adjoint", **scene), watts(65_536, "forward", **scene), 0.03)
 

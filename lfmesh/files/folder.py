@@ -218,6 +218,9 @@ def refuse_claimed(folder: Path) -> None:
     FileError
         Naming the process.
     """
+    if not folder.is_dir():
+        # Opening a pipe in its place would wait for somebody to write into it.
+        return
     try:
         # Under the folder's lock nobody else tries the claim's own.
         with _lock(folder), _lock(folder / CLAIM, wait=False) as free:

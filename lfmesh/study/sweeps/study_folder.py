@@ -161,7 +161,8 @@ def append_event(folder: Path, event: str, **values: Any) -> None:
     """
     line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
     # A link or a pipe in its place is not written into.
-    with suppress(OSError), open(folder / LOG, "a+b", opener=opened_here) as file:
+    to_append = os.O_RDWR | os.O_APPEND | os.O_CREAT
+    with suppress(OSError), os.fdopen(opened_here(str(folder / LOG), to_append), "a+b") as file:
         # A process that was killed may have left half a line.
         file.seek(0, os.SEEK_END)
         if file.tell():

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Array, Index
 
+STRAIGHT = 2.0**-40
+"""Sine of the angle at a corner below which rounding of the coordinates decides to which side it turns."""
+
 MOST_CORNERS = 20_000
 """Of a polygon that is not convex: cutting takes a time that may grow as their square."""
 
@@ -92,15 +95,21 @@ def _newell(polygons: Array) -> Array:
 def _convex(polygons: Array) -> NDArray[np.bool_]:
     """Tell which polygons, (g, k, 3), have corners that all turn one way, so that a fan covers each once.
 
-    One with a corner that is straight, or with coordinates that are no numbers, counts as not convex.
+    One with a corner that is straight to rounding, or with coordinates that are no numbers, counts as not convex.
     """
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         normal = _newell(polygons)
         edge = np.roll(polygons, -1, axis=1) - polygons
-        turns = np.einsum("gki,gi->gk", np.cross(np.roll(edge, 1, axis=1), edge), normal)
         relative = polygons[:, 1:] - polygons[:, :1]
-        fan = np.einsum("gki,gi->gk", np.cross(relative[:, :-1], relative[:, 1:]), normal)
-        return np.asarray((turns > 0.0).all(axis=1) & (fan > 0.0).all(axis=1))
+        turns = _sines(np.roll(edge, 1, axis=1), edge, normal)
+        fan = _sines(relative[:, :-1], relative[:, 1:], normal)
+        return np.asarray((turns > STRAIGHT).all(axis=1) & (fan > STRAIGHT).all(axis=1))
+
+
+def _sines(one: Array, other: Array, normal: Array) -> Array:
+    """Return the sines of the angles between edges (g, k, 3), as seen along normals (g, 3); NaN of no length."""
+    lengths = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2) * np.linalg.norm(normal, axis=1)[:, None]
+    return np.asarray(np.einsum("gki,gi->gk", np.cross(one, other), normal) / lengths)
 
 
 def _ears(polygon: Array) -> NDArray[np.int64]:

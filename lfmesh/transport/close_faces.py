@@ -6,37 +6,57 @@ between facet and curved surface must therefore not overlap. Two cases are harml
 are crossed as one; and faces that cut each other at an angle, for then only rays that come close to the cut can be
 wrong, and what they lose is in the ledger. Faces of one body are not compared: a shell thinner than that loses nearly
 all light, and the run says so.
+
+The search divides pairs of facets into cells. The control points of a cell's patch and the corners of its facet bound
+the space between the two (G. Farin, Curves and Surfaces for CAGD, 2002, chapter 17), and vectors bound the directions
+of its normals in the same way. A pair of cells that these bounds keep apart, or show to cut at an angle, is done. The
+others are divided, down to a `FINEST` of the smaller facet. An overlap that fills such a cell cannot be missed.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.meshes.crossings import near_pairs
 from lfmesh.geometry.meshes.levels import FLAT, SURFACE_LEVEL
-from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, facet_corner_normals
+from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_corner_normals
 from lfmesh.geometry.meshes.patch import patch_points, patches
+from lfmesh.geometry.meshes.patch_tree import control_points
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
 from lfmesh.scene.literals import plain
 from lfmesh.transport.events.facets import FLOAT32_GRAIN
-from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.tables.contacts import touching_mm
 
 Index = NDArray[np.int64]
 
-WEIGHTS = np.concatenate([
-    np.array([[1, 1, 1]]) / 3.0,
-    np.array([[8, 1, 1], [1, 8, 1], [1, 1, 8]]) / 10.0,
-    np.array([[1, 12, 12], [12, 1, 12], [12, 12, 1]]) / 25.0,
-])  # fmt: skip
-"""Places on a facet where the distance of other faces is measured, as barycentric weights of its corners. A facet
-stands off its curved surface most at the centre and in the middle of its edges."""
+WHOLE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
+"""Corners of a patch by their parameters (η, ζ)."""
 
-ALLOWANCE = 1.2
-"""Largest stand-off of a body's facets, relative to the largest at the places where it is measured."""
+CORNERS, ENDS = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
+"""Pairs of corners that the control points of a quadratic patch belong to."""
+
+QUARTERS = np.array([
+    [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
+    [[1, 1, 0], [0, 2, 0], [0, 1, 1]],
+    [[1, 0, 1], [0, 1, 1], [0, 0, 2]],
+    [[1, 1, 0], [0, 1, 1], [1, 0, 1]],
+]) / 2.0  # fmt: skip
+"""Corners of the four triangles that the middles of its edges divide a triangle into, by weights of its corners."""
+
+FINEST = 1.0 / 16.0
+"""Size of cells that are divided no further, over the smaller of the two facets."""
+
+AT_ONCE = 1 << 12
+"""Pairs of cells that are compared at a time."""
+
+ORDERS = np.array([[0, 1, 2, 3, 4, 5], [1, 2, 0, 4, 5, 3], [2, 0, 1, 5, 3, 4],
+                   [0, 2, 1, 5, 4, 3], [2, 1, 0, 4, 3, 5], [1, 0, 2, 3, 5, 4]])  # fmt: skip
+"""Orders in which the control points of one patch may be those of another."""
 
 
 @dataclass
@@ -47,42 +67,47 @@ class _Face:
     mesh: Mesh
     curved: bool
 
-    def coefficients(self, facets: Index) -> Array:
-        """Return the coefficients of patches, (n, 6, 3); flat ones where the surface is made of facets."""
-        some = Mesh(self.mesh.vertices, self.mesh.faces[facets])
+    @cached_property
+    def corners(self) -> Array:
+        """Corners of the facets, (m, 3, 3), mm."""
+        return self.mesh.vertices[self.mesh.faces]
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Coefficients of patches, (m, 6, 3); flat ones where the surface is made of facets."""
         normals = self.mesh.corner_normals if self.curved else None
-        return patches(some.vertices[some.faces], facet_corner_normals(some) if normals is None else normals[facets])
+        return patches(self.corners, facet_corner_normals(self.mesh) if normals is None else normals)
+
+    @cached_property
+    def hulls(self) -> Array:
+        """Control points of the patches, (m, 6, 3), mm: corners, and one for each edge ab, bc, ca."""
+        return control_points(self.coefficients)
 
     @cached_property
     def stand_off(self) -> float:
-        """Largest distance between a facet and its patch, mm."""
-        if not self.curved:
-            return 0.0
-        every = np.arange(len(self.mesh.faces))
-        return ALLOWANCE * float(np.abs(self.samples(every)[2]).max(initial=0.0))
+        """Bound of the largest distance between a facet and its patch, mm.
 
-    @cached_property
-    def box(self) -> tuple[Array, Array]:
-        """Lowest and highest coordinates, (3,) each, mm."""
-        return self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
+        The two differ by 2 Σ d λᵢ λⱼ over the three edges, by the barycentric weights λ and the distances d of the
+        edges' control points from their middles. The sum of the three products is a third at most.
+        """
+        middles = 0.5 * (self.corners + np.roll(self.corners, -1, axis=1))
+        return 2.0 / 3.0 * float(np.linalg.norm(self.hulls[:, 3:] - middles, axis=2).max(initial=0.0))
 
     @cached_property
     def size(self) -> Array:
         """Longest edge of each facet, (m,), mm."""
-        corners = self.mesh.vertices[self.mesh.faces]
-        return np.asarray(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1))
+        return np.asarray(np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max(axis=1))
 
-    def near(self, box: tuple[Array, Array], reach: float) -> Index:
-        """Return the numbers of the facets whose boxes come within a distance of a box."""
-        corners = self.mesh.vertices[self.mesh.faces]
-        low, high = box[0] - reach, box[1] + reach
-        return np.flatnonzero(((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1))
 
-    def samples(self, facets: Index) -> tuple[Array, Array, Array]:
-        """Return points and unit normals of patches, (n, 7, 3), and how far they lie before their facets, (n, 7)."""
-        points, normals = patch_points(self.coefficients(facets), WEIGHTS[:, 1] + WEIGHTS[:, 2], WEIGHTS[:, 2])
-        on_facets = np.einsum("qk,mki->mqi", WEIGHTS, self.mesh.vertices[self.mesh.faces[facets]])
-        return points, normals, np.einsum("mqi,mqi->mq", points - on_facets, normals)
+class _Cells(NamedTuple):
+    """Pairs of cells: triangles in the parameters of a facet of each of two faces."""
+
+    facets: Index  # (k, 2)
+    corners: Array  # (k, 2, 3, 2) parameters (η, ζ) of the corners
+
+    def some(self, which: Any) -> "_Cells":
+        """Return some of the pairs."""
+        return _Cells(self.facets[which], self.corners[which])
 
 
 @dataclass
@@ -117,9 +142,7 @@ def refuse_close_faces(scene: Scene, targets: list[TargetMesh], bodies: list[int
             if j == i or (j in bodies and j < i) or not (faces[i].curved or other.curved):
                 continue
             reach = faces[i].stand_off + other.stand_off
-            if reach == 0.0 or not boxes_meet(faces[i].mesh, other.mesh, reach):
-                continue
-            close = _close_places(faces[i], other, near) or _close_places(other, faces[i], near)
+            close = _close_place((faces[i], other), near) if reach > 0.0 else None
             if close is not None:
                 raise SceneError(_told(scene, i, j, close, reach))
 
@@ -129,46 +152,171 @@ def _is_curved(target: Target) -> bool:
     return target.refractor is not None and SURFACE_LEVEL[target.refractor.level] != FLAT
 
 
-def _close_places(own: _Face, other: _Face, near: float) -> _Close | None:
-    """Return a place of a face where another is too close; None if there is none."""
-    reach = own.stand_off + other.stand_off
-    middle = 0.5 * (own.box[0] + own.box[1])
-    extent = np.abs(np.concatenate([own.mesh.vertices, other.mesh.vertices]) - middle).sum(axis=1).max()
-    rounding = FLOAT32_GRAIN * float(extent)
-    reach += 2.0 * rounding
-    mine, its = own.near(other.box, reach), other.near(own.box, reach)
-    if not len(mine) or not len(its):
-        return None
-    finder = Finder(Mesh(other.mesh.vertices - middle, other.mesh.faces[its]))
-    points, normals, before = (a.reshape(-1, *a.shape[2:]) for a in own.samples(mine))
-    of_point = np.repeat(mine, len(WEIGHTS))
-    for sense in (1.0, -1.0):
-        start = (points - middle - sense * reach * normals).astype(np.float32)
-        found = finder.find(np.ascontiguousarray(start), np.ascontiguousarray((sense * normals).astype(np.float32)))
-        rows = np.flatnonzero(found >= 0)
-        facets = its[found[rows]]
-        at_facet, at_patch, turn = _along(other, facets, points[rows], normals[rows])
-        # Both spans along the normal, from the point on the curved surface.
-        mine_low, mine_high = np.minimum(0.0, -before[rows]), np.maximum(0.0, -before[rows])
-        its_low, its_high = np.minimum(at_facet, at_patch), np.maximum(at_facet, at_patch)
-        overlap = (mine_low + rounding <= its_high) & (its_low + rounding <= mine_high)
-        overlap &= (np.abs(at_facet + before[rows]) > near) | (np.abs(at_patch) > near)
-        depth = np.abs(before[rows]) + np.abs(at_patch - at_facet)
-        overlap &= turn * np.minimum(own.size[of_point[rows]], other.size[facets]) <= 2.0 * depth
-        if overlap.any():
-            found_at = int(overlap.argmax())
-            return _Close(points[rows[found_at]], abs(float(at_patch[found_at])), float(depth[found_at]))
+def _close_place(faces: tuple[_Face, _Face], near: float) -> _Close | None:
+    """Return a place where two faces are too close; None if there is none."""
+    vertices = np.concatenate([face.mesh.vertices for face in faces])
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    rounding = FLOAT32_GRAIN * float(np.abs(vertices - middle).sum(axis=1).max())
+    pairs = near_pairs(faces[0].hulls, faces[1].hulls)
+    pairs = pairs[_may_be_apart(faces, pairs, near)]
+    waiting = [_Cells(pairs, np.broadcast_to(WHOLE, (len(pairs), 2, 3, 2)))]
+    while waiting:
+        cells = waiting.pop()
+        if len(cells.facets) > AT_ONCE:
+            half = len(cells.facets) // 2
+            waiting += [cells.some(slice(half, None)), cells.some(slice(half))]
+            continue
+        cells = cells.some(_may_overlap(faces, cells, rounding))
+        if not len(cells.facets):
+            continue
+        for own in (0, 1):
+            close = _overlap_at_middles(faces, cells, own, rounding, near)
+            if close is not None:
+                return close
+        waiting.append(_divided(faces, cells))
     return None
 
 
-def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Array, Array, Array]:
+def _may_be_apart(faces: tuple[_Face, _Face], pairs: Index, near: float) -> NDArray[np.bool_]:
+    """Tell which pairs (k, 2) of facets have none that is also a facet of the other face, to a distance.
+
+    One that is the same as a facet of the other face is to that face's other facets as they are to each other.
+    """
+    one, other = (face.hulls[pairs[:, k]] for k, face in enumerate(faces))
+    low, high = (np.abs(end(one, axis=1) - end(other, axis=1)).max(axis=1) <= near for end in (np.min, np.max))
+    like = np.flatnonzero(low & high)
+    same = np.zeros(len(like), np.bool_)
+    for order in ORDERS:
+        same |= np.linalg.norm(one[like] - other[like][:, order], axis=2).max(axis=1) <= near
+    shared = pairs[like[same]]
+    return ~(np.isin(pairs[:, 0], shared[:, 0]) | np.isin(pairs[:, 1], shared[:, 1]))
+
+
+class _Bounds(NamedTuple):
+    """Bounds of one cell of each pair."""
+
+    hull: Array  # (k, 9, 3) mm, points whose hull holds the cells of patch and facet, and all between them
+    depth: Array  # (k,) mm, largest distance between patch and facet
+    axis: Array  # (k, 3) unit direction near the normals of the patch
+    spread: Array  # (k,) rad, largest angle between a normal of the patch and the axis
+
+
+def _bounds(face: _Face, facets: Index, corners: Array) -> _Bounds:
+    """Return the bounds of cells of a face.
+
+    Parameters
+    ----------
+    face : _Face
+    facets : (k,) int64
+    corners : (k, 3, 2) float64
+        Parameters of the cells' corners.
+    """
+    of_patch = face.coefficients[facets]
+    one, other = corners[:, CORNERS], corners[:, ENDS]
+    # The polar form of the patch: between the corners of a cell it gives the control points of that cell.
+    eta, zeta = 0.5 * (one[..., 0] + other[..., 0]), 0.5 * (one[..., 1] + other[..., 1])
+    mixed = 0.5 * (one[..., 0] * other[..., 1] + one[..., 1] * other[..., 0])
+    basis = np.stack([np.ones_like(eta), eta, zeta, mixed, one[..., 0] * other[..., 0], one[..., 1] * other[..., 1]])
+    control = np.einsum("bkp,kbi->kpi", basis, of_patch)
+    a, b, c = np.moveaxis(face.corners[facets], 1, 0)
+    on_facet = a[:, None] + eta[..., None] * (b - a)[:, None] + zeta[..., None] * (c - b)[:, None]
+    by_eta = (
+        of_patch[:, None, 1] + 2.0 * corners[..., :1] * of_patch[:, None, 4] + corners[..., 1:] * of_patch[:, None, 3]
+    )
+    by_zeta = (
+        of_patch[:, None, 2] + 2.0 * corners[..., 1:] * of_patch[:, None, 5] + corners[..., :1] * of_patch[:, None, 3]
+    )
+    # The normal, before it is made a unit vector, is quadratic too, with these control vectors.
+    normals = 0.5 * (np.cross(by_eta[:, CORNERS], by_zeta[:, ENDS]) + np.cross(by_eta[:, ENDS], by_zeta[:, CORNERS]))
+    axis = normals.mean(axis=1)
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    along = np.einsum("kpi,ki->kp", normals, axis)
+    across = np.linalg.norm(np.cross(normals, axis[:, None]), axis=2)
+    return _Bounds(
+        np.concatenate([control, on_facet[:, :3]], axis=1),
+        np.linalg.norm(control - on_facet, axis=2).max(axis=1),
+        axis,
+        np.arctan2(across, along).max(axis=1),
+    )
+
+
+def _may_overlap(faces: tuple[_Face, _Face], cells: _Cells, rounding: float) -> NDArray[np.bool_]:
+    """Tell which pairs of cells their bounds neither keep apart nor show to cut each other at an angle."""
+    pair = [_bounds(face, cells.facets[:, k], cells.corners[:, k]) for k, face in enumerate(faces)]
+    axes = [*(np.broadcast_to(axis, pair[0].axis.shape) for axis in np.eye(3))]
+    for k, face in enumerate(faces):
+        corners = face.corners[cells.facets[:, k]]
+        edges = np.roll(corners, -1, axis=1) - corners
+        normal = np.cross(edges[:, 0], edges[:, 1])
+        axes += [normal, pair[k].axis, *np.moveaxis(np.cross(edges, normal[:, None]), 1, 0)]
+    axis = np.stack(axes, axis=1)
+    length = np.linalg.norm(axis, axis=2, keepdims=True)
+    axis = np.divide(axis, length, out=np.zeros_like(axis), where=length > 0.0)
+    base = pair[0].hull[:, :1]
+    one, other = (np.einsum("kai,kpi->kap", axis, each.hull - base) for each in pair)
+    gap = np.maximum(other.min(axis=2) - one.max(axis=2), one.min(axis=2) - other.max(axis=2))
+    apart = (gap >= -rounding) & (length[..., 0] > 0.0)
+    cosine = np.abs(np.einsum("ki,ki->k", pair[0].axis, pair[1].axis))
+    angle = np.arccos(np.minimum(cosine, 1.0)) - pair[0].spread - pair[1].spread
+    smaller = np.minimum(*(face.size[cells.facets[:, k]] for k, face in enumerate(faces)))
+    cut = (angle > 0.0) & (np.tan(np.maximum(angle, 0.0)) * smaller > 2.0 * (pair[0].depth + pair[1].depth))
+    return ~(apart.any(axis=1) | cut)
+
+
+def _divided(faces: tuple[_Face, _Face], cells: _Cells) -> _Cells:
+    """Divide the larger cell of each pair into four; leave out pairs that are finest already."""
+    edges = [
+        np.linalg.norm(each - np.roll(each, -1, axis=1), axis=2).max(axis=1)
+        for each in (_on_facets(face, cells.facets[:, k], cells.corners[:, k]) for k, face in enumerate(faces))
+    ]
+    finest = FINEST * np.minimum(*(face.size[cells.facets[:, k]] for k, face in enumerate(faces)))
+    parts = [_Cells(np.zeros((0, 2), np.int64), np.zeros((0, 2, 3, 2)))]
+    for k, larger in enumerate((edges[0] >= edges[1], edges[0] < edges[1])):
+        which = cells.some(larger & (np.maximum(*edges) > finest * (1.0 + FLOAT32_GRAIN)))
+        for quarter in QUARTERS:
+            corners = np.array(which.corners)
+            corners[:, k] = np.einsum("qc,kcp->kqp", quarter, which.corners[:, k])
+            parts.append(_Cells(which.facets, corners))
+    return _Cells(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _on_facets(face: _Face, facets: Index, places: Array) -> Array:
+    """Return points (k, n, 3) of facets by the parameters (k, n, 2) of their patches, mm."""
+    a, b, c = np.moveaxis(face.corners[facets], 1, 0)
+    return np.asarray(a[:, None] + places[..., :1] * (b - a)[:, None] + places[..., 1:] * (c - b)[:, None])
+
+
+def _overlap_at_middles(
+    faces: tuple[_Face, _Face], cells: _Cells, own: int, rounding: float, near: float
+) -> _Close | None:
+    """Return where spans between facet and patch overlap, along the normals at the middles of cells; None: nowhere."""
+    mine, its = cells.facets[:, own], cells.facets[:, 1 - own]
+    place = cells.corners[:, own].mean(axis=1)
+    points, normals = (each[:, 0] for each in patch_points(faces[own].coefficients[mine], place[:, :1], place[:, 1:]))
+    on_facet = _on_facets(faces[own], mine, place[:, None])[:, 0]
+    before = np.einsum("ki,ki->k", points - on_facet, normals)
+    at_facet, at_patch, turn, meets = _along(faces[1 - own], its, points, normals)
+    # Both spans along the normal, from the point on the curved surface.
+    mine_low, mine_high = np.minimum(0.0, -before), np.maximum(0.0, -before)
+    its_low, its_high = np.minimum(at_facet, at_patch), np.maximum(at_facet, at_patch)
+    overlap = meets & (mine_low + rounding <= its_high) & (its_low + rounding <= mine_high)
+    overlap &= (np.abs(at_facet + before) > near) | (np.abs(at_patch) > near)
+    depth = np.abs(before) + np.abs(at_patch - at_facet)
+    overlap &= turn * np.minimum(faces[own].size[mine], faces[1 - own].size[its]) <= 2.0 * depth
+    if not overlap.any():
+        return None
+    found = int(overlap.argmax())
+    return _Close(points[found], abs(float(at_patch[found])), float(depth[found]))
+
+
+def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Return where lines meet facets and their patches, as distances along the lines, and the tangent of the angle.
 
     Parameters
     ----------
     face : _Face
     facets : (n,) int64
-        Facet that each line meets.
+        Facet that each line may meet.
     points, ways : (n, 3) float64
         Points and unit directions of the lines.
 
@@ -177,19 +325,26 @@ def _along(face: _Face, facets: Index, points: Array, ways: Array) -> tuple[Arra
     at_facet, at_patch : (n,) float64, mm
     turn : (n,) float64
         Of the angle between line and normal.
+    meets : (n,) bool
+        True where the line meets the facet; the others are of the plane.
     """
-    a, b, c = np.moveaxis(face.mesh.vertices[face.mesh.faces[facets]], 1, 0)
+    a, b, c = np.moveaxis(face.corners[facets], 1, 0)
     cross = np.cross(b - a, c - a)
-    at_facet = np.einsum("ij,ij->i", cross, a - points) / np.einsum("ij,ij->i", cross, ways)
+    rate, area = np.einsum("ij,ij->i", cross, ways), np.einsum("ij,ij->i", cross, cross)
+    meets = rate != 0.0
+    at_facet = np.divide(np.einsum("ij,ij->i", cross, a - points), rate, out=np.zeros_like(rate), where=meets)
     on_facet = points + at_facet[:, None] * ways
-    area = np.einsum("ij,ij->i", cross, cross)
-    of_b = np.einsum("ij,ij->i", cross, np.cross(on_facet - a, c - a)) / area
-    of_c = np.einsum("ij,ij->i", cross, np.cross(b - a, on_facet - a)) / area
-    on_patch, normal = patch_points(face.coefficients(facets), (of_b + of_c)[:, None], of_c[:, None])
+    of_b, of_c = (
+        np.divide(np.einsum("ij,ij->i", cross, each), area, out=np.zeros_like(area), where=meets)
+        for each in (np.cross(on_facet - a, c - a), np.cross(b - a, on_facet - a))
+    )
+    meets &= (of_b >= 0.0) & (of_c >= 0.0) & (of_b + of_c <= 1.0)
+    of_b, of_c = np.where(meets, of_b, 0.0), np.where(meets, of_c, 0.0)
+    on_patch, normal = patch_points(face.coefficients[facets], (of_b + of_c)[:, None], of_c[:, None])
     at_patch = at_facet + np.einsum("ij,ij->i", on_patch[:, 0] - on_facet, ways)
     cosine = np.abs(np.einsum("ij,ij->i", normal[:, 0], ways))
     sine = np.linalg.norm(np.cross(normal[:, 0], ways), axis=1)
-    return at_facet, at_patch, np.divide(sine, cosine, out=np.full_like(sine, np.inf), where=cosine > 0.0)
+    return at_facet, at_patch, np.divide(sine, cosine, out=np.full_like(sine, np.inf), where=cosine > 0.0), meets
 
 
 def _told(scene: Scene, one: int, other: int, close: _Close, reach: float) -> str:

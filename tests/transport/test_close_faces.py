@@ -134,6 +134,28 @@ def test_what_lies_between_a_facet_and_its_curved_surface_is_refused(body: Body)
     assert refusal(glass, under(0.0)) is None
 
 
+@pytest.mark.parametrize("share", [0.2, 0.25, 0.4])
+def test_a_strip_between_a_facet_and_its_patch_is_refused_however_narrow(body: Body, share: float) -> None:
+    """It misses the centre of the facet, the middles of its edges, and the places near its corners."""
+    mesh = ball(8.0)
+    mesh.apply_transform(trimesh.geometry.align_vectors(mesh.face_normals[0], (0.0, 0.0, -1.0)))
+    a, b, c = mesh.vertices[mesh.faces[0]]
+    place, along, height = share * a + (1.0 - share) * 0.5 * (b + c), c - b, np.linalg.norm(a - 0.5 * (b + c))
+    gap = 8.0 - np.linalg.norm(place)
+    shape = {"kind": "plane", "width_mm": 14.0, "height_mm": 0.02 * float(height)}
+    # Off its middle along the strip, so that the middle of the strip is not there.
+    at = place - 2.0 * along / np.linalg.norm(along)
+    turn = float(np.rad2deg(np.arctan2(along[1], along[0])))
+
+    def strip(below: float) -> dict[str, Any]:
+        where = CENTRE + at - [0.0, 0.0, below]
+        return {"shape": shape, "position_mm": [float(x) for x in where], "rotation_deg": [0.0, 0.0, turn]}
+
+    glass = body(mesh)
+    assert refusal(glass, strip(0.5 * gap)) is not None
+    assert refusal(glass, strip(1.5 * gap)) is None
+
+
 def exact_spheres(
     spheres: list[tuple[float, int, float]], centres: np.ndarray, origin: np.ndarray, way: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
+from lfmesh.geometry.lens.surface_gaps import reaches_through
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.surfaces.sag import reach
 from lfmesh.geometry.surfaces.surface import is_revolved, put_in_pose, surface_of
 from lfmesh.geometry.surfaces.tessellation import (
     ANNULUS_LEAN,
@@ -26,9 +26,6 @@ from lfmesh.geometry.surfaces.tessellation import (
     strip,
 )
 from lfmesh.scene.camera.lens import Lens
-
-RADII = 129
-"""Circles of a clear aperture on which its surface must not cross the next one."""
 
 TOUCHING = 1e-9
 """Share of the lens's size up to which a crossing is rounding, where elements touch."""
@@ -75,15 +72,10 @@ def refuse_crossing_elements(lens: Lens) -> None:
     for number, (front, back) in enumerate(pairwise(records)):
         if stand_together(front, back):
             continue
-        crossing = max(_crossing(front, back, 1.0), _crossing(back, front, -1.0))
-        if crossing > TOUCHING * float(back["semi_diameter"] + back["vertex_z"]):
+        least = TOUCHING * float(back["semi_diameter"] + back["vertex_z"])
+        crossing = max(reaches_through(front, back, 1.0, least), reaches_through(back, front, -1.0, least))
+        if crossing > 0.0:
             raise SceneError(_refusal(lens, number, crossing))
-
-
-def _crossing(one: Any, other: Any, sense: float) -> float:
-    """Return how far a surface reaches through the next one, along that one's axis, inside both clear apertures, mm."""
-    height, r = height_above(other, on_circles(one, np.linspace(0.0, min(one["semi_diameter"], reach(one)), RADII)))
-    return float(np.max(sense * height, where=r <= other["semi_diameter"], initial=0.0))
 
 
 def _refusal(lens: Lens, number: int, crossing: float) -> str:

@@ -1,0 +1,141 @@
+"""How far one optical surface reaches through another inside both clear apertures, by bounds on cells.
+
+The aperture of the first surface is divided into squares. From the height over the other surface at the middle of a
+square follows its largest one there, by its gradient and a bound of its second derivatives. Squares that cannot hold
+a larger height than was found are done, the others are divided. Only surfaces that touch along an area, or all but do,
+leave more squares than are divided: a crossing there is at most as deep as the bound of a square of that size.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.geometry import frame
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.sag import gradients, reach
+from lfmesh.geometry.surfaces.surface import is_revolved
+from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights, set_bends
+
+FIRST = 9
+"""Squares across an aperture to begin with; the middle of one is the vertex."""
+
+LEVELS = 12
+"""How often they are halved."""
+
+MOST_SQUARES = 1 << 13
+"""Squares beyond which they are divided no further: surfaces touch all over, and stay as far apart as their middles."""
+
+CLOSE_ENOUGH = 1.001
+"""Largest height over the one that is found, at most."""
+
+QUARTERS = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+"""Middles of the quarters of a square, in half its sides."""
+
+
+def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
+    """Return how far a surface reaches through another one, along that one's axis, inside both clear apertures, mm.
+
+    Parameters
+    ----------
+    one, other : SURFACE record
+    sense : float
+        1: by points of `one` beyond `other`, along its axis; −1: by points before it.
+    least : float, mm
+        Depth that does not count.
+
+    Returns
+    -------
+    float
+        0 where it does not reach through by more than `least`.
+    """
+    radius, edge = (min(float(s["semi_diameter"]), last_radius(s), reach(s)) for s in (one, other))
+    one, other = (_with_bends(s, end) for s, end in ((one, radius), (other, edge)))
+    side = np.linspace(-1.0, 1.0, 2 * FIRST + 1)[1::2] * radius
+    middles, half, deepest = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), radius / FIRST, 0.0
+    for _ in range(LEVELS):
+        height, inside, most = _heights(one, other, sense, middles, half, (radius, edge))
+        deepest = max(deepest, float(np.max(height, where=inside, initial=0.0)))
+        middles = middles[most > max(least, CLOSE_ENOUGH * deepest)]
+        if not len(middles) or 4 * len(middles) > MOST_SQUARES:
+            break
+        middles = (middles[:, None] + half * QUARTERS).reshape(-1, 2)
+        half *= 0.5
+    return deepest if deepest > least else 0.0
+
+
+def _heights(
+    one: Any, other: Any, sense: float, middles: Array, half: float, ends: tuple[float, float]
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return heights (k,) at the middles of squares, where they are inside both apertures, and bounds of the largest.
+
+    A middle beyond an aperture is moved to its edge, from which all points of the square inside it are no farther.
+
+    Parameters
+    ----------
+    one, other : SURFACE record
+    sense : float
+    middles : (k, 2) float64, mm
+    half : float, mm
+        Half the side of the squares.
+    ends : tuple of float, mm
+        Radii of both apertures.
+    """
+    extent = half * np.sqrt(2.0)
+    beside = np.hypot(*middles.T) - extent > ends[0]
+    p = _clipped(middles, ends[0])
+    slope = np.stack(gradients(one, *p.T), axis=1)
+    bend = _bend(one, np.minimum(np.hypot(*p.T) + extent, ends[0]))
+    z = one["vertex_z"] + mesh_heights(one, *p.T)
+    q = frame.points(other["unpose"], frame.points(one["pose"], np.column_stack([p, z])))
+    turn = other["unpose"][:, :3] @ one["pose"][:, :3]
+    # Tangents of the first surface along x and y, and their rates, in the frame of the other.
+    along = turn[:, :2] + np.multiply.outer(slope, turn[:, 2]).transpose(0, 2, 1)
+    wide = np.sqrt(1.0 + (np.hypot(*slope.T) + bend * extent) ** 2) * extent
+    inside = np.hypot(q[:, 0], q[:, 1]) <= ends[1]
+    beside |= np.hypot(q[:, 0], q[:, 1]) - wide > ends[1]
+    at = _clipped(q[:, :2], ends[1])
+    its_slope = np.stack(gradients(other, *at.T), axis=1)
+    its_bend = _bend(other, np.minimum(np.hypot(*at.T) + wide, last_radius(other)))
+    its_steepest = np.hypot(*its_slope.T) + its_bend * wide
+    height: Array = sense * (q[:, 2] - other["vertex_z"] - mesh_heights(other, *at.T))
+    rate = along[:, 2] - np.einsum("ki,kij->kj", its_slope, along[:, :2])
+    rise = np.hypot(*rate.T) * extent
+    # Beyond the other's edge, its own height is taken there: both parts may change independently.
+    apart = np.hypot(along[:, 2, 0], along[:, 2, 1]) * extent + np.hypot(*its_slope.T) * wide
+    second = np.hypot(1.0, its_steepest) * bend * extent**2 + its_bend * wide**2
+    most = height + np.where(inside, rise, apart) + 0.5 * second
+    return height, inside, np.where(beside, -np.inf, most)
+
+
+def _with_bends(surface: Any, radius: float) -> Any:
+    """Return a surface with bounds of its second derivatives, if it is one of no revolution."""
+    if is_revolved(surface):
+        return surface
+    bent = surface.copy()
+    set_bends(bent, radius)
+    return bent
+
+
+def _clipped(points: Array, radius: float) -> Array:
+    """Return points (k, 2) moved towards the axis into a circle."""
+    r = np.hypot(*points.T)
+    return np.asarray(points * np.minimum(1.0, np.divide(radius, r, out=np.ones_like(r), where=r > 0.0))[:, None])
+
+
+def _bend(surface: Any, radius: Array) -> Array:
+    """Return bounds of the second derivatives of z, in any direction, inside circles of given radii (k,).
+
+    Along the meridian that of a conic is c / (1 − (1 + k) c² r²)^(3/2), and of a power n of r, n (n − 1) r^(n − 2);
+    along a circle both are smaller. A surface of no revolution has the bounds that rays are traced by.
+    """
+    if not is_revolved(surface):
+        return np.full(len(radius), max(-float(surface["least_bend"]), float(surface["most_bend"])))
+    c, growth = abs(float(surface["curvature"])), max(1.0 + float(surface["conic"]), 0.0)
+    with np.errstate(divide="ignore"):
+        bend = c * np.maximum(1.0 - growth * (c * radius) ** 2, 0.0) ** -1.5
+    for first, terms in ((4, surface["asphere"][: surface["terms"]]), (3, surface["odd"][: surface["odd_terms"]])):
+        for n, a in enumerate(terms):
+            power = first + 2 * n
+            bend = bend + power * (power - 1) * abs(float(a)) * radius ** (power - 2)
+    return np.asarray(bend)

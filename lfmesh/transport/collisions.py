@@ -3,18 +3,28 @@
 Light would end between them, and the picture be black without a message.
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.lens.lens_shape import LensShape
+from lfmesh.geometry.array.lenslets import Lenslets
+from lfmesh.geometry.lens.element_poses import refuse_crossing_elements
+from lfmesh.geometry.lens.lens_shape import LEAST_RINGS, LensShape
+from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.lens.surface_gaps import farthest_mm
 from lfmesh.geometry.meshes.crossings import segments
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.sag import heights
-from lfmesh.geometry.surfaces.surface import in_place
+from lfmesh.geometry.surfaces.surface import in_place, surface_of
+from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, last_radius, rim_radius
 from lfmesh.scene import Scene
-from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.tables.tables import LensTables, MlaTables
+from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
+from lfmesh.transport.tables.frames import parts_in_camera
+from lfmesh.transport.tables.lens import back_lenslets, bulges_of, curved_lenslets
+from lfmesh.transport.tables.tables import MlaTables
 
 RECTANGLE = np.array([[0, 1, 3], [0, 3, 2]])
 """Facets of a rectangle, by its corners in the order of x and y."""
@@ -24,17 +34,83 @@ SLAB = np.array([[0, 1, 3], [0, 3, 2], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4
 """Facets of a slab, by its corners in the order of x, y and z."""
 
 
-def refuse_collisions(scene: Scene, shape: LensShape, lens: LensTables, mla: MlaTables, moves: Array) -> None:
+class Slab(NamedTuple):
+    """The space that an array takes, in its own frame."""
+
+    half: Array  # (2,) mm, half its extent
+    front: float  # mm, z of the face that lies lower
+    rear: float  # mm
+    curved_to_lens: bool
+
+
+def slab_of(lenslets: Lenslets, other: Lenslets | None, curved_to_lens: bool) -> Slab:
+    """Return the space that an array takes.
+
+    Parameters
+    ----------
+    lenslets : Lenslets
+        Of the face at which the frame of the array starts.
+    other : Lenslets, optional
+        Of the other face, if that is not flat.
+    curved_to_lens : bool
+        True if the frame starts from the face towards the lens.
+    """
+    half = np.asarray(lenslets.lattice.half_extent)
+    return Slab(half, lenslets.top, _rear_mm(lenslets, other), curved_to_lens)
+
+
+def slab_of_tables(mla: MlaTables) -> Slab | None:
+    """Return the space that an array takes; None without an array."""
+    back = None if mla.back is None else mla.back.lenslets
+    return slab_of(mla.lenslets, back, mla.curved_to_lens) if mla.present else None
+
+
+def far_end_mm(mla: MlaTables) -> float:
+    """Return the z, array frame, beyond which nothing of the array stands: of its flat face or other lenslets."""
+    return _rear_mm(mla.lenslets, None if mla.back is None else mla.back.lenslets)
+
+
+def _rear_mm(lenslets: Lenslets, other: Lenslets | None) -> float:
+    return lenslets.thickness - (0.0 if other is None else other.top)
+
+
+def refuse_impossible_camera(scene: Scene) -> None:
+    """Refuse a camera that a build would refuse, as its elements, array and sensor intersect.
+
+    Parameters
+    ----------
+    scene : Scene
+        Solved; elements given as meshes measured.
+
+    Raises
+    ------
+    SceneError
+    """
+    lens, mla, slab = scene.camera.lens, scene.camera.mla, None
+    if lens.elements:
+        refuse_crossing_elements(lens)
+    if mla is not None:
+        own = curved_lenslets(mla)
+        other = back_lenslets(mla, own) if mla.has_back else None
+        to_lens = mla.curved_side == "lens"
+        # The frame of an array with lenslets on both faces starts from the face towards the sensor.
+        slab = (
+            slab_of(own, None, to_lens)
+            if other is None
+            else slab_of(*((other, own) if to_lens else (own, other)), False)
+        )
+    refuse_collisions(scene, slab, lambda: solved_camera(scene).lens_shape())
+
+
+def refuse_collisions(scene: Scene, slab: Slab | None, shape: Callable[[], LensShape]) -> None:
     """Refuse a camera whose sensor, array and lens intersect.
 
     Parameters
     ----------
     scene : Scene
-    shape : LensShape
-    lens : LensTables
-    mla : MlaTables
-    moves : (6, 6, 3, 4) float64
-        Between frames.
+    slab : Slab or None
+    shape : function that returns a LensShape
+        Called where something comes near the lens.
 
     Raises
     ------
@@ -44,29 +120,43 @@ def refuse_collisions(scene: Scene, shape: LensShape, lens: LensTables, mla: Mla
     width, height = (0.5 * size for size in scene.camera.sensor.size_mm)
     cover = scene.camera.sensor.cover
     front = -cover.height_mm if cover is not None else 0.0
-    sensor = np.array([[x, y, front] for x in (-width, width) for y in (-height, height)])
-    if mla.present:
-        _refuse_sensor_in_array(mla, frame.points(moves[SENSOR_FRAME, MLA_FRAME], sensor), cover is not None)
-        half_width, half_height = mla.lenslets.lattice.half_extent
-        depths = mla.lenslets.top, far_end_mm(mla)
-        slab = [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
-        _refuse_in_lens("camera.mla", lens, shape, frame.points(moves[MLA_FRAME, CAMERA_FRAME], slab))
-    else:
-        _refuse_in_lens("camera.sensor", lens, shape, frame.points(moves[SENSOR_FRAME, CAMERA_FRAME], sensor))
+    corners = np.array([[x, y, front] for x in (-width, width) for y in (-height, height)])
+    parts, _ = parts_in_camera(scene.camera)
+    what, own = "camera.sensor", SENSOR_FRAME
+    if slab is not None:
+        to_array = frame.compose(frame.inverse(parts[MLA_FRAME]), parts[SENSOR_FRAME])
+        _refuse_sensor_in_array(slab, frame.points(to_array, corners), cover is not None)
+        half_width, half_height = slab.half
+        depths = slab.front, slab.rear
+        corners = np.array(
+            [[x, y, z] for x in (-half_width, half_width) for y in (-half_height, half_height) for z in depths]
+        )
+        what, own = "camera.mla", MLA_FRAME
+    corners = frame.points(parts[own], corners)
+    if corners[:, 2].min() <= _lens_reaches_mm(scene):
+        _refuse_in_lens(what, shape(), corners)
 
 
-def far_end_mm(mla: MlaTables) -> float:
-    """Return the z, array frame, beyond which nothing of the array stands: of its flat face or other lenslets."""
-    return mla.lenslets.thickness - (0.0 if mla.back is None else mla.back.lenslets.top)
+def _lens_reaches_mm(scene: Scene) -> float:
+    """Return a bound of the z, camera frame, to which the meshes of the lens reach; inf: it is not known."""
+    lens, reached = scene.camera.lens, -np.inf
+    if lens.elements or any(s.mesh is not None for s in lens.surfaces):
+        return np.inf
+    for number, s in enumerate(lens.surfaces):
+        if not lens.is_pure_stop(number):
+            record = surface_of(s, vertex_z=lens.vertices_mm[number], semi_diameter=s.semi_diameter_mm or np.inf)
+            farthest = farthest_mm(record, min(rim_radius(record, LEAST_RINGS), last_radius(record)))
+            reached = max(reached, lens.vertices_mm[number] + farthest * (1.0 + FLOAT32_MARGIN))
+    return reached
 
 
-def _refuse_sensor_in_array(mla: MlaTables, corners: Array, covered: bool) -> None:
+def _refuse_sensor_in_array(slab: Slab, corners: Array, covered: bool) -> None:
     """Refuse a sensor, or its cover, whose corners (4, 3) (array frame) are not all beyond the array's rear face."""
-    inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * mla.lenslets.lattice.half_extent))
+    inside = np.clip(corners[:, :2], *(np.array([[-1.0], [1.0]]) * slab.half))
     # Of a sensor larger than the array only the part behind the array can intersect it.
     plane = np.linalg.lstsq(np.column_stack([corners[:, :2], np.ones(4)]), corners[:, 2], rcond=None)[0]
     z = inside @ plane[:2] + plane[2]
-    gap = (z - far_end_mm(mla) if mla.curved_to_lens else mla.lenslets.top - z).min()
+    gap = (z - slab.rear if slab.curved_to_lens else slab.front - z).min()
     if gap <= 0.0:
         raise SceneError(
             f"camera.mla.pose, camera.sensor.pose: the array reaches {-gap:.4g} mm through the sensor's "
@@ -75,22 +165,24 @@ def _refuse_sensor_in_array(mla: MlaTables, corners: Array, covered: bool) -> No
         )
 
 
-def _refuse_in_lens(what: str, lens: LensTables, shape: LensShape, corners: Array) -> None:
+def _refuse_in_lens(what: str, shape: LensShape, corners: Array) -> None:
     """Refuse a body whose corners, (4, 3) or (8, 3) (camera frame), or whose faces reach back to the lens.
 
     Parameters
     ----------
     what : str
         Name of the body.
-    lens : LensTables
     shape : LensShape
     corners : (4, 3) or (8, 3) float64, mm
         Of a rectangle or a slab, in the order of x, y and z.
     """
-    last = lens.surfaces[-1]
+    last = shape.surfaces[-1]
     # A body smaller than a concave last surface may reach into the hollow of that surface.
     if np.hypot(corners[:, 0], corners[:, 1]).max() >= last["semi_diameter"]:
-        _refuse_depth(what, float(lens.box_high[2] - corners[:, 2].min()))
+        reached = max(
+            float(points[:, 2].max()) for points in (*(cap.vertices for cap in shape.caps), *bulges_of(shape))
+        )
+        _refuse_depth(what, reached - float(corners[:, 2].min()))
     cap = shape.caps[-1]
     met = segments(corners[RECTANGLE if len(corners) == 4 else SLAB], cap.vertices[cap.faces])
     if shape.analytic[-1]:

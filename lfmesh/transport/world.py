@@ -25,7 +25,7 @@ from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.transport.aims.aim_table import all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aims.ghost_aim import ghost_tables
 from lfmesh.transport.checks.aim_proof import AimProof, proven_aim
-from lfmesh.transport.collisions import refuse_collisions
+from lfmesh.transport.collisions import refuse_collisions, slab_of_tables
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
@@ -377,7 +377,7 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     cells, mla = mla_tables(scene, wavelengths_nm, interfaces.mla, known, book)
     middle = middle_of(targets)
     moves = frame_table(scene, middle)
-    refuse_collisions(scene, shape, lens, mla, moves)
+    refuse_collisions(scene, slab_of_tables(mla), lambda: shape)
     seen_moves = apparent_frames(scene, moves)
     housing = housing_mesh(scene, shape)
     refuse_targets_inside(scene, targets, housing, moves)

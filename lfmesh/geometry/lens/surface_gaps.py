@@ -64,6 +64,19 @@ def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
     return deepest if deepest > least else 0.0
 
 
+def farthest_mm(surface: Any, radius: float) -> float:
+    """Return a bound of how far a surface reaches from its vertex along its axis, mm.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    radius : float, mm
+        Of the part of the surface that counts.
+    """
+    bend = float(_bend(_with_bends(surface, radius), np.array([radius]))[0])
+    return 0.5 * bend * radius**2 if bend > 0.0 else 0.0
+
+
 def _heights(
     one: Any, other: Any, sense: float, middles: Array, half: float, ends: tuple[float, float]
 ) -> tuple[Array, NDArray[np.bool_], Array]:

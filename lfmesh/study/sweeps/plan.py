@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from lfmesh.errors import LfmeshError
-from lfmesh.geometry.lens.element_poses import refuse_crossing_elements
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
 from lfmesh.scene.literals import literal
@@ -26,9 +25,10 @@ from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.study_file import StudyFile, refused, unknown_metrics
 from lfmesh.study.tolerances.error_modes import TEMPLATES
 from lfmesh.study.tolerances.largest_change import Search
+from lfmesh.transport.collisions import refuse_impossible_camera
 
 MOST_POINTS = 1_000_000
-"""Of a study, or items of a dataset: each is checked before anything is traced, some thousands a second."""
+"""Of a study, or items of a dataset: each is checked before anything is traced, some hundreds a second."""
 
 LEAST_REPLICATES = 3
 """Replicates of a batch: with one left out, two are left whose noise is independent."""
@@ -466,12 +466,11 @@ def _checked(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        It is not valid, or poses of elements make surfaces cross, which a build would refuse.
+        It is not valid, or elements, array and sensor intersect, which a build would refuse.
     """
     meshes = any(surface.refractor is not None for surface in scene.camera.lens.surfaces)
     ready = solved_camera(scene).scene if meshes else solved(scene)
-    if ready.camera.lens.elements:
-        refuse_crossing_elements(ready.camera.lens)
+    refuse_impossible_camera(ready)
     return ready
 
 

@@ -4,23 +4,18 @@ import numpy as np
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.scene import Scene
+from lfmesh.scene import Camera, Scene
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, FRAMES, MLA_FRAME, OBJECT_FRAME, SENSOR_FRAME
 
 
-def frame_table(scene: Scene, middle: Array) -> Array:
-    """Return the moves between all frames, (6, 6, 3, 4): [a, b] takes points of frame a into frame b.
+def parts_in_camera(camera: Camera) -> tuple[dict[int, frame.Frame], frame.Frame]:
+    """Return the frames of the parts of a camera, seen from the lens, and the rear frame of the array in its own.
 
     Parameters
     ----------
-    scene : Scene
-    middle : (3,) float64, mm, world frame
-        Origin of the object frame.
+    camera : Camera
+        Solved.
     """
-    camera = scene.camera
-    to_world = [frame.IDENTITY] * FRAMES
-    to_world[CAMERA_FRAME] = frame.frame(camera.pose.tilt_deg, camera.pose.shift_mm)
-    to_world[OBJECT_FRAME] = frame.frame(origin_mm=middle)
     face = camera.lens.vertices_mm[-1]
     array_to_camera = back_to_camera = back_to_array = frame.IDENTITY
     if camera.mla is not None:
@@ -42,11 +37,28 @@ def frame_table(scene: Scene, middle: Array) -> Array:
     sensor = camera.sensor
     face += sensor.distance_mm or 0.0
     sensor_to_camera = frame.frame(sensor.pose.tilt_deg, np.add([0.0, 0.0, face], sensor.pose.shift_mm))
-    # Moves between parts of the camera bypass the world frame, whose origin may be so far away that digits are lost.
-    to_camera = {
+    parts = {
         CAMERA_FRAME: frame.IDENTITY, MLA_FRAME: array_to_camera, BACK_FRAME: back_to_camera,
         SENSOR_FRAME: sensor_to_camera,
     }  # fmt: skip
+    return parts, back_to_array
+
+
+def frame_table(scene: Scene, middle: Array) -> Array:
+    """Return the moves between all frames, (6, 6, 3, 4): [a, b] takes points of frame a into frame b.
+
+    Parameters
+    ----------
+    scene : Scene
+    middle : (3,) float64, mm, world frame
+        Origin of the object frame.
+    """
+    camera = scene.camera
+    to_world = [frame.IDENTITY] * FRAMES
+    to_world[CAMERA_FRAME] = frame.frame(camera.pose.tilt_deg, camera.pose.shift_mm)
+    to_world[OBJECT_FRAME] = frame.frame(origin_mm=middle)
+    # Moves between parts of the camera bypass the world frame, whose origin may be so far away that digits are lost.
+    to_camera, back_to_array = parts_in_camera(camera)
     moves = np.empty((FRAMES, FRAMES, 3, 4))
     for here in range(FRAMES):
         if here in to_camera:

@@ -94,7 +94,7 @@ def lens_tables(
     # Rings have negative numbers, and the last entry.
     of_patches = np.append(shape.surfaces["level"] == PATCH, False)[np.maximum(facets["body"], -1)]
     bulges = control_points(patches_[of_patches]).reshape(-1, 3) if len(patches_) else np.zeros((0, 3))
-    caps = np.concatenate([*(m.vertices for m in shape.caps), *_bulges(shape), bulges])
+    caps = np.concatenate([*(m.vertices for m in shape.caps), *bulges_of(shape), bulges])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
@@ -129,7 +129,7 @@ def lens_tables(
     )
 
 
-def _bulges(shape: LensShape) -> Iterator[Array]:
+def bulges_of(shape: LensShape) -> Iterator[Array]:
     """Yield corners, (8, 3) mm, of boxes round surfaces that are no conics, which may stand out between vertices."""
     for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
         if surface["terms"] > 0 and surface["level"] == EXACT:
@@ -276,28 +276,13 @@ def mla_tables(
         nothing = lenslets(Lattice(False, 1.0, 1, 1), np.array([np.inf]), 1.0)
         empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
         return {CELLS: empty}, _cells(False, False, nothing, empty, 0.0, media, AIR, interfaces, True)
-    lattice = Lattice(
-        mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
-    )
-    shapes = lenslets(
-        lattice,
-        np.asarray(mla.radius_mm, dtype=np.float64),
-        mla.thickness_mm,
-        decenter_mm=mla.form.decenter_mm,
-        radius_error=mla.form.radius_error,
-        seed=mla.form.seed,
-        conic=mla.conic,
-        asphere_mm=mla.asphere_mm,
-        cylinder_axis=mla.cylinder_axis,
-    )
-    if mla.clear_diameter_mm is not None:
-        shapes = shapes._replace(clear_radius=0.5 * float(mla.clear_diameter_mm))
+    shapes = curved_lenslets(mla)
     is_curved, to_lens = scene.transport.surface == "patch", mla.curved_side == "lens"
-    shift, mesh = OFFSET * lattice.pitch, _cells_side_by_side(shapes)
+    shift, mesh = OFFSET * shapes.lattice.pitch, _cells_side_by_side(shapes)
     tables = _cells(is_curved, True, shapes, mesh, shift, media, medium, interfaces, to_lens)
     if not mla.has_back:
         return {CELLS: mesh}, tables
-    other = _back_lenslets(mla, shapes)
+    other = back_lenslets(mla, shapes)
     other_mesh = _cells_side_by_side(other)
     back = _cells(is_curved, True, other, other_mesh, shift, media, medium, interfaces, not to_lens)
     back = back._replace(row=FLAT_ROW, face=BACK_FACE)
@@ -389,7 +374,28 @@ def _limiting_face(given: MicrolensArray, mla: MlaTables, colour: int) -> tuple[
     return mla.back, float(np.copysign(1.0 / max(abs(at_sensor), LEAST_LEVER), at_sensor))
 
 
-def _back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
+def curved_lenslets(mla: MicrolensArray) -> Lenslets:
+    """Return the lenslets of the curved face of an array."""
+    lattice = Lattice(
+        mla.layout == "hexagonal", mla.pitch_mm * (1.0 + mla.form.pitch_error), mla.count[0], mla.count[1]
+    )
+    shapes = lenslets(
+        lattice,
+        np.asarray(mla.radius_mm, dtype=np.float64),
+        mla.thickness_mm,
+        decenter_mm=mla.form.decenter_mm,
+        radius_error=mla.form.radius_error,
+        seed=mla.form.seed,
+        conic=mla.conic,
+        asphere_mm=mla.asphere_mm,
+        cylinder_axis=mla.cylinder_axis,
+    )
+    if mla.clear_diameter_mm is not None:
+        shapes = shapes._replace(clear_radius=0.5 * float(mla.clear_diameter_mm))
+    return shapes
+
+
+def back_lenslets(mla: MicrolensArray, front: Lenslets) -> Lenslets:
     """Return the lenslets of the face opposite the curved one.
 
     Raises

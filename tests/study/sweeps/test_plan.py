@@ -203,16 +203,16 @@ def test_the_time_of_a_study_has_the_start_of_its_processes_and_new_cameras(
 
 
 def test_the_time_of_a_study_is_that_of_a_camera_that_can_be_traced(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An array that is moved so far reaches through the sensor: building it fails at once."""
+    """A target that is moved into the camera: building it fails at once."""
     timed: list[int] = []
     run_unit = probe.run_unit
     monkeypatch.setattr(probe, "in_pool", lambda units, _: here(units))
     monkeypatch.setattr(probe, "run_unit", lambda unit, films: (timed.append(unit.point), run_unit(unit, films))[1])
-    axes = [{"path": "camera.mla.pose.shift_mm[2]", "values": [9.0, 0.01]}]
+    axes = [{"path": "targets[0].position_mm[2]", "values": [1.0, -60.0]}]
     found = probe.probe(lf.Study(small_scene(), axes=axes, metrics=["light"]).plan, 0)
     assert timed == [0, 1, 2, 2, 2]
     assert len(found.unknown) == 1
-    assert found.unknown[0].startswith("point 1 (camera.mla.pose.shift_mm[2] = 9 mm) cannot be traced: camera.mla.pose")
+    assert found.unknown[0].startswith("point 1 (targets[0].position_mm[2] = 1 mm) cannot be traced: targets[0]")
 
 
 LENS = {
@@ -235,6 +235,26 @@ def test_poses_by_which_surfaces_cross_are_named_before_anything_runs(adjusted: 
     scene = small_scene().changed({"camera.focus_mm": 500.0, "camera.lens": LENS})
     with pytest.raises(lf.LfmeshError, match=r"point 1 .*tilt_deg = \[-6\.0, .*surfaces 1 and 2 cross") as told:
         lf.Study(scene, axes=axes, metrics=["chief_rays"], **moved)
+    assert len(str(told.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("camera.mla.pose.shift_mm[2]", 9.0, "the array reaches .* mm through the sensor's plane"),
+        ("camera.mla.pose.shift_mm[2]", -80.0, "camera.mla.pose: it reaches .* mm into the lens"),
+        ("camera.sensor.pose.shift_mm[2]", -9.0, "the array reaches .* mm through the sensor's plane"),
+    ],
+)
+def test_poses_by_which_array_or_sensor_collide_are_named_as_a_build_names_them(
+    path: str, value: float, message: str
+) -> None:
+    scene = small_scene()
+    with pytest.raises(lf.SceneError, match=message) as refusal:
+        lf.build(scene.changed({path: value}))
+    with pytest.raises(lf.LfmeshError, match="point 1 ") as told:
+        lf.Study(scene, axes=[{"path": path, "values": [value, 0.01]}], metrics=["chief_rays"])
+    assert str(refusal.value) in str(told.value)
     assert len(str(told.value).splitlines()) == 1
 
 

@@ -110,9 +110,9 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
     to_camera = frame.inverse(frame.frame(pose.tilt_deg, pose.shift_mm))
     corners = body.mesh.vertices[np.unique(body.mesh.faces)]
     seen = frame.points(to_camera, corners)
-    before = seen[:, 2] < 0.0
-    picture = in_field(seen[before], facts)
-    share = share_of_field(picture) if before.any() else 0.0
+    facets = frame.points(to_camera, body.mesh.vertices[body.mesh.faces].reshape(-1, 3)).reshape(-1, 3, 3)
+    before = _before_the_camera(facets)
+    share = share_of_field(in_field(before, facts)) if len(before) else 0.0
     lit_by = _lamps(scene, target, body, frame.inverse(to_camera)) if share else None
     return Placement(
         named_target(scene, number),
@@ -127,6 +127,21 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
         _contents(scene, target),
         tuple(_warnings(scene, facts, target, body, seen, share, lit_by)),
     )
+
+
+def _before_the_camera(facets: Array) -> Array:
+    """Return corners (n, 3) of the parts of facets (m, 3, 3), camera frame, that lie before the first vertex, mm.
+
+    Half the width of the field is a convex function of z: a facet comes into the field no further than its corners
+    tell, and where all of these are beyond one edge of it, so is the facet.
+    """
+    start, end = facets.reshape(-1, 3), np.roll(facets, -1, axis=1).reshape(-1, 3)
+    passes = (start[:, 2] < 0.0) != (end[:, 2] < 0.0)
+    start, end = start[passes], end[passes]
+    at = start + (start[:, 2:] / (start[:, 2:] - end[:, 2:])) * (end - start)
+    at[:, 2] = 0.0
+    corners = facets.reshape(-1, 3)
+    return np.concatenate([corners[corners[:, 2] < 0.0], at])
 
 
 def _contents(scene: Scene, target: Target) -> str:
@@ -232,14 +247,17 @@ def share_of_field(picture: Array) -> float:
 
 
 def _facets_in_front(body: TargetMesh, scene: Scene) -> tuple[Array, Array, Array]:
-    """Return centres, normals and radii about the centres of the facets that stand before the camera, world frame."""
+    """Return centres, normals and radii about the centres of the facets a part of which stands before the camera.
+
+    In the world frame. A facet comes before the first vertex where one of its corners does.
+    """
     pose = scene.camera.pose
     normals, areas = facet_normals(body.mesh)
     corners = body.mesh.vertices[body.mesh.faces]
     centres = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    z = frame.points(frame.inverse(frame.frame(pose.tilt_deg, pose.shift_mm)), centres)[:, 2]
-    front = (z < 0.0) & (areas > 0.0)
+    z = frame.points(frame.inverse(frame.frame(pose.tilt_deg, pose.shift_mm)), corners.reshape(-1, 3))[:, 2]
+    front = (z.reshape(-1, 3).min(axis=1) < 0.0) & (areas > 0.0)
     return centres[front], normals[front], radii[front]
 
 
@@ -282,7 +300,10 @@ def _lamps(scene: Scene, target: Target, body: TargetMesh, to_world: Array) -> t
 
 
 def _lit(light: Light, points: Array, normals: Array, radii: Array) -> NDArray[np.bool_]:
-    """Tell of each facet, given its centre and radius, whether a lamp is before it and shines its way."""
+    """Tell of each facet, given its centre and radius, whether a lamp is before it and shines its way.
+
+    Spheres stand for facet and lamp: a lamp that shines past a facet may count, one that shines on it always does.
+    """
     region = light.region
     if region is None:
         return np.asarray(normals @ light.axes[2] < 0.0)

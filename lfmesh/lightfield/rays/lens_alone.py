@@ -11,7 +11,7 @@ from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World, build
 
 FAN = 64
-"""Rays that the focus is found by, at the radii of as many rings of equal area in the entrance pupil."""
+"""Rays that the focus is found by, at the radii of as many rings of equal area in the paraxial stop."""
 
 FAR = 1e3
 """In focal lengths: stands for infinity, where a camera is focused on that or beyond."""
@@ -98,20 +98,20 @@ def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
 
 
 def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> float:
-    """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the entrance pupil."""
-    facts, lens = camera.report, camera.scene.camera.lens
-    pupil_z, pupil_radius = facts.entrance_pupil_z_mm, 0.5 * facts.entrance_pupil_diameter_mm
+    """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the stop."""
+    facts, lens, paraxial = camera.report, camera.scene.camera.lens, camera.paraxial
+    # Slope of the ray to the edge of the stop: finite also where the entrance pupil lies at infinity.
+    stop_radius = lens.surfaces[paraxial.stop].semi_diameter_mm or 1.0
+    steepest = paraxial.marginal_ray(distance_mm, stop_radius).angle / paraxial.indices[0]
     # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
     front_focus = -facts.ffl_mm
-    if not math.isfinite(pupil_z) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
+    if not math.isfinite(steepest) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
         return 0.0
-    ring = pupil_radius * np.sqrt((np.arange(FAN) + 0.5) / FAN)
-    toward = np.column_stack([ring, np.zeros(FAN), np.full(FAN, pupil_z + distance_mm)])
-    # A relay's pupil may lie before the object, which then sends its rays away from it.
-    toward *= math.copysign(1.0, pupil_z + distance_mm)
+    share = np.sqrt((np.arange(FAN) + 0.5) / FAN)
+    toward = np.column_stack([steepest * share, np.zeros(FAN), np.ones(FAN)])
     # From close before the lens: the object may be far, and rays are as exact as the place they start from.
     ahead = max(distance_mm - abs(facts.efl_mm), 0.5 * distance_mm)
-    start = np.array([0.0, 0.0, -distance_mm]) + toward * (ahead / toward[:, 2:])
+    start = np.array([0.0, 0.0, -distance_mm]) + toward * ahead
     paths = trace(world, start, toward, facts.wavelength_nm, split="transmit")
     arrived = paths.status == Status.SENSOR
     x, z = paths.position[arrived, 0], paths.position[arrived, 2]
@@ -119,5 +119,4 @@ def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> f
     if not slope.any():
         return 0.0
     sharpest = float(z[0] - (x * slope).sum() / (slope * slope).sum())
-    paraxial = camera.paraxial.image_mm(distance_mm)
-    return sharpest - lens.vertices_mm[-1] - paraxial
+    return sharpest - lens.vertices_mm[-1] - paraxial.image_mm(distance_mm)

@@ -119,7 +119,7 @@ class RayModel:
         Raises
         ------
         LfmeshError
-            A conventional camera, one with cylindrical lenslets, or an afocal lens.
+            A conventional camera, one with cylindrical lenslets, an afocal lens, or an exit pupil on the array.
         """
         known = solved_camera(scene)
         scene, facts = known.scene, known.report
@@ -131,13 +131,19 @@ class RayModel:
         if not math.isfinite(facts.efl_mm):
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
         array_z = (facts.lenslets_z_mm or 0.0) + mla.pose.shift_mm[2]
+        pupil_to_array = array_z - _exit_pupil_z_mm(known)
+        if pupil_to_array == 0.0:
+            raise LfmeshError(
+                f"camera.mla.distance_mm = {mla.distance_mm:g}: the exit pupil lies on the array, so that no "
+                "lenslet forms an image of it; move the array or the stop"
+            )
         shift, slope = focus_shift(scene)
         return cls(
             efl_mm=facts.efl_mm,
             front_principal_z_mm=facts.front_principal_plane_z_mm,
             rear_principal_z_mm=facts.rear_principal_plane_z_mm,
             array_z_mm=array_z,
-            pupil_to_array_mm=array_z - _exit_pupil_z_mm(known),
+            pupil_to_array_mm=pupil_to_array,
             lenslet_to_sensor_mm=lenslet_to_sensor_mm(camera, wavelength)
             + camera.sensor.pose.shift_mm[2]
             - mla.pose.shift_mm[2],

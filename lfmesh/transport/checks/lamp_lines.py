@@ -34,7 +34,9 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
             profile = read_profile(scene.resolve(light.ies))
             lines.append(f"{where} profile: {light.ies}, {_in_words(profile, light.strength)}")
             if targets and not _shines_on(profile, light, targets):
-                lines.append(f"Note: {where}: its profile sends no light towards a corner of any target")
+                lines.append(
+                    f"Note: {where}: its profile sends no light towards the corners and middles of facets of any target"
+                )
         if scene.passbands:
             lines.append(f"{where} spectrum: {_spectrum(scene, number)}")
     return lines

@@ -150,3 +150,13 @@ def test_check_prints_where_targets_stand_and_refuses_a_broken_mesh(
     (tmp_path / file).write_bytes(b"solid nothing")
     assert main(["check", str(tmp_path / "scene.toml")]) == 2
     assert "part.stl" in capsys.readouterr().err
+
+
+def test_a_facet_with_one_corner_before_the_camera_is_seen() -> None:
+    """A floor that reaches 600 mm before the camera and 4 m behind it: both centres of its facets are behind."""
+    floor = {"shape": {"kind": "plane", "width_mm": 800.0, "height_mm": 4600.0}}
+    floor |= {"position_mm": [0.0, -20.0, 1700.0], "rotation_deg": [90.0, 0.0, 0.0]}
+    placement = placed(floor)
+    assert placement.share > 0.0
+    assert placement.lit_by == ("lights[0] (point)",)
+    assert placement.warnings == ()

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.lightfield.rays.lens_alone import focus_shift
 from lfmesh.lightfield.rays.ray_model import RayModel, ShiftMap, TracedShift
-from lfmesh.scene import Scene, first_order
+from lfmesh.scene import Scene, first_order, solved
+from lfmesh.scene.first_order.paraxial import Paraxial
 
 
 @pytest.fixture
@@ -29,6 +31,26 @@ def test_distance_and_shift_are_inverse(real: RayModel, pupil_mm: float) -> None
     assert model.focus_shift_mm < 0.0
     for distance in (120.0, 300.0, 500.0, 800.0, 5000.0):
         assert model.distance_mm(model.shift_mm(distance)) == pytest.approx(distance, rel=1e-9)
+
+
+def relay(stop_mm: float) -> Scene:
+    """Return a camera the stop of which stands behind a biconvex lens."""
+    glass = {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 9.0}
+    back = {"radius_mm": -30.0, "thickness_mm": stop_mm, "semi_diameter_mm": 9.0}
+    lens = {"surfaces": [glass, back, {"stop": True, "semi_diameter_mm": 3.0}]}
+    array = {"count": [10, 10], "pitch_mm": 0.2, "focal_length_mm": 1.0, "index": 1.5, "thickness_mm": 0.4}
+    sensor = {"pixels": [100, 100], "pixel_mm": 0.02}
+    return solved(Scene(camera={"focus_mm": 60.0, "lens": lens, "mla": array, "sensor": sensor}))
+
+
+def test_spherical_aberration_of_an_object_side_telecentric_lens_is_that_of_one_that_is_nearly_so() -> None:
+    back_focus = Paraxial.of(relay(20.0).camera.lens, relay(20.0).primary_nm).bfl_mm + 20.0
+    telecentric, nearly = relay(back_focus), relay(back_focus + 1e-4)
+    assert math.isinf(first_order(telecentric).entrance_pupil_z_mm)
+    assert math.isfinite(first_order(nearly).entrance_pupil_z_mm)
+    shift, truth = focus_shift(telecentric), focus_shift(nearly)
+    assert truth[0] < -1e-3
+    assert shift == pytest.approx(truth, rel=1e-3)
 
 
 def as_measured(model: RayModel) -> TracedShift:

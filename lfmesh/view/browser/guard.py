@@ -8,15 +8,18 @@ token in the address that was printed, which it keeps as a cookie.
 
 import hmac
 import ipaddress
+import re
 import secrets
 from collections.abc import Awaitable, Callable
-from urllib.parse import urlsplit
 
-from aiohttp import web
+from aiohttp import hdrs, web
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
+
+_ADDRESS = re.compile(r"(?P<name>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+)(:[0-9]{1,5})?")
+"""A `Host`: a name or an address, and a port."""
 
 REFUSED = "lfmesh refuses this request"
 """Beginning of every refusal."""
@@ -48,11 +51,14 @@ class Guard:
 
     def fault(self, request: web.Request) -> str | None:
         """Say why a request is refused; None if it is not."""
+        if (name := _name_of_odd_header(request)) is not None:
+            return f"{REFUSED}: its header {name} is not ASCII"
         host = request.host
-        if self._loopback and _name_of(host) not in LOOPBACK_NAMES:
+        address = _ADDRESS.fullmatch(host)
+        if address is None or (self._loopback and address["name"] not in LOOPBACK_NAMES):
             return f"{REFUSED}: it asks for the host {host}, which is not this machine"
-        origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        origin = request.headers.get(hdrs.ORIGIN)
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return f"{REFUSED}: it comes from a page of {origin}"
         if not self._admitted(request):
             return f"{REFUSED}: open the whole address that lfmesh printed, with its token"
@@ -78,7 +84,8 @@ class Guard:
         return self._same(request.cookies.get(_cookie(request.host))) or self._same(request.query.get("token"))
 
     def _same(self, token: str | None) -> bool:
-        return token is not None and hmac.compare_digest(token.encode(), self.token.encode())
+        # aiohttp decodes bytes of a header that are no UTF-8 as surrogates.
+        return token is not None and hmac.compare_digest(token.encode(errors="surrogatepass"), self.token.encode())
 
     def _admit(self, request: web.Request) -> web.StreamResponse:
         """Let a browser keep the token, and take it out of the address, which others may see over a shoulder."""
@@ -87,9 +94,10 @@ class Guard:
         return response
 
 
-def _name_of(host: str) -> str:
-    """Return the name or address in a `Host` header, without its port."""
-    return host if host.endswith("]") else host.rsplit(":", 1)[0] if ":" in host else host
+def _name_of_odd_header(request: web.Request) -> str | None:
+    """Return the name of a header that no browser sends: one that is not ASCII, but for cookies, which others set."""
+    odd = (name for name, value in request.headers.items() if not value.isascii() and name.title() != hdrs.COOKIE)
+    return next(odd, None)
 
 
 def _cookie(host: str) -> str:

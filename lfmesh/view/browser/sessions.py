@@ -106,6 +106,8 @@ class _Session:
 
     def close(self) -> None:
         """Give up what the session holds."""
+        # The timer would hold the page until it has run out.
+        self.stay()
         if self.shown is not None:
             self.shown.close()
         vtk.HELPERS_PER_SERVER.pop(self.server.name, None)

@@ -38,7 +38,7 @@ FORMAT = 1
 """Of the manifest; a reader refuses any other."""
 
 CLAIM = f"{STAGING}rendering"
-"""Stands in a run folder and is locked while a render runs that will be saved there; it names the process."""
+"""Stands in a run folder and is locked while a run is saved there, or rendered that will be; it names the process."""
 
 FORGOTTEN_SECONDS = 86_400.0
 """Age of staging that belongs to a dead process, where files cannot be locked."""
@@ -211,16 +211,13 @@ def write_inside(folder: Path, name: str, content: str | bytes) -> None:
 
 
 def refuse_claimed(folder: Path) -> None:
-    """Refuse a folder into which another process renders.
+    """Refuse a folder into which another process renders or saves a run.
 
     Raises
     ------
     FileError
         Naming the process.
     """
-    if not folder.is_dir():
-        # Opening a pipe in its place would wait for somebody to write into it.
-        return
     try:
         # Under the folder's lock nobody else tries the claim's own.
         with _lock(folder), _lock(folder / CLAIM, wait=False) as free:
@@ -228,45 +225,70 @@ def refuse_claimed(folder: Path) -> None:
     except (OSError, ValueError):
         return
     if free is False and owner != _this_process():
-        raise FileError(f"{folder}: process {owner} is rendering into it: wait for its end, or give another folder")
+        raise _taken(folder, owner)
 
 
-def claim(folder: Path) -> int | None:
-    """Claim a folder for a render of this process, until `release`; None where files cannot be locked.
+@contextmanager
+def claimed(folder: Path, *, again: bool = False) -> Iterator[None]:
+    """Claim a folder for a run of this process while the body renders or saves it.
+
+    Parameters
+    ----------
+    folder : Path
+    again : bool
+        Let this process in where it has claimed the folder already, as a render that saves.
 
     Raises
     ------
     OSError
         It cannot be written.
     FileError
-        Another render has claimed it.
+        Another process has claimed it, or this one has.
     """
+    handle = _claim(folder)
+    if isinstance(handle, str):
+        if handle != _this_process():
+            raise _taken(folder, handle)
+        if not again:
+            raise FileError(f"{folder}: this process is rendering into it already: give another folder")
+        handle = None
+    try:
+        yield
+    finally:
+        if handle is not None:
+            # Nobody opens the claim before it is gone and locks it afterwards.
+            with suppress(OSError), _lock(folder):
+                (folder / CLAIM).unlink()
+            os.close(handle)
+
+
+def _claim(folder: Path) -> int | str | None:
+    """Return the handle of a new claim, or the process that has claimed a folder; None where there are no locks."""
     if fcntl is None:
         return None
     path = folder / CLAIM
     with _lock(folder):
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | NO_LINK, 0o666)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(handle)
-            if not isinstance(error, BlockingIOError):
-                path.unlink()
-                return None
-        else:
-            os.ftruncate(handle, 0)
-            os.write(handle, _this_process().encode())
+        handle, ours = _locked(path, os.O_RDWR | os.O_CREAT | NO_LINK, wait=False)
+        if ours:
+            try:
+                os.ftruncate(handle, 0)
+                os.write(handle, _this_process().encode())
+            except BaseException:
+                os.close(handle)
+                raise
             return handle
-    refuse_claimed(folder)
-    raise FileError(f"{folder}: this process is rendering into it already: give another folder")
+        with os.fdopen(handle, encoding="utf-8", errors="replace") as file:
+            if ours is False:
+                return file.read()
+        path.unlink()
+        return None
 
 
-def release(folder: Path, handle: int | None) -> None:
-    """Give up a claim."""
-    if handle is not None:
-        with suppress(OSError):
-            (folder / CLAIM).unlink()
-        os.close(handle)
+def _taken(folder: Path, owner: str) -> FileError:
+    return FileError(
+        f"{folder}: process {owner} is rendering into it or saving a run there: wait for its end, or give another"
+        " folder"
+    )
 
 
 def _this_process() -> str:
@@ -437,7 +459,7 @@ def _remove_empty(folder: Path) -> None:
 def _to_disk(path: Path) -> None:
     """Wait until a file, or the names in a folder, are on the disk, where the system lets one ask for it."""
     try:
-        handle = os.open(path, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY | NO_LINK)
     except OSError:
         return
     try:
@@ -451,31 +473,40 @@ def _held(path: Path) -> int | None:
     """Lock a folder as long as this process has the handle open; None where that cannot be done."""
     if fcntl is None:
         return None
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
+    handle, ours = _locked(path, os.O_RDONLY | os.O_DIRECTORY | NO_LINK, wait=True)
+    if ours:
+        return handle
+    os.close(handle)
+    return None
 
 
 @contextmanager
 def _lock(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
-    """Hold a lock on a folder or file; yield False where another has it, None where there are no locks."""
+    """Hold a lock on a folder, or without waiting on a file or folder inside one.
+
+    Yields False where another has the lock, None where there are no locks.
+    """
     if fcntl is None:
         yield None
         return
-    # The user's own folder may be reached through a link; what lies in it may not.
-    handle = os.open(path, os.O_RDONLY | (0 if wait else NO_LINK))
+    # The user's own folder may be reached through a link; what lies in it may not. Neither is a pipe waited for.
+    handle, ours = _locked(path, os.O_RDONLY | (os.O_DIRECTORY if wait else NO_LINK), wait=wait)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            locked: bool | None = True
-        except BlockingIOError:
-            locked = False
-        except OSError:
-            locked = None
-        yield locked
+        yield ours
     finally:
         os.close(handle)
+
+
+def _locked(path: Path, flags: int, *, wait: bool) -> tuple[int, bool | None]:
+    """Open a path and lock it; return its handle and whether the lock is ours, None where there are no locks."""
+    handle = os.open(path, flags, 0o666)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        return handle, True
+    except BlockingIOError:
+        return handle, False
+    except OSError:
+        return handle, None
+    except BaseException:
+        os.close(handle)
+        raise

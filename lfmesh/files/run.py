@@ -6,7 +6,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,12 @@ from lfmesh.files.folder import (
     Change,
     Entry,
     Manifest,
-    claim,
+    claimed,
     commit,
     is_safe,
     manifest_of,
     recover,
     refuse_claimed,
-    release,
     saved,
     staged,
 )
@@ -93,8 +92,7 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
                 f"{path / edited[0]} was edited since lfmesh wrote it, and the new run would replace it: rename it, or"
                 " copy it elsewhere (paths in a scene file start from its folder), or choose another run folder"
             )
-        for made_folder in reversed(made):
-            made_folder.rmdir()
+        _remove_unused(made)
     return path
 
 
@@ -112,15 +110,11 @@ def rendering(folder: Path) -> Iterator[None]:
     FileError
         Another process renders into it, or it cannot be written.
     """
-    with _writable(folder) as made:
-        handle = claim(folder)
-    try:
+    with ExitStack() as stack:
+        with _writable(folder) as made:
+            stack.callback(_remove_unused, made)
+            stack.enter_context(claimed(folder))
         yield
-    finally:
-        release(folder, handle)
-        for empty in reversed(made):
-            with suppress(OSError):
-                empty.rmdir()
 
 
 def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
@@ -150,13 +144,14 @@ def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileError
-        As `prepare`, or the disk is full, or a scene file has another ending.
+        As `prepare`, or another process renders or saves into the folder, or the disk is full, or a scene file has
+        another ending.
     """
     path = Path(place)
     if isinstance(content, Scene):
         return save_scene(content, path)
     image = content
-    with _writable(path), staged(path) as staging:
+    with _writable(path), claimed(path, again=True), staged(path) as staging:
         _write_all(image, staging, path)
 
         def decide(new: Manifest) -> Change:
@@ -371,12 +366,17 @@ def _writable(path: Path) -> Iterator[list[Path]]:
             pass
         yield made
     except BaseException as error:
-        for folder in reversed(made):
-            with suppress(OSError):
-                folder.rmdir()
+        _remove_unused(made)
         if isinstance(error, OSError):
             raise _cannot_write(path, error) from None
         raise
+
+
+def _remove_unused(made: list[Path]) -> None:
+    """Remove folders that were made for a run, outermost first in the list, as far as they are empty."""
+    for folder in reversed(made):
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def _refuse_unwritable_name(path: Path) -> None:

@@ -1,11 +1,12 @@
-"""Two renders into one folder: the second is refused while the first runs, and only then."""
+"""Two renders or saves into one folder: the second is refused while the first runs, and only then."""
 
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+import PIL.Image
 import pytest
 
 import lfmesh as lf
@@ -13,7 +14,7 @@ from lfmesh.cli import main
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.files.checkpoint import CHECKPOINT
-from lfmesh.files.folder import CLAIM, STAGING
+from lfmesh.files.folder import CLAIM, STAGING, refuse_claimed
 from tests.files.conftest import PLENOPTIC
 
 Build = Callable[..., lf.Image]
@@ -22,15 +23,18 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does
 
 
 @contextmanager
-def rendering_elsewhere(folder: Path) -> Iterator[int]:
-    """Yield the number of a process that renders into a folder; it is killed at the end."""
+def working_elsewhere(work: Callable[[Callable[..., None]], object]) -> Iterator[int]:
+    """Yield the number of a process that has come to where its work calls what it is given; it is killed at the end."""
     ready, tell = os.pipe()
+
+    def stay(*_: object, **__: object) -> None:
+        os.write(tell, b"x")
+        signal.pause()
+
     child = os.fork()
     if child == 0:
         try:
-            with run.rendering(folder):
-                os.write(tell, b"x")
-                signal.pause()
+            work(stay)
         finally:
             os._exit(1)
     os.close(tell)
@@ -41,6 +45,26 @@ def rendering_elsewhere(folder: Path) -> Iterator[int]:
         os.close(ready)
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
+
+
+def rendering_elsewhere(folder: Path) -> AbstractContextManager[int]:
+    """Yield the number of a process that renders into a folder; it is killed at the end."""
+
+    def work(stay: Callable[[], None]) -> None:
+        with run.rendering(folder):
+            stay()
+
+    return working_elsewhere(work)
+
+
+def saving_elsewhere(image: lf.Image, folder: Path) -> AbstractContextManager[int]:
+    """Yield the number of a process that is about to write the first picture of a run; it is killed at the end."""
+
+    def work(stay: Callable[..., None]) -> None:
+        PIL.Image.Image.save = stay  # type: ignore[method-assign]
+        lf.save(image, folder)
+
+    return working_elsewhere(work)
 
 
 def test_a_folder_into_which_another_process_renders_is_refused_with_its_number(
@@ -66,6 +90,26 @@ def test_the_run_that_is_to_be_replaced_is_readable_meanwhile_and_takes_no_addit
         assert run.open_run(folder).seconds == 7.0
         with pytest.raises(FileError, match="is rendering into it"), run.added(folder):
             pass
+
+
+def test_a_save_is_refused_while_another_process_saves_into_the_folder(image_of: Build, tmp_path: Path) -> None:
+    folder, image = tmp_path / "run", image_of()
+    with saving_elsewhere(image, folder) as process:
+        for act in (lambda: lf.save(image, folder), run.rendering(folder).__enter__):
+            with pytest.raises(FileError, match=rf"process {process} on .* is rendering into it or saving"):
+                act()
+    # It was killed: nothing of it keeps others out, or stays.
+    lf.save(image, folder)
+    assert lf.open_run(folder).seconds == image.seconds
+    assert not [path for path in folder.iterdir() if path.name.startswith(STAGING)]
+
+
+def test_a_pipe_in_place_of_a_folder_is_refused_and_not_waited_for(image_of: Build, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run")
+    for act in (lambda: lf.save(image_of(), tmp_path / "run"), lambda: lf.open_run(tmp_path / "run")):
+        with pytest.raises(FileError, match="is a file"):
+            act()
+    refuse_claimed(tmp_path / "run")
 
 
 @pytest.mark.parametrize("arguments", [["render", "scene.toml", "-o", "run"], ["render", "--resume", "run"]])

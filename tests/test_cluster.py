@@ -133,6 +133,32 @@ def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(
     assert all(begun.count(point) == 1 for point in done)
 
 
+def test_units_whose_only_worker_is_killed_are_computed_by_the_next(
+    scheduler: tuple[Any, str], tmp_path: Path
+) -> None:
+    """With the reference pictures, which went with it, and the same table as without a cluster."""
+    _, address = scheduler
+    words = "distributed.cli.dask_worker", address, "--nworkers", "1", "--nthreads", "1", "--no-nanny"
+    workers = [started(*words)]
+
+    def replace(progress: Any) -> None:
+        if progress.done and len(workers) == 1:
+            workers[0].kill()
+            workers[0].wait()
+            workers.append(started(*words))
+
+    try:
+        table = shifted(6).run(tmp_path / "out", dask=address, progress=replace)
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+    assert len(workers) == 2
+    assert not table.failed
+    shifted(6).run(tmp_path / "here", workers=0)
+    assert (tmp_path / "out" / "table.csv").read_text() == (tmp_path / "here" / "table.csv").read_text()
+
+
 @pytest.mark.long
 @pytest.mark.skipif(not ITS_FOLDER.is_dir(), reason="needs a name that is another place for each process")
 def test_a_worker_that_reads_another_texture_gives_no_value(

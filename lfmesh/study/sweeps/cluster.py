@@ -1,11 +1,13 @@
 """Units on a cluster, through the scheduler of dask.distributed."""
 
+from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from lfmesh.cluster import RETRIES, connected, next_done, threads_of, wait_for_worker
+from lfmesh.cluster import ENDS_SECONDS, RETRIES, connected, next_done, threads_of, wait_for_worker
 from lfmesh.regular_file import read_bytes
 from lfmesh.study.sweeps.pool import Result, computed
 from lfmesh.study.sweeps.unit import Unit
@@ -39,27 +41,20 @@ def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> I
 def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result]:
     references: dict[Path, Any] = {}
     done: SimpleQueue[Any] = SimpleQueue()
-    owners: dict[str, Unit] = {}
-    waiting = iter(units)
-
-    def spread(path: Path) -> Any:
-        while True:
-            wait_for_worker(client)
-            try:
-                return client.scatter(read_bytes(path), broadcast=True, hash=False)
-            except TimeoutError:
-                # The last worker left in between.
-                continue
+    running: dict[str, _Job] = {}
+    waiting = (_Job(unit, path) for unit, path in units)
+    again: deque[_Job] = deque()
 
     def submit() -> bool:
         job = next(waiting, None)
+        if job is None and again and not running:
+            job = again.popleft()
         if job is None:
             return False
-        unit, path = job
-        if path not in references:
-            references[path] = spread(path)
-        future = client.submit(computed, unit, references[path], pure=False, retries=RETRIES)
-        owners[future.key] = unit
+        if job.path not in references:
+            references[job.path] = _sent(client, job.path)
+        future = client.submit(computed, job.unit, references[job.path], pure=False, retries=RETRIES)
+        running[future.key] = job
         future.add_done_callback(done.put)
         return True
 
@@ -67,14 +62,50 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
     for _ in range(AHEAD * threads_of(client)):
         if not submit():
             break
-    while owners:
+    while running:
         future = next_done(client, done)
-        unit = owners.pop(future.key)
-        if future.status == "finished":
-            content, reason = future.result()
-        else:
-            error = future.exception()
-            content, reason = None, f"its worker died or the unit was cancelled: {type(error).__name__}: {error}"
+        job = running.pop(future.key)
+        content, reason, is_lost = _outcome(future)
         future.release()
+        if is_lost and not job.is_alone:
+            again.append(replace(job, is_alone=True))
         submit()
-        yield Result(unit, content, reason)
+        if not is_lost or job.is_alone:
+            yield Result(job.unit, content, reason)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A unit with the file that it is computed from.
+
+    Attributes
+    ----------
+    is_alone : bool
+        It was lost with a worker, and is tried again when nothing else runs: then it alone can be what ends a worker.
+    """
+
+    unit: Unit
+    path: Path
+    is_alone: bool = False
+
+
+def _sent(client: Any, path: Path) -> Any:
+    """Send the content of a file to the cluster; return its future.
+
+    It is the result of a task, not scattered: the scheduler makes it anew when the workers that had it are gone.
+    """
+    import dask
+
+    # The scheduler has to keep it, whatever its size.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
+        return client.submit(bytes, read_bytes(path), pure=False, retries=RETRIES)
+
+
+def _outcome(future: Any) -> tuple[bytes | None, str, bool]:
+    """Return the outcome of a unit, why there is none, and whether it was lost with its worker."""
+    try:
+        return *future.result(timeout=ENDS_SECONDS), False
+    except Exception as error:
+        # Whatever ends a task from outside: dask has an exception for each.
+        said = f"its worker died or the unit was cancelled: {type(error).__name__}: {error}"
+        return None, said, True

@@ -17,6 +17,7 @@ from lfmesh.errors import LfmeshError
 More examples:
 
     lfmesh export run/ --format plenopticam -o decoder/
+    lfmesh export run/ --format exr-rgb --depth depth.exr -o for-opencv/
 """
 )
 def export(
@@ -24,21 +25,23 @@ def export(
     /,
     *,
     kind: Annotated[
-        Literal["lftoolbox", "eslf", "hci", "views", "plenopticam", "plenpy"],
+        Literal["lftoolbox", "eslf", "hci", "views", "exr-rgb", "plenopticam", "plenpy"],
         Parameter(
             name="--format",
-            help="lftoolbox, eslf, hci, views: the light field; plenopticam, plenpy: raw and white image.",
+            help="lftoolbox, eslf, hci, views, exr-rgb: the light field; plenopticam, plenpy: raw and white image.",
         ),
     ],
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="Folder to write: new or empty.")],
     depth: Annotated[
         Path | None,
-        Parameter(help="With hci: EXR of the middle view's distances in mm, channel truth or Z; may be the run's."),
+        Parameter(
+            help="With hci, exr-rgb: EXR of distances in mm, channel truth or Z; may be the run's. hci: a view's."
+        ),
     ] = None,
 ) -> int:
     """Write a run for other people's tools: a folder with their files, and export.json, which says what means what."""
-    if depth is not None and kind != "hci":
-        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci")
+    if depth is not None and kind not in ("hci", "exr-rgb"):
+        raise LfmeshError(f"--depth {depth}: {kind} holds no depth; leave it out, or take --format hci or exr-rgb")
     with defer_interrupt():
         from lfmesh.files import exr
         from lfmesh.files.exports.export import export_field

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import lfmesh
 from lfmesh.errors import FileError, LfmeshError, warn_caller
+from lfmesh.files.exports.exr_rgb import write_exr_rgb
 from lfmesh.files.exports.hci import write_hci
 from lfmesh.files.exports.lftoolbox import write_eslf, write_mat
 from lfmesh.files.exports.plenopticam import write_plenopticam
@@ -21,7 +22,7 @@ from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.transport.render.image import Image
 
-FieldFormat = Literal["lftoolbox", "eslf", "hci", "views"]
+FieldFormat = Literal["lftoolbox", "eslf", "hci", "views", "exr-rgb"]
 RawFormat = Literal["plenopticam", "plenpy"]
 
 NOTE = "export.json"
@@ -36,6 +37,10 @@ _FIELD_WRITERS: dict[str, Callable[[Path, LightField], dict[str, Any]]] = {
     "lftoolbox": write_mat,
     "eslf": write_eslf,
     "views": write_views,
+}
+_WITH_DEPTH: dict[str, Callable[[Path, LightField, NDArray[np.floating] | None], dict[str, Any]]] = {
+    "hci": write_hci,
+    "exr-rgb": write_exr_rgb,
 }
 _RAW_WRITERS = {"plenopticam": write_plenopticam, "plenpy": write_plenpy}
 
@@ -54,9 +59,10 @@ def export_field(
     field : LightField
     folder : path
         New or empty.
-    kind : {"lftoolbox", "eslf", "hci", "views"}
+    kind : {"lftoolbox", "eslf", "hci", "views", "exr-rgb"}
     depth_mm : (t, s) float, optional
-        For "hci": distances of the middle view's points before the first vertex of the lens.
+        For "hci" and "exr-rgb": distances of the middle view's points before the first vertex of the lens; "exr-rgb"
+        takes a map of any size.
 
     Returns
     -------
@@ -75,11 +81,13 @@ def export_field(
     """
     if kind not in get_args(FieldFormat):
         raise LfmeshError(f"kind = {kind!r}: must be one of {', '.join(get_args(FieldFormat))}")
-    if depth_mm is not None and kind != "hci":
-        raise LfmeshError(f"depth_mm: {kind} holds no depth, hci does")
+    if depth_mm is not None and kind not in _WITH_DEPTH:
+        raise LfmeshError(f"depth_mm: {kind} holds no depth, hci does, and exr-rgb")
 
     def write(staging: Path) -> dict[str, Any]:
-        return write_hci(staging, field, depth_mm) if kind == "hci" else _FIELD_WRITERS[kind](staging, field)
+        if kind in _WITH_DEPTH:
+            return _WITH_DEPTH[kind](staging, field, depth_mm)
+        return _FIELD_WRITERS[kind](staging, field)
 
     written = _exported(Path(folder), kind, write)
     if kind != WITH_WEIGHTS:

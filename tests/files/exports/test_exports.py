@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import PIL.Image
 import pytest
 import pyvista
@@ -18,6 +19,7 @@ from scipy.io import loadmat
 import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.files import exr
+from lfmesh.files.colour import srgb_weights
 from lfmesh.files.exports.hci import CameraArray
 from lfmesh.scene import Scene, first_order, loads, solved
 
@@ -207,6 +209,42 @@ def test_views_come_as_pictures_and_as_measured(field: lf.LightField, tmp_path: 
     with PIL.Image.open(tmp_path / "views" / "view_v03_u01.png") as picture:
         shown = linear(np.asarray(picture)[..., 0] / 255.0).ravel()
     assert np.corrcoef(shown, field.data[3, 1].ravel())[0, 1] > 0.99
+
+
+def channels_of(path: Path) -> dict[str, Array]:
+    """Channels of the only part of an EXR file."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        assert len(file.parts) == 1
+        return {name: channel.pixels.copy() for name, channel in file.channels().items()}
+
+
+def test_exr_rgb_has_the_channels_that_every_reader_takes_and_no_other(tmp_path: Path) -> None:
+    scene = scene_of(wavelengths=(450.0, 550.0, 620.0))
+    field = lf.decode(image_of(scene), views=3)
+    depth_mm = np.array([[400.0, np.nan], [np.inf, 500.0], [600.0, 700.0]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        paths = lf.export_field(field, tmp_path / "rgb", "exr-rgb", depth_mm=depth_mm)
+    files = {path.name: channels_of(path) for path in paths if path.suffix == ".exr"}
+    assert len(files) == 9 * (1 + 3) + 1
+    for channels in files.values():
+        assert set(channels) == {"R", "G", "B"}
+        assert {pixels.dtype for pixels in channels.values()} == {np.dtype(np.float32)}
+    for name in "RGB":
+        np.testing.assert_array_equal(files["depth.exr"][name], depth_mm.astype(np.float32))
+        for c in range(3):
+            np.testing.assert_array_equal(files[f"view_v02_u01_c{c}.exr"][name], field.data[2, 1, :, :, c])
+    rgb = np.stack([files["view_v02_u01.exr"][name] for name in "RGB"], axis=-1)
+    expected = np.clip(field.data[2, 1] @ srgb_weights(field.wavelengths_nm).T, 0.0, None)
+    np.testing.assert_allclose(rgb, expected, rtol=1e-5, atol=1e-7 * expected.max())
+    assert json.loads((tmp_path / "rgb" / "export.json").read_text())["channels"][1] == "S0.550,0nm"
+
+
+def test_exr_rgb_of_one_wavelength_is_grey_and_black_where_unknown(field: lf.LightField, tmp_path: Path) -> None:
+    paths = lf.export_field(field, tmp_path / "rgb", "exr-rgb")
+    assert len(paths) == 25 + 1
+    for channels in channels_of(tmp_path / "rgb" / "view_v01_u02.exr").values():
+        np.testing.assert_array_equal(channels, np.nan_to_num(field.data[1, 2, :, :, 0]))
 
 
 def test_plenopticam_gets_what_it_divides_and_true_centres(tmp_path: Path) -> None:

@@ -133,9 +133,7 @@ def test_a_study_whose_scheduler_dies_ends_and_keeps_what_is_finished(
     assert all(begun.count(point) == 1 for point in done)
 
 
-def test_units_whose_only_worker_is_killed_are_computed_by_the_next(
-    scheduler: tuple[Any, str], tmp_path: Path
-) -> None:
+def test_units_whose_only_worker_is_killed_are_computed_by_the_next(scheduler: tuple[Any, str], tmp_path: Path) -> None:
     """With the reference pictures, which went with it, and the same table as without a cluster."""
     _, address = scheduler
     words = "distributed.cli.dask_worker", address, "--nworkers", "1", "--nthreads", "1", "--no-nanny"

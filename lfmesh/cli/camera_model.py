@@ -24,7 +24,10 @@ def camera_model(
     scene: Annotated[Path, Parameter(name="scene", help="Scene file (TOML), or run folder.")],
     /,
     *,
-    out: Annotated[Path, Parameter(name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py.")],
+    out: Annotated[
+        Path,
+        Parameter(name=["--out", "-o"], help="File to write: .exr, or .h5 with h5py; beside it cameras.json."),
+    ],
     views: Annotated[Whole | None, Parameter(help="Along each axis; as many as a micro-image has pixels.")] = None,
     distances_mm: Annotated[
         list[float] | None,
@@ -34,6 +37,7 @@ def camera_model(
     """Write the ray in object space of every pixel, and every view as a pinhole camera in OpenCV's convention."""
     with defer_interrupt():
         from lfmesh.files.camera_model import check_model_path, write_camera_model
+        from lfmesh.files.opencv_cameras import NAME
         from lfmesh.files.run import open_run
         from lfmesh.lightfield.rays import camera_model as models
         from lfmesh.scene import load
@@ -46,5 +50,5 @@ def camera_model(
         )
         write_camera_model(model, out)
     print(wrapped(model.in_words))
-    list_files([out])
+    list_files([out, out.with_name(NAME)])
     return 0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import lfmesh
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import exr
+from lfmesh.files.opencv_cameras import refuse_other_cameras, write_cameras
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.rays.camera_model import CameraModel
 from lfmesh.lightfield.views.upright import ON_SENSOR
@@ -31,7 +32,8 @@ ABOUT = {
     "central": "1: the ray goes from the middle of the pixel through the lenslet's apex; 0: mean ray of the bundle",
     "views": "pinhole cameras indexed [v][u] as in lightfield.exr, pixels are the samples (s, t) of a view, the middle "
     "of the first one at (0, 0); OpenCV's convention: x right, y down, z ahead, X_view = rotation X_world + "
-    "translation_mm; distortion k1, k2, p1, p2; errors in samples; without values: the lens stops the view's rays",
+    "translation_mm; distortion k1, k2, p1, p2; size: height and width of a view; errors in samples; without values: "
+    "the lens stops the view's rays",
     "orientation": f"maps {ON_SENSOR}",
 }
 """Meaning of the arrays."""
@@ -41,7 +43,7 @@ COORDINATES = "xyab"
 
 
 def write_camera_model(model: CameraModel, path: str | Path) -> Path:
-    """Write a camera model.
+    """Write a camera model, and its views in OpenCV's terms as ``cameras.json`` beside it.
 
     An OpenEXR file has the ray map as channels of 32 bits (origin.x, direction.x, footprint.xa, weight, ...) and the
     views as JSON in the attribute `lfmesh`; HDF5 has the arrays of `CameraModel` in 64 bits, those of the views in the
@@ -81,6 +83,7 @@ def write_camera_model(model: CameraModel, path: str | Path) -> Path:
         raise FileError(str(error).replace(str(unfinished), str(path))) from None
     finally:
         unfinished.unlink(missing_ok=True)
+    write_cameras(model, path)
     return path
 
 
@@ -90,7 +93,7 @@ def check_model_path(path: Path) -> None:
     Raises
     ------
     FileError
-        Its ending is not known, or its folder is not there.
+        Its ending is not known, its folder is not there, or holds ``cameras.json`` of another model.
     LfmeshError
         HDF5 without h5py.
     """
@@ -101,6 +104,7 @@ def check_model_path(path: Path) -> None:
         raise FileError(f"{path} cannot be written: {why}")
     if path.suffix.lower() in HDF5:
         _h5py()
+    refuse_other_cameras(path)
 
 
 def _h5py() -> Any:

@@ -42,6 +42,8 @@ class ViewCameras(NamedTuple):
         Of the rays that the pinhole was fitted to, in samples.
     distances_mm : (n,) float64
         Before the first vertex, of the points on the rays that count.
+    size : (2,) int64
+        Height and width of a view, in samples.
     """
 
     intrinsics: Array
@@ -51,6 +53,7 @@ class ViewCameras(NamedTuple):
     rms_error: Array
     largest_error: Array
     distances_mm: Array
+    size: NDArray[np.int64]
 
     def project(self, points_mm: Array, v: int, u: int) -> Array:
         """Return where points lie in a view, (n, 2): sample s and t.
@@ -118,7 +121,8 @@ def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras
         # R X + t = D (x − C), x the point in our camera frame.
         translation[v, u] = TO_OPENCV @ to_camera[:, 3] - values[:3]
         rms[v, u], largest[v, u] = np.sqrt(np.mean(errors**2)), errors.max()
-    return ViewCameras(intrinsics, distortion, rotation, translation, rms, largest, np.asarray(distances_mm))
+    size = np.array([height, width])
+    return ViewCameras(intrinsics, distortion, rotation, translation, rms, largest, np.asarray(distances_mm), size)
 
 
 def _pinhole(at_vertex: Array, slope: Array, seen: Array, distances: Array) -> tuple[Array, Array]:

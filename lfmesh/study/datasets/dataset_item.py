@@ -1,7 +1,7 @@
 """An item of a dataset, and what all items of a camera have in common: folders that are there whole or not at all.
 
 items/000017/    a run folder: raw image, scene, light field, true depth; item.json, what was drawn
-cameras/KEY/     the run folder of the white image, calibration.json, camera.exr
+cameras/KEY/     the run folder of the white image, calibration.json, camera.exr, cameras.json
 """
 
 import json

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from scipy.stats import norm
 
 import lfmesh as lf
 from lfmesh.cli import main
+from lfmesh.errors import FileError
+from lfmesh.files.camera_model import check_model_path
 from lfmesh.geometry import frame
 from lfmesh.geometry.array.lattice import Lattice
 from lfmesh.lightfield.rays.pixel_bundles import cell_points
-from lfmesh.scene import Scene
+from lfmesh.scene import Scene, solved
 from tests.frames import motion
 from tests.instances import instances
 from tests.study.studies import small_scene
@@ -91,6 +94,64 @@ def test_files_hold_the_map_and_the_views(camera: Callable[..., Scene], tmp_path
         for name in ("origin", "direction", "footprint", "weight", "lenslet", "central"):
             assert np.array_equal(file[name][()], getattr(model, name), equal_nan=True), name
         assert np.array_equal(file["views/translation_mm"][()], model.views.translation_mm, equal_nan=True)
+
+
+def as_opencv_projects(camera: dict[str, Any], points_mm: np.ndarray) -> np.ndarray:
+    """Where OpenCV's documentation of `projectPoints` says that points lie in a picture, term by term."""
+    angle = np.linalg.norm(camera["rvec"])
+    x, y, z = np.array(camera["rvec"]) / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    axis = np.array([x, y, z])
+    turn = np.cos(angle) * np.eye(3) + (1.0 - np.cos(angle)) * np.outer(axis, axis) + np.sin(angle) * cross
+    (fx, _, cx), (_, fy, cy), _ = camera["camera_matrix"]
+    k1, k2, p1, p2, k3 = camera["distortion_coefficients"]
+    places = []
+    for point in points_mm:
+        x_c, y_c, z_c = turn @ point + camera["tvec"]
+        a, b = x_c / z_c, y_c / z_c
+        r2 = a**2 + b**2
+        radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        a_d = a * radial + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a**2)
+        b_d = b * radial + p1 * (r2 + 2.0 * b**2) + 2.0 * p2 * a * b
+        places.append((fx * a_d + cx, fy * b_d + cy))
+    return np.array(places)
+
+
+def test_opencv_projects_points_as_the_model_of_each_view(camera: Callable[..., Scene], tmp_path: Path) -> None:
+    """By the numbers in `cameras.json`, to rounding."""
+    scene = camera().changed({**SMALL, **POSED})
+    model = lf.camera_model(scene, views=3)
+    lf.write_camera_model(model, tmp_path / "camera.exr")
+    facts = json.loads((tmp_path / "cameras.json").read_text())
+    height, width = lf.decode(white_of(scene), views=3).size
+    placed = frame.frame(POSED["camera.pose"]["tilt_deg"], POSED["camera.pose"]["shift_mm"])
+    cone = np.random.default_rng(1).uniform([-0.02, -0.02, 300.0], [0.02, 0.02, 900.0], (40, 3))
+    points = frame.points(placed, np.column_stack([cone[:, :2] * cone[:, 2:], -cone[:, 2]]))
+    assert len(facts["cameras"]) + len(facts["without_pinhole"]) == 9
+    assert len(facts["cameras"]) >= 5
+    for one in facts["cameras"]:
+        v, u = one["v"], one["u"]
+        assert one["image_size"] == [width, height]
+        expected = model.views.project(points, v, u)
+        np.testing.assert_allclose(as_opencv_projects(one, points), expected, rtol=1e-9, atol=1e-9 * width)
+    assert [one["name"] for one in facts["cameras"]] == [f"view_v{c['v']:02d}_u{c['u']:02d}" for c in facts["cameras"]]
+
+
+def white_of(scene: Scene) -> lf.Image:
+    """An image of ones, for the size of its views."""
+    mean = np.ones((*scene.camera.sensor.pixels[::-1], scene.channels))
+    ledger = lf.Ledger(unit="m² sr", emitted=1.0, escaped=1.0)
+    return lf.Image(mean, 0.0 * mean, solved(scene), ledger, 1.0, scene.transport.replicates, 8.0, "by hand")
+
+
+def test_the_pinholes_of_another_camera_are_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "cameras.json").write_text('{"ray_map": "other.exr"}')
+    for name, why in (("camera.exr", "belongs to other.exr"), ("other.h5", "")):
+        with pytest.raises(FileError, match=why) if why else nullcontext():
+            check_model_path(tmp_path / name)
+    (tmp_path / "cameras.json").write_text("[]")
+    with pytest.raises(FileError, match="was not written by lfmesh"):
+        check_model_path(tmp_path / "camera.exr")
 
 
 def test_the_camera_of_a_run_is_that_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,14 +57,17 @@ def export(
 
 
 def _found(depth: Path, folder: Path) -> Path:
-    """Return where a depth file is: at its path, or else in the run."""
-    return depth if depth.exists() or not (folder / depth).is_file() else folder / depth
+    """Return where a depth file is: at its path, or else in the run, whose files are as they were saved."""
+    from lfmesh.files.folder import saved
+
+    if depth.exists() and depth.resolve().parent != folder.resolve():
+        return depth
+    return saved(folder, depth.name if depth.exists() else str(depth)) or depth
 
 
 def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"]) -> list[Path]:
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.files.calibration import read_calibration
         from lfmesh.files.exports.export import export_raw
         from lfmesh.lightfield.rays.ray_model import RayModel
 
@@ -72,4 +75,7 @@ def _exported_raw(folder: Path, out: Path, kind: Literal["plenopticam", "plenpy"
     RayModel.of(image.scene)  # a conventional camera is refused before a white image is asked for
     if recorded is None:
         raise LfmeshError(f"--format {kind}: {folder} has no white.exr; make it with lfmesh white {folder}")
-    return export_raw(image, recorded, read_calibration(folder / run.CALIBRATION), out, kind)
+    calibration = run.open_calibration(folder)
+    if calibration is None:
+        raise LfmeshError(f"--format {kind}: {folder} has no calibration.json; make it with lfmesh white {folder}")
+    return export_raw(image, recorded, calibration, out, kind)

@@ -14,7 +14,7 @@ from typing import Any
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files import exr, words
-from lfmesh.files.calibration import write_calibration
+from lfmesh.files.calibration import read_calibration, write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
 from lfmesh.files.colour import white_in_words
 from lfmesh.files.folder import (
@@ -249,6 +249,29 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
     return image_from(spectral, path / WHITE)
 
 
+def open_calibration(folder: str | os.PathLike[str]) -> Calibration | None:
+    """Read the geometry of the camera that `save_white` added to a run folder, None if it has none.
+
+    Parameters
+    ----------
+    folder : str or path
+        Of the run.
+
+    Returns
+    -------
+    Calibration or None
+
+    Raises
+    ------
+    FileError
+        It is not what was saved, or damaged.
+    """
+    path = Path(folder)
+    recover(path)
+    kept = saved(path, CALIBRATION)
+    return None if kept is None else read_calibration(kept)
+
+
 @contextmanager
 def added(folder: Path) -> Iterator[Path]:
     """Yield a folder for files that join a complete run, all of them or none, when the body is done.
@@ -332,9 +355,11 @@ def pixels_digest(folder: Path) -> str:
     Raises
     ------
     FileError
-        There is no complete run, or another version of lfmesh wrote it.
+        There is no complete run, its report was changed, or another version of lfmesh wrote it.
     """
-    return str(report_of(folder).get("pixels_sha256"))
+    report = report_of(folder)
+    _refuse_change(folder, REPORT)
+    return str(report.get("pixels_sha256"))
 
 
 def _refuse_change(folder: Path, name: str) -> None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lfmesh.files import exr, run
-from lfmesh.files.calibration import read_calibration
 from lfmesh.files.depth import ESTIMATE, shown_range
 from lfmesh.files.field import open_field
+from lfmesh.files.folder import saved
 from lfmesh.geometry.array.lattice import centre
 from lfmesh.lightfield.calibration.calibration import Calibration, calibrate
 from lfmesh.lightfield.photographs.refocus import refocus
@@ -46,8 +46,8 @@ class Place(NamedTuple):
 
 def calibration_of_run(scene: Scene, folder: Path | None) -> Calibration:
     """Return where the micro-images of a run are: as it keeps it, else traced."""
-    kept = folder / run.CALIBRATION if folder is not None else None
-    return read_calibration(kept) if kept is not None and kept.is_file() else calibrate(scene)
+    kept = run.open_calibration(folder) if folder is not None else None
+    return calibrate(scene) if kept is None else kept
 
 
 class FieldViews:
@@ -76,9 +76,9 @@ class FieldViews:
             field = decode(image, white=run.open_white(folder), calibration=self.calibration)
         self.field: LightField = field
         self.upright = Upright.of(image.scene)
-        depth = folder / ESTIMATE
-        self.depth_mm = exr.read_map(depth, ("Z",)) if depth.is_file() else None
-        self._true_depth_mm = exr.read_map(depth, ("truth", "Z")) if depth.is_file() else None
+        depth = saved(folder, ESTIMATE)
+        self.depth_mm = exr.read_map(depth, ("Z",)) if depth is not None else None
+        self._true_depth_mm = exr.read_map(depth, ("truth", "Z")) if depth is not None else None
 
     @cached_property
     def _tree(self) -> cKDTree:

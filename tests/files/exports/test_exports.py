@@ -18,7 +18,7 @@ from scipy.io import loadmat
 
 import lfmesh as lf
 from lfmesh.cli import main
-from lfmesh.files import exr
+from lfmesh.files import exr, run
 from lfmesh.files.colour import srgb_weights
 from lfmesh.files.exports.hci import CameraArray
 from lfmesh.scene import Scene, first_order, loads, solved
@@ -340,10 +340,10 @@ def test_a_folder_that_holds_something_is_left_alone(field: lf.LightField, tmp_p
 
 def test_the_command_exports_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = scene_of()
-    run = lf.save(image_of(scene), tmp_path / "run")
+    folder = lf.save(image_of(scene), tmp_path / "run")
     depth = exr.SpectralImage({"Z": np.full((6, 8, 1), 500.0, np.float32)}, (587.6,), {})
     exr.write(tmp_path / "light.exr", depth)
-    assert main(["export", str(run), "--format", "eslf", "-o", str(tmp_path / "eslf")]) == 0
+    assert main(["export", str(folder), "--format", "eslf", "-o", str(tmp_path / "eslf")]) == 0
     assert (tmp_path / "eslf" / "lightfield.eslf.png").is_file()
     for words, fault in (
         (["--format", "plenopticam"], "has no white.exr; make it with lfmesh white"),
@@ -352,9 +352,26 @@ def test_the_command_exports_a_run(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--format", "hci", "--depth", str(tmp_path / "light.exr")], "has no channel truth or Z"),
         (["--format", "tiff"], "tiff"),
     ):
-        assert main(["export", str(run), *words, "-o", str(tmp_path / "no")]) == 2
+        assert main(["export", str(folder), *words, "-o", str(tmp_path / "no")]) == 2
         assert fault in " ".join(capsys.readouterr().err.split())
         assert not (tmp_path / "no").exists()
-    lf.save_white(image_of(scene, seed=2), lf.calibrate(scene), run)
-    assert main(["export", str(run), "--format", "plenopticam", "-o", str(tmp_path / "pop")]) == 0
+    lf.save_white(image_of(scene, seed=2), lf.calibrate(scene), folder)
+    assert main(["export", str(folder), "--format", "plenopticam", "-o", str(tmp_path / "pop")]) == 0
     assert "Note: PlenoptiCam needs about 60 × 60" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["calibration.json", "depth.exr", "report.json"])
+def test_the_command_refuses_a_file_of_the_run_that_was_altered(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = scene_of()
+    folder = lf.save(image_of(scene), tmp_path / "run")
+    lf.save_white(image_of(scene, seed=2), lf.calibrate(scene), folder)
+    with run.added(folder) as staging:
+        exr.write_maps(staging / "depth.exr", {"Z": np.ones((6, 8))}, {})
+    content = (folder / name).read_bytes()
+    (folder / name).write_bytes(content.replace(b"1", b"2", 1) if name.endswith("json") else content[:-1] + b"x")
+    kinds = {"calibration.json": ["plenopticam"], "depth.exr": ["hci", "--depth", "depth.exr"], "report.json": ["eslf"]}
+    assert main(["export", str(folder), "--format", *kinds[name], "-o", str(tmp_path / "no")]) == 2
+    assert f"{name} is truncated or damaged: it is not what was saved" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "no").exists()

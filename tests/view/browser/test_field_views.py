@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
+from lfmesh.errors import FileError
 from lfmesh.files import exr, run
-from lfmesh.files.calibration import write_calibration
 from lfmesh.files.field import save_field
 from lfmesh.scene import Scene
 from lfmesh.view.browser.field_views import FieldViews
@@ -75,7 +75,7 @@ def test_files_of_the_run_are_preferred_to_new_ones(
     assert made.decoded_here
     save_field(made.field, folder)
     shifted = replace(made.calibration, centres_px=made.calibration.centres_px + 0.25)
-    write_calibration(folder / run.CALIBRATION, shifted)
+    run.save_white(image, shifted, folder)
     kept = FieldViews(image, folder)
     assert not kept.decoded_here
     assert kept.calibration.centres_px == pytest.approx(made.calibration.centres_px + 0.25)
@@ -93,7 +93,8 @@ def test_depth_is_shown_where_the_run_has_it(
     distance = np.full((12, 14), 400.0, np.float32)
     distance[:, 7:] = 600.0
     distance[3, 5] = np.nan
-    exr.write_maps(folder / "depth.exr", {"Z": distance}, {})
+    with run.added(folder) as staging:
+        exr.write_maps(staging / "depth.exr", {"Z": distance}, {})
     shown = FieldViews(image, folder).depth()
     assert shown is not None
     picture, low, high = shown
@@ -117,7 +118,26 @@ def test_colours_of_depth_span_the_truth_whatever_single_samples_say(
     truth[:, 7:] = 700.0
     found = np.full((12, 14), 500.0, np.float32)
     found[0, :2] = 5.0, 1e6
-    exr.write_maps(tmp_path / "run" / "depth.exr", {"Z": found, "truth": truth}, {})
+    with run.added(tmp_path / "run") as staging:
+        exr.write_maps(staging / "depth.exr", {"Z": found, "truth": truth}, {})
     shown = FieldViews(image, tmp_path / "run").depth()
     assert shown is not None
     assert shown[1:] == (300.0, 700.0)
+
+
+@pytest.mark.parametrize("name", [run.CALIBRATION, "depth.exr", "lightfield.exr"])
+def test_a_file_of_the_run_that_was_altered_is_refused(
+    name: str, tmp_path: Path, camera: Callable[..., Scene], image_of: Callable[..., lf.Image]
+) -> None:
+    scene = camera("square")
+    image = image_of(scene, np.ones(scene.camera.sensor.pixels[::-1]))
+    folder = run.save(image, tmp_path / "run")
+    run.save_white(image, lf.calibrate(scene), folder)
+    with run.added(folder) as staging:
+        exr.write_maps(staging / "depth.exr", {"Z": np.ones((2, 2)), "truth": np.ones((2, 2))}, {})
+    save_field(FieldViews(image, folder).field, folder)
+    path = folder / name
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"1", b"2", 1) if name.endswith("json") else content[:-1] + b"x")
+    with pytest.raises(FileError, match=rf"{name} is truncated or damaged: it is not what was saved"):
+        FieldViews(image, folder)

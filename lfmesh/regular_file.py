@@ -5,8 +5,12 @@ is an `OSError` whose `strerror` says what stands there, so that it ends in the 
 """
 
 import errno
+import math
 import os
 import stat
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, TextIO
@@ -77,10 +81,48 @@ def read_text(path: Path, encoding: str = "utf-8", errors: str | None = None) ->
         return file.read()
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the arrays of numpy's `.npz`; errors as of `open_regular`, and of numpy's and zip's readers."""
-    with open_regular(path) as opened, np.load(opened, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+@contextmanager
+def open_arrays(path: Path) -> Iterator["Arrays"]:
+    """Open numpy's `.npz`; errors as of `open_regular`, and of numpy's and zip's readers."""
+    with open_regular(path) as opened, zipfile.ZipFile(opened) as archive:
+        yield Arrays(archive)
+
+
+class Arrays:
+    """Arrays of an `.npz` file, each of which is unpacked when it is asked for, and not before.
+
+    Parameters
+    ----------
+    archive : ZipFile
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the arrays."""
+        return [name.removesuffix(".npy") for name in self._archive.namelist()]
+
+    def announced(self, name: str) -> tuple[tuple[int, ...], int]:
+        """Return the shape and the number of bytes of an array, as its header says.
+
+        Raises
+        ------
+        KeyError
+            There is none.
+        ValueError
+            It is no array.
+        """
+        with self._archive.open(f"{name}.npy") as member:
+            old = np.lib.format.read_magic(member) == (1, 0)
+            read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+            shape, _, kind = read_header(member)
+            return shape, math.prod(shape) * kind.itemsize
+
+    def __getitem__(self, name: str) -> np.ndarray[Any, Any]:
+        with self._archive.open(f"{name}.npy") as member:
+            return np.asarray(np.lib.format.read_array(member, allow_pickle=False))
 
 
 def _opened(path: str, flags: int) -> int:

@@ -1,7 +1,6 @@
 """An image as one EXR file: its pixels, and in the metadata everything else that reads it back."""
 
 import hashlib
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -18,6 +17,7 @@ from lfmesh.files.inputs import within
 from lfmesh.files.json_values import plain_json
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.scene import Scene
+from lfmesh.scene.files import parse_toml
 from lfmesh.scene.settings.transport import REPLICATES
 from lfmesh.transport.checks.aim_proof import AimProof
 from lfmesh.transport.checks.blind_check import BlindCheck
@@ -213,7 +213,7 @@ def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
 
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
     """Return the scene as rendered, without asking whether its meshes and textures still exist."""
-    table = tomllib.loads(metadata["scene_toml"])
+    table = parse_toml(metadata["scene_toml"])
     # Files written when every scene without replicates had 8 do not name them.
     table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
     scene = Scene(**table).in_folder(folder / metadata["scene_folder"])

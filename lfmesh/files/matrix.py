@@ -31,7 +31,7 @@ from lfmesh.lightfield.volumes.projection import (
     size_in_words,
 )
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
-from lfmesh.regular_file import open_regular, read_arrays, read_text
+from lfmesh.regular_file import open_arrays, open_regular, read_text
 from lfmesh.scene import Scene
 
 NUMPY, HDF5 = (".npz",), (".h5", ".hdf5")
@@ -42,6 +42,9 @@ FACTS, WHOLE = "facts.json", "whole"
 PER_ROW = {"row_error": "row_stderr", "dropped": "dropped"}
 PER_ENTRY = {"value": "data", "column": "indices", "error": "stderr"}
 """Arrays of a block, and what they are called in the file."""
+
+SMALL_BYTES, BYTES_A_NUMBER = 1 << 24, 16
+"""Largest array of a matrix that is neither of its rows nor of its entries; largest number of those that are."""
 
 UNIT = "mm^3 sr: W on a pixel for 1 W/(mm^3 sr) of a voxel"
 
@@ -140,34 +143,72 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     FileError
         The file is none, or damaged.
     """
-    from scipy.sparse import csr_array
-
     path = Path(path)
     _check_ending(path)
     try:
         if path.suffix.lower() in NUMPY:
-            held: dict[str, Any] = read_arrays(path)
-        else:
-            with open_regular(path), _h5py().File(path, "r") as file:
-                held = {name: file[name][()] for name in file}
-        rows, voxels = (int(n) for n in held["shape"])
-        counts = tuple(int(n) for n in held["grid_shape"])
-        across, down = (int(n) for n in held["sensor_pixels"])
-        grid = VoxelBox(
-            (counts[0], counts[1], counts[2]),
-            *(held[name] for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")),
-        )
-        return ProjectionMatrix(
-            csr_array((held["data"], held["indices"], held["indptr"]), shape=(rows, voxels)), held["stderr"],
-            held["row_stderr"], held["dropped"], held["pixels"], grid, float(held["threshold"]),
-            float(held["wavelength_nm"]),
-            tuple(map(PictureWarning.from_dict, json.loads(bytes(held.get("warnings", b"[]"))))),
-            (across, down),
-        )  # fmt: skip
+            with open_arrays(path) as arrays:
+                return _matrix(arrays.names, arrays.announced, arrays.__getitem__)
+        with open_regular(path), _h5py().File(path, "r") as file:
+            return _matrix(
+                list(file), lambda name: (file[name].shape, int(file[name].nbytes)), lambda name: file[name][()]
+            )
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
     except Exception:  # of a damaged file numpy's and HDF5's readers may raise anything
         raise FileError(f"{path} is no projection matrix, or damaged") from None
+
+
+def _matrix(
+    names: list[str], announced: Callable[[str], tuple[tuple[int, ...], int]], read: Callable[[str], Any]
+) -> ProjectionMatrix:
+    """Return the matrix of a file.
+
+    A packed file may announce a thousandfold of its size: only what fits the rest is unpacked.
+
+    Parameters
+    ----------
+    names : list of str
+    announced : callable
+        Returns the shape and the bytes of an array by its name.
+    read : callable
+        Returns an array.
+
+    Raises
+    ------
+    ValueError
+        The arrays do not fit together.
+    """
+    from scipy.sparse import csr_array
+
+    def small(name: str) -> Any:
+        if announced(name)[1] > SMALL_BYTES:
+            raise ValueError(f"{name} is too large")
+        return read(name)
+
+    def fitting(name: str, count: int) -> Any:
+        shape, size = announced(name)
+        if shape[:1] != (count,) or size > count * BYTES_A_NUMBER:
+            raise ValueError(f"{name} has the shape {shape}, not one number for each of {count}")
+        return read(name)
+
+    rows, voxels = (int(n) for n in small("shape"))
+    counts = tuple(int(n) for n in small("grid_shape"))
+    across, down = (int(n) for n in small("sensor_pixels"))
+    if not 0 <= rows <= across * down:
+        raise ValueError(f"{rows} rows for {across} × {down} pixels")
+    place = [small(name) for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")]
+    grid = VoxelBox((counts[0], counts[1], counts[2]), *place)
+    ends = fitting("indptr", rows + 1)
+    entries = int(ends[-1])
+    data, indices, stderr = (fitting(name, entries) for name in PER_ENTRY.values())
+    return ProjectionMatrix(
+        csr_array((data, indices, ends), shape=(rows, voxels)), stderr, fitting("row_stderr", rows),
+        fitting("dropped", rows), fitting("pixels", rows), grid, float(small("threshold")),
+        float(small("wavelength_nm")),
+        tuple(map(PictureWarning.from_dict, json.loads(bytes(small("warnings") if "warnings" in names else b"[]")))),
+        (across, down),
+    )  # fmt: skip
 
 
 def _check_ending(path: Path) -> None:

@@ -5,6 +5,7 @@ A zip's checksums find a disk's errors; the digest finds files that were changed
 
 import hashlib
 import json
+import os
 import warnings
 import zipfile
 import zlib
@@ -94,6 +95,7 @@ def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arr
         The file, in messages.
     """
     try:
+        _refuse_packed(file)
         with np.load(file, allow_pickle=False) as held:
             if not held[_FACTS].ndim:
                 raise FileError(f"{what} was written by an older lfmesh, which may have had other bits")
@@ -120,6 +122,16 @@ def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arr
             stacklevel=3,
         )
     return facts, arrays
+
+
+def _refuse_packed(file: IO[bytes]) -> None:
+    """Raise ValueError if the arrays of a file are larger than the file: `write_sealed` packs nothing."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    with zipfile.ZipFile(file) as archive:
+        if sum(member.file_size for member in archive.infolist()) > size:
+            raise ValueError("it unpacks to more than it is")
+    file.seek(0)
 
 
 def refuse_maker(what: str, form: int, found: object, maker: object) -> None:

@@ -152,7 +152,7 @@ def read_voxels(
         raise FileError(f"{path}: a voxel grid ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
     if ending == VTK:
         # With VTK, for which no other grid need wait.
-        found = import_module("lfmesh.imports.vtk_image").read_vtk_image(path, QUANTITIES, quantity)
+        found = import_module("lfmesh.imports.vtk_image").read_vtk_image(path, QUANTITIES, quantity, MOST_VOXELS)
         return _placed(found, path, spacing_mm, origin_mm, interpolation)
     found = _numpy_arrays(path, quantity)
     if ending == ".npy" and quantity is None:

@@ -31,7 +31,7 @@ MOST_SECONDS = 600
 _EXTENT = re.compile(rb"""WholeExtent\s*=\s*["']([^"']*)["']""")
 
 
-def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> dict[str, Any]:
+def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, most: int) -> dict[str, Any]:
     """Read the quantities of a grid, with `spacing_mm` and `origin_mm`; lengths in the file are mm.
 
     Values at points are those of voxels about the points; values in cells those of voxels that are the cells. Arrays
@@ -44,17 +44,23 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
         Names of quantities.
     quantity : str, optional
         What the file's only array is, where it has another name.
+    most : int
+        Largest number of voxels.
 
     Raises
     ------
     FileError
-        The file cannot be read, holds no quantity, or its axes are turned.
+        The file cannot be read, announces more voxels, holds no quantity, or its axes are turned.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkObject
 
     if not path.is_file():
         raise FileError(f"{path}: cannot be read as VTK image data: it {why_no_file(path)}")
+    if (cells := math.prod(max(points - 1, 1) for points in _announced(path))) > most:
+        raise FileError(
+            f"{path}: has {cells} voxels or more; at most {most} are read: crop the grid, or make its voxels larger"
+        )
     if not _is_survived(path.resolve(), file_stamp(path)):
         raise FileError(f"{path}: cannot be read as VTK image data: it is damaged")
     # VTK says on standard error what is wrong with a file, line by line, and returns something empty.
@@ -103,16 +109,23 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None) -> 
 @lru_cache(maxsize=64)
 def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
     """Tell whether VTK can read the file with this stamp without crashing and in the memory that it may need."""
-    # In words that are no numbers there are no points: VTK is told to keep to what every file may take.
-    with open_regular(path) as file:
-        found = _EXTENT.search(file.read(HEAD))
-    words = found[1].split() if found else []
-    extent = [int(word) for word in words] if all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words) else []
-    points = math.prod(extent[i + 1] - extent[i] + 1 for i in (0, 2, 4)) if len(extent) == 6 else 0
-    most = LIBRARY_BYTES + BYTES_A_POINT * max(points, 0) + BYTES_A_BYTE * path.stat().st_size
+    points = math.prod(_announced(path))
+    most = LIBRARY_BYTES + BYTES_A_POINT * points + BYTES_A_BYTE * path.stat().st_size
     # Not by -m: see `geometry.files.cad_file`.
     command = [sys.executable, "-P", vtk_child.__file__, str(path), str(min(most, sys.maxsize))]
     try:
         return subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False).returncode == 0
     except subprocess.TimeoutExpired:
         return False
+
+
+def _announced(path: Path) -> tuple[int, ...]:
+    """Return the number of points along each axis that a file announces; (0,) if it does not say."""
+    with open_regular(path) as file:
+        found = _EXTENT.search(file.read(HEAD))
+    words = found[1].split() if found else []
+    if len(words) != 6 or not all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words):
+        # VTK is told to keep to what every file may take.
+        return (0,)
+    first, last = ([int(word) for word in words[i::2]] for i in (0, 1))
+    return tuple(max(b - a + 1, 0) for a, b in zip(first, last, strict=True))

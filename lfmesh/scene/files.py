@@ -1,5 +1,6 @@
 """Reading scene files, with every fault of a file in one error."""
 
+import re
 import tomllib
 import warnings
 from dataclasses import replace
@@ -27,6 +28,10 @@ MOST_BYTES = 20_000_000
 
 DEEPEST_TABLE = 32
 """Tables and lists in one another that a file may have; scenes have some six."""
+
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST_TABLE}}}")
+"""A key of more parts than tables may stand in one another: memory and time for it grow with their square."""
 
 SAME_LINE_NM = 1.0
 """Difference of wavelengths, in nm, that other programs' roundings of one spectral line stay below."""
@@ -156,6 +161,23 @@ def read_text(path: Path) -> str:
     return data.decode("utf-8")
 
 
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what a TOML text holds.
+
+    Raises
+    ------
+    TOMLDecodeError
+        A subclass of ValueError.
+    RecursionError
+        Tables stand too deep in one another; a dotted key with too many parts is not even read.
+    ValueError
+        An integer of thousands of digits, or a date that no calendar has.
+    """
+    if _LONG_KEY.search(text):
+        raise RecursionError(_TOO_DEEP)
+    return tomllib.loads(text)
+
+
 def _refuse_other_kind(wanted: FileKind, data: dict[str, Any], path: Path) -> None:
     if words := mistaken_for(wanted, data):
         raise SceneError(f"{path}: {words}")
@@ -163,7 +185,7 @@ def _refuse_other_kind(wanted: FileKind, data: dict[str, Any], path: Path) -> No
 
 def _parse(text: str, name: str) -> dict[str, Any]:
     try:
-        data = tomllib.loads(text)
+        data = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{name}: not valid TOML: {error}") from None
     except RecursionError:

@@ -1,5 +1,6 @@
 """A box of voxels in the world, each of which emits evenly: the columns of a projection matrix."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.frame import Frame
-from lfmesh.regular_file import read_arrays
+from lfmesh.regular_file import Arrays, open_arrays
 from lfmesh.scene.literals import literal
 
 Array = NDArray[np.float64]
@@ -171,6 +172,9 @@ class VoxelBox:
         return np.ascontiguousarray(places), np.ascontiguousarray(frames.directions(inverse, d) / self.spacing_mm)
 
 
+_PLACE = ("spacing_mm", "origin_mm")
+
+
 class GridFile(NamedTuple):
     """Place and number of the voxels of a grid in a file."""
 
@@ -188,19 +192,27 @@ def read_box(path: Path) -> GridFile:
         The file cannot be read, or does not say.
     """
     try:
-        held = read_arrays(path)
+        with open_arrays(path) as arrays:
+            shapes = {shape for name in arrays.names if len(shape := arrays.announced(name)[0]) == 3}
+            # The numbers in the voxels are not asked for.
+            place = {name: arrays[name] for name in _PLACE if name in arrays.names and _is_place(arrays, name)}
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
     except Exception:  # of a damaged file numpy's readers, and those of zip archives below them, may raise anything
         raise FileError(f"{path}: cannot be read as numpy's .npz") from None
-    shapes = {array.shape for array in held.values() if array.ndim == 3}
-    if "spacing_mm" not in held or len(shapes) != 1:
-        missing = "spacing_mm" if "spacing_mm" not in held else "one shape of its arrays [x, y, z]"
+    if "spacing_mm" not in place or len(shapes) != 1:
+        missing = "spacing_mm" if "spacing_mm" not in place else "one shape of its arrays [x, y, z]"
         raise FileError(f"{path}: missing {missing}; a voxel grid has spacing_mm, origin_mm and arrays [x, y, z]")
     shape = shapes.pop()
-    spacing = _numbers("spacing_mm", np.broadcast_to(held["spacing_mm"], 3), positive=True)
-    origin = held.get("origin_mm", -0.5 * spacing * (np.array(shape) - 1.0))
+    spacing = _numbers("spacing_mm", np.broadcast_to(place["spacing_mm"], 3), positive=True)
+    origin = place.get("origin_mm", -0.5 * spacing * (np.array(shape) - 1.0))
     return GridFile(shape, spacing, origin)
+
+
+def _is_place(arrays: Arrays, name: str) -> bool:
+    """Tell whether an array holds one or three numbers, as its header says."""
+    shape, size = arrays.announced(name)
+    return math.prod(shape) in (1, 3) and size <= 3 * np.dtype(np.complex128).itemsize
 
 
 def _counts(given: Any) -> tuple[int, int, int]:

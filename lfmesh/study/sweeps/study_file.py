@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError
 
 from lfmesh.errors import LfmeshError
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
-from lfmesh.scene.files import read_text
+from lfmesh.scene.files import parse_toml, read_text
 from lfmesh.scene.literals import literal
 from lfmesh.scene.model import Fault, Model, fault_lines, listed, nearest
 from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
@@ -187,7 +187,7 @@ def read_tables(
         It cannot be read, is no TOML, or no valid model: one line for each fault.
     """
     try:
-        data = tomllib.loads(read_text(path))
+        data = parse_toml(read_text(path))
     except OSError as error:
         raise LfmeshError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:

@@ -105,7 +105,10 @@ def _draw(
         axes.set_yticks([])
         axes.set_facecolor("#dddddd")
     if without_depth:
-        panels[0].set_xlabel(f"without true depth: {', '.join(without_depth)}", fontsize=8, wrap=True)
+        # The names are the user's: matplotlib takes what stands between two $ for mathematics, unless they are escaped,
+        # where it wraps lines in any case.
+        words = f"without true depth: {', '.join(without_depth)}"
+        panels[0].set_xlabel(words.replace("$", r"\$"), fontsize=8, wrap=True)
     _draw_against_truth(panels[4], depth, true)
     _draw_distribution(panels[5], error)
     figure.savefig(path, metadata={"Software": None})

@@ -287,7 +287,8 @@ def _draw(axes: Any, panel: Panel) -> None:
     else:
         axes.set_xticks([])
         axes.set_yticks([])
-    axes.set_title(panel.title, fontsize=10, loc="left")
+    # Names of bands and scenes in it are the user's, who may write $ and ^ in them.
+    axes.set_title(panel.title, fontsize=10, loc="left", parse_math=False)
     if panel.values.ndim == 3:
         axes.imshow(_pixels(panel), extent=extent, interpolation="nearest")
         return

@@ -5,6 +5,7 @@ import html
 import io
 import math
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh import notebook
+from lfmesh.files.depth import save_depth
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.view import progress, results
 
@@ -250,3 +252,15 @@ def test_in_a_notebook_progress_is_a_bar_that_ends_as_a_line(monkeypatch: pytest
 def test_a_field_whose_scale_is_not_known_has_no_axes(made: dict[str, Any]) -> None:
     far = lf.Photograph(made["photograph"].mean, made["photograph"].stderr, math.inf, 4.0, math.inf, (587.6,), "W")
     assert results.panels(far)[0].size_mm is None
+
+
+def test_names_with_unbalanced_mathematics_stand_in_figures_as_they_are(scene: lf.Scene, tmp_path: Path) -> None:
+    named = scene.changed({"name": "gap a$b^$"})
+    figure = results.figure_of(image_of(named))
+    figure.savefig(tmp_path / "image.png")
+    assert figure.axes[0].get_title(loc="left") == "gap a$b^$"
+    lf.save(image_of(named), tmp_path / "run")
+    found = np.linspace(400.0, 440.0, 12).reshape(3, 4)
+    depth = lf.DepthMap(found, np.zeros_like(found), np.ones_like(found), (300.0, 900.0))
+    save_depth(depth, found, tmp_path / "run", ["fire $x^$"])
+    assert (tmp_path / "run" / "depth.png").is_file()

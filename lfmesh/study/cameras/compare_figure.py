@@ -30,9 +30,8 @@ def draw(comparison: "Comparison", path: Path) -> None:
         white = float(np.percentile(known, 99.5)) if known.size else 1.0
         # Linear light, shown with the gamma of a display.
         axes.imshow(np.clip(np.nan_to_num(picture) / (white or 1.0), 0.0, 1.0) ** (1 / 2.2), cmap="gray")
-        axes.set_title(
-            f"{camera.name}, {camera.picture_samples[0]} × {camera.picture_samples[1]}", fontsize=10, loc="left"
-        )
+        words = f"{camera.name}, {camera.picture_samples[0]} × {camera.picture_samples[1]}"
+        axes.set_title(words, fontsize=10, loc="left", parse_math=False)
         axes.set_xticks([])
         axes.set_yticks([])
     axes = figure.add_subplot(grid[1, :])
@@ -48,6 +47,8 @@ def draw(comparison: "Comparison", path: Path) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
-    axes.legend(frameon=False, fontsize=9)
+    # Names of cameras are the user's, who may write $ and ^ in them.
+    for text in axes.legend(frameon=False, fontsize=9).get_texts():
+        text.set_parse_math(False)
     finish(axes, "sharpness of a slanted edge; dotted: the plane in focus")
     figure.savefig(path, metadata={"Software": None})

@@ -1,6 +1,8 @@
 """Mesh files and pictures with bytes changed at random are read or refused by one line that names the file."""
 
+import contextlib
 import io
+import re
 import warnings
 import zipfile
 from importlib.util import find_spec
@@ -14,8 +16,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lfmesh.errors import LensFileWarning, LfmeshError
+from lfmesh.geometry.files.cad_child import UnusableError, read_3mf
 from lfmesh.geometry.files.mesh_file import NODE_ENDINGS, load_mesh
 from lfmesh.geometry.objects.texture import load_texture
+from tests.geometry.files.test_3mf_parts import PLAIN, body, model, saved
 from tests.geometry.files.test_plain_files import ply
 from tests.glb import QUAD, QUAD_UV, SPLIT, Glb
 
@@ -227,6 +231,66 @@ def test_many_damaged_files_that_use_much_of_their_format_are_read_or_refused(
 @given(damages, kept)
 def test_a_damaged_3mf_file_is_read_or_refused(tmp_path: Path, damage: list[tuple[float, bytes]], kept: float) -> None:
     is_read_or_refused(tmp_path, "3mf", damaged(three_mf(), damage, kept))
+
+
+COLOURS = (
+    '<basematerials id="8"><base name="a" displaycolor="#FF0000"/></basematerials>'
+    '<m:colorgroup id="9"><m:color color="#000000"/><m:color color="#FFFFFF80"/></m:colorgroup>'
+    '<m:texture2dgroup id="6"/>'
+)
+MODELS = {
+    "root": model(
+        COLOURS + body(1, [*PLAIN[:3], (2, 0, 3, 'pid="9" p1="0" p2="1" p3="0"')], 'name="own" pid="8" pindex="0"')
+        + '<object id="2"><components><component objectid="1" transform="1 0 0 0 1 0 0 0 -1 5 0 0"/>'
+        '<component objectid="1" p:path="/3D/other.model"/></components></object>',
+        '<item objectid="2" transform="0 1 0 1 0 0 0 0 1 1 2 3"/><item objectid="1"/>',
+        "p m",
+    ),
+    "other": model(COLOURS + body(1, PLAIN, 'pid="9" pindex="1"'), ""),
+}  # fmt: skip
+"""Models of a 3MF file that uses much of its format."""
+
+SPANS = {"value": r'(?<==")[^"]*', "key": r' [\w:]+="[^"]*"', "tag": "<[^>]*>", "again": "<[^>]*>"}
+"""Places of a model that an edit changes: a value gets another, a key or tag is left out, a tag stands twice."""
+
+WORDS = ["", "0", "3", "-1", "1e308", "1e999", "nan", "9" * 12, "9" * 400, "#12", "/3D/other.model", "..", "x"]
+edits = st.lists(
+    st.tuples(
+        st.sampled_from(sorted(MODELS)), st.sampled_from([*SPANS, "value", "value"]), st.floats(0.0, 1.0),
+        st.sampled_from(WORDS),
+    ),
+    min_size=1,
+    max_size=3,
+)  # fmt: skip
+
+
+def is_read_or_found_unusable(path: Path, edits: list[tuple[str, str, float, str]]) -> None:
+    """Read an edited 3MF file in this process: one of its own for each file, as users have, takes 0.2 s."""
+    models = dict(MODELS)
+    for name, kind, share, word in edits:
+        text = models[name]
+        if found := list(re.finditer(SPANS[kind], text)):
+            start, end = found[int(share * (len(found) - 1))].span()
+            models[name] = text[:start] + {"value": word, "again": 2 * text[start:end]}.get(kind, "") + text[end:]
+    with contextlib.suppress(UnusableError):
+        read_3mf(saved(path, **models))
+
+
+@settings(unhurried, max_examples=150)
+@given(edits)
+def test_an_edited_3mf_file_is_read_or_found_unusable(
+    tmp_path: Path, edits: list[tuple[str, str, float, str]]
+) -> None:  # fmt: skip
+    is_read_or_found_unusable(tmp_path / "file.3mf", edits)
+
+
+@pytest.mark.long
+@settings(unhurried, max_examples=20_000)
+@given(edits)
+def test_many_edited_3mf_files_are_read_or_found_unusable(
+    tmp_path: Path, edits: list[tuple[str, str, float, str]]
+) -> None:  # fmt: skip
+    is_read_or_found_unusable(tmp_path / "file.3mf", edits)
 
 
 @pytest.mark.long

@@ -9,7 +9,6 @@ import posixpath
 import re
 import sys
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -215,15 +214,11 @@ def read_3mf(path: Path) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as package:
             return _read_package(_Package(package))
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        ElementTree.ParseError,
-        NotImplementedError,
-        RuntimeError,
-        EOFError,
-    ) as error:
-        raise UnusableError(f"broken, or not a 3MF file ({error})") from None
+    except (UnusableError, MemoryError):
+        raise
+    except Exception as error:  # a broken file may raise anything inside zipfile, the XML parser and numpy
+        reason = f"{error}".splitlines()[0] if str(error) else type(error).__name__
+        raise UnusableError(f"broken, or not a 3MF file ({reason})") from None
 
 
 def _read_package(package: _Package) -> dict[str, Any]:

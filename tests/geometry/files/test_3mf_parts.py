@@ -67,6 +67,12 @@ def test_an_extension_that_is_not_read_is_named(tmp_path):
         load_mesh(path)
 
 
+def test_damage_that_no_check_foresees_is_a_broken_file(tmp_path):
+    with_large_number = saved(tmp_path / "a.3mf", root=model(body(1, [(0, 10**30, 1, "")]), '<item objectid="1"/>'))
+    with pytest.raises(MeshError, match="broken, or not a 3MF file"):
+        load_mesh(with_large_number)
+
+
 def test_colours_of_facets_are_linear_light(tmp_path):
     groups = (
         '<basematerials id="8"><base name="a" displaycolor="#FF0000"/><base name="b" displaycolor="#808080FF"/>'

@@ -4,8 +4,14 @@ glTF 2.0, appendix B: a material is a mixture, by its metallic value, of a diele
 with the base colour, and of a metal whose reflectance at normal incidence is the base colour. Both have GGX facets with
 α = roughness². The two parts are those of `optics.gloss`, which lose no light that facets reflect several times; the
 mixture of two reciprocal parts that gain nothing is reciprocal and gains nothing.
+
+Where a picture varies both over the surface, each point mixes the materials of a `GltfRange` that are next to it:
+those of the least and the largest metallic, which is exact, and of the two nearest roughnesses. Such a mixture is
+reciprocal and gains nothing either. Its density of facets is off by at most RATIO²/2, 1.04 %, from that of the
+roughness itself.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +28,13 @@ DIELECTRIC_INDEX = 1.5
 SMALLEST_ALPHA = 0.01
 """Of a gloss, as `scene.targets` has it."""
 
+ROUGHNESSES = 32
+"""Intervals of ln α, of equal width from `SMALLEST_ALPHA` to 1, between whose ends a picture's roughness is mixed."""
+
+RATIO = -math.log(SMALLEST_ALPHA) / ROUGHNESSES
+"""Width of an interval. GGX's density of facets, α² / (π cos⁴θ (α² + tan²θ)²), mixed linearly in ln α between two
+ends is off by at most RATIO²/8 times the largest of its second derivative over its value, 4 at θ = 0 and at 90°."""
+
 HALVINGS = 50
 
 
@@ -34,7 +47,7 @@ class GltfMaterial:
     base : (float, float, float)
         Base colour factor, linear sRGB. A base colour texture multiplies it, point by point.
     metallic, roughness : float
-        As the file gives them, 0..1; of a texture the mean.
+        As the file gives them, 0..1.
     """
 
     base: tuple[float, float, float]
@@ -45,6 +58,45 @@ class GltfMaterial:
     def alpha(self) -> float:
         """Walter's α_g, as far down as a gloss may go."""
         return max(self.roughness**2, SMALLEST_ALPHA)
+
+
+@dataclass(frozen=True)
+class GltfRange:
+    """Materials of one base colour that differ in metallic and roughness.
+
+    Attributes
+    ----------
+    base : (float, float, float)
+    metallic : (float, float)
+        The least and the largest.
+    first, last : int
+        The first and the last roughness: α = exp(RATIO (k − ROUGHNESSES)).
+    """
+
+    base: tuple[float, float, float]
+    metallic: tuple[float, float]
+    first: int
+    last: int
+
+    @classmethod
+    def of(cls, base: tuple[float, float, float], metallic: Array, roughness: Array) -> "GltfRange":
+        """Return the range that holds some values.
+
+        Parameters
+        ----------
+        base : (float, float, float)
+        metallic, roughness : float64, any shape
+        """
+        ends = [GltfMaterial(base, 0.0, float(each)).alpha for each in (roughness.min(), roughness.max())]
+        low, high = (ROUGHNESSES + math.log(alpha) / RATIO for alpha in ends)
+        first, last = max(0, math.floor(low)), min(ROUGHNESSES, math.ceil(high))
+        return cls(base, (float(metallic.min()), float(metallic.max())), first, last)
+
+    @property
+    def materials(self) -> tuple[GltfMaterial, ...]:
+        """Materials by roughness, two each: of the least metallic, of the largest."""
+        alphas = [math.exp(RATIO * (k - ROUGHNESSES)) for k in range(self.first, self.last + 1)]
+        return tuple(GltfMaterial(self.base, metallic, math.sqrt(a)) for a in alphas for metallic in self.metallic)
 
 
 def gltf_parameters(material: GltfMaterial, wavelengths_nm: tuple[float, ...], surroundings: Array) -> Array:

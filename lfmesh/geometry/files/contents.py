@@ -26,7 +26,7 @@ class Contents:
     materials : int
         Named materials that facets use.
     pictures : int
-        Base colour pictures of these.
+        Pictures of these: of base colour, and of metallic and roughness.
     coloured : int
         Facets with colours of their own or of their vertices.
     """
@@ -49,7 +49,8 @@ def held(pieces: Iterable[Piece]) -> Contents:
     return Contents(
         sum(len(piece.mesh.faces) for piece in pieces),
         len({piece.called for piece in pieces if piece.called}),
-        len({id(piece.picture) for piece in pieces if piece.picture is not None}),
+        len({id(piece.picture) for piece in pieces if piece.picture is not None})
+        + len({id(piece.gloss.picture) for piece in pieces if piece.gloss is not None}),
         sum(len(piece.mesh.faces) for piece in pieces if piece.colours is not None),
     )
 
@@ -231,7 +232,7 @@ def _of_gltf(path: Path) -> Contents:
     waiting = list(document["scenes"][document.get("scene", 0)].get("nodes", []))
     facets = coloured = 0
     used: set[int] = set()
-    pictures: set[int] = set()
+    pictures: set[tuple[str, int]] = set()
     while waiting:
         node = document["nodes"][waiting.pop()]
         waiting += node.get("children", [])
@@ -246,9 +247,9 @@ def _of_gltf(path: Path) -> Contents:
                 used.add(primitive["material"])
     for number in used:
         material = document["materials"][number]
-        base = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-        if base is not None:
-            pictures.add(document["textures"][base["index"]].get("source", -1))
+        pbr = material.get("pbrMetallicRoughness", {})
+        for use in {"baseColorTexture", "metallicRoughnessTexture"} & set(pbr):
+            pictures.add((use, document["textures"][pbr[use]["index"]].get("source", -1)))
     return Contents(facets, len(used), len(pictures), coloured)
 
 

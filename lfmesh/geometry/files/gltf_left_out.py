@@ -44,7 +44,7 @@ OF_MATERIAL = _EVERYWHERE | {
 }
 OF_PBR = _EVERYWHERE | {
     **dict.fromkeys(("baseColorFactor", "baseColorTexture", "metallicFactor", "roughnessFactor"), SILENT),
-    "metallicRoughnessTexture": "of its metallic and roughness picture the mean is taken",
+    "metallicRoughnessTexture": SILENT,
 }
 OF_TEXTURE_INFO = _EVERYWHERE | dict.fromkeys(("index", "texCoord"), SILENT)
 OF_TEXTURE = _EVERYWHERE | dict.fromkeys(("sampler", "source"), SILENT)
@@ -110,17 +110,20 @@ def _of_material(document: dict[str, Any], number: Any) -> Iterator[str]:
     dark = not (isinstance(glow, list) and any(glow))
     shown = {key: value for key, value in material.items() if not (dark and key.startswith("emissive"))}
     pbr = _table(material.get("pbrMetallicRoughness"))
-    base = _table(pbr.get("baseColorTexture"))
-    texture = _entry(document, "textures", base.get("index"))
+    told = dict.fromkeys([*_told(shown, OF_MATERIAL), *_told(pbr, OF_PBR)])
+    for key in ("baseColorTexture", "metallicRoughnessTexture"):
+        told |= dict.fromkeys(_of_texture(document, _table(pbr.get(key))))
+    yield from (f"materials[{number}]: {words}" for words in told)
+
+
+def _of_texture(document: dict[str, Any], info: dict[str, Any]) -> Iterator[str]:
+    texture = _entry(document, "textures", info.get("index"))
     sampler = dict(_entry(document, "samplers", texture.get("sampler")))
     if sampler.get("magFilter") == _LINEAR:
         sampler.pop("magFilter")
-    for entry, known in (
-        (shown, OF_MATERIAL), (pbr, OF_PBR), (base, OF_TEXTURE_INFO), (texture, OF_TEXTURE), (sampler, OF_SAMPLER),
-        (_entry(document, "images", texture.get("source")), OF_IMAGE),
-    ):  # fmt: skip
-        for words in dict.fromkeys(_told(entry, known)):
-            yield f"materials[{number}]: {words}"
+    image = _entry(document, "images", texture.get("source"))
+    for entry, known in ((info, OF_TEXTURE_INFO), (texture, OF_TEXTURE), (sampler, OF_SAMPLER), (image, OF_IMAGE)):
+        yield from _told(entry, known)
 
 
 def _told(entry: Mapping[str, Any], known: Mapping[str, str]) -> Iterator[str]:

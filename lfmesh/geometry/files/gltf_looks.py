@@ -4,8 +4,7 @@ glTF 2.0, section 3.9. Numbers stay as they stand in the file; a factor that rou
 """
 
 import reprlib
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry.files.gltf_buffers import Buffers, bytes_of, names_of
 from lfmesh.geometry.files.gltf_nodes import LONGEST_NAME, entries_of, finite_numbers, number_below
 from lfmesh.geometry.files.pictures import Pictures
-from lfmesh.geometry.files.piece import REPEAT
+from lfmesh.geometry.files.piece import REPEAT, Look
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.objects.texture import Texture
+from lfmesh.geometry.objects.texture import Texture, as_coded
 from lfmesh.optics.gltf_material import GltfMaterial
 
 REPEATS = 10497
@@ -30,33 +29,41 @@ ROUNDED = 1.0 + 16.0 * float(np.finfo(np.float32).eps)
 SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 
 
-@dataclass(frozen=True)
-class Look:
-    """A material of a glTF file.
+class Place(NamedTuple):
+    """Place of a texture's picture on facets.
 
     Attributes
     ----------
-    picture : (h, w, 3 or 4) float32 or None
-        Base colour texture.
-    factor : (3,) or (4,) float64
-    material : GltfMaterial or None
-    alpha_mode : str
-    alpha_cutoff : float
     wrap : (str, str)
+        As `Look.wrap`.
     uv_set : int
-        Number of the texture coordinates of its picture.
+        Number of the texture coordinates of the picture.
     to_picture : (2, 3) float64
         From these to the place in the picture, counted from its top left.
     """
 
-    picture: Texture | None = None
-    factor: Array = field(default_factory=lambda: np.ones(3))
-    material: GltfMaterial | None = None
-    alpha_mode: str = "OPAQUE"
-    alpha_cutoff: float = 0.5
     wrap: tuple[str, str] = REPEAT
     uv_set: int = 0
-    to_picture: Array = field(default_factory=lambda: np.eye(2, 3))
+    to_picture: Array = np.eye(2, 3)
+
+
+class GltfLook(NamedTuple):
+    """A material of a glTF file.
+
+    Attributes
+    ----------
+    look : Look
+    place : Place
+        Of its base colour texture.
+    gloss : (h, w, 3) float32 or None
+        Picture of metallic and roughness, see `GlossPicture`.
+    gloss_place : Place
+    """
+
+    look: Look
+    place: Place = Place()
+    gloss: Texture | None = None
+    gloss_place: Place = Place()
 
 
 class Looks:
@@ -71,9 +78,10 @@ class Looks:
     def __init__(self, buffers: Buffers, pictures: Pictures) -> None:
         self.buffers, self.pictures = buffers, pictures
         self.path, self.document = buffers.path, buffers.document
-        self._known: dict[int, Look] = {}
+        self._coded = Pictures(self.path, False, pictures.notes, as_coded)
+        self._known: dict[int, GltfLook] = {}
 
-    def of(self, number: Any) -> Look:
+    def of(self, number: Any) -> GltfLook:
         """Return the material of a number; a plain one where a primitive names none.
 
         Raises
@@ -82,14 +90,14 @@ class Looks:
             It is not there, or names a picture that cannot be read.
         """
         if number is None:
-            return Look(factor=np.ones(4 if self.pictures.alpha else 3))
+            return GltfLook(Look(factor=np.ones(4 if self.pictures.alpha else 3)))
         materials = entries_of(self.path, self.document, "materials")
         number = number_below(self.path, "a primitive's material", number, len(materials))
         if number not in self._known:
             self._known[number] = self._read(materials[number])
         return self._known[number]
 
-    def _read(self, material: dict[str, Any]) -> Look:
+    def _read(self, material: dict[str, Any]) -> GltfLook:
         pbr = material.get("pbrMetallicRoughness", {})
         if (other := only_specular(material)) is not None:
             pbr = {
@@ -100,19 +108,19 @@ class Looks:
             }
         colour = np.minimum(np.array(pbr.get("baseColorFactor", [1.0] * 4), np.float64), 1.0)
         metallic, roughness = (min(1.0, float(pbr.get(key, 1.0))) for key in ("metallicFactor", "roughnessFactor"))
-        if (texture := pbr.get("metallicRoughnessTexture")) is not None:
-            mean = self._mean(texture)
-            # Section 3.9.2: roughness in the green channel, metallic in the blue one, both linear.
-            roughness, metallic = roughness * mean[1], metallic * mean[2]
-        base = pbr.get("baseColorTexture")
-        return Look(
-            self._picture(base) if base is not None else None,
-            colour[: 4 if self.pictures.alpha else 3],
-            GltfMaterial((float(colour[0]), float(colour[1]), float(colour[2])), float(metallic), float(roughness)),
-            material.get("alphaMode", "OPAQUE"),
-            float(material.get("alphaCutoff", 0.5)),
-            *(self._place(base) if base is not None else ()),
+        base, gloss = pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture")
+        place = self._place("baseColorTexture", base) if base is not None else Place()
+        look = Look(
+            picture=self._opened(base, self.pictures) if base is not None else None,
+            factor=colour[: 4 if self.pictures.alpha else 3],
+            material=GltfMaterial((float(colour[0]), float(colour[1]), float(colour[2])), metallic, roughness),
+            alpha_mode=material.get("alphaMode", "OPAQUE"),
+            alpha_cutoff=float(material.get("alphaCutoff", 0.5)),
+            wrap=place.wrap,
         )
+        if gloss is None:
+            return GltfLook(look, place)
+        return GltfLook(look, place, self._opened(gloss, self._coded), self._place("metallicRoughnessTexture", gloss))
 
     def _content(self, info: dict[str, Any]) -> tuple[int, dict[str, Any]] | None:
         """Return number and entry of the image of a texture; None, which is noted, where an extension holds it."""
@@ -127,9 +135,6 @@ class Looks:
         number = number_below(self.path, "textures.source", texture["source"], len(images))
         return number, images[number]
 
-    def _picture(self, info: dict[str, Any]) -> Texture | None:
-        return self._opened(info, self.pictures)
-
     def _opened(self, info: dict[str, Any], pictures: Pictures) -> Texture | None:
         if (found := self._content(info)) is None:
             return None
@@ -141,16 +146,7 @@ class Looks:
             return pictures.of_file(names_of(uri))
         return pictures.of_bytes(number, bytes_of(self.path, uri, "picture"))
 
-    def _mean(self, info: dict[str, Any]) -> Array:
-        """Return the means of a picture's channels as they stand in it, (3,); ones where there is none."""
-        light = self._opened(info, Pictures(self.path, False, self.pictures.notes))
-        if light is None:
-            return np.ones(3)
-        coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0) ** (1.0 / 2.4) - 0.055)
-        return np.asarray(coded.mean(axis=(0, 1), dtype=np.float64))
-
-    def _place(self, info: dict[str, Any]) -> tuple[tuple[str, str], int, Array]:
-        """Return continuation of a picture, its set of coordinates, and their way to the place in it."""
+    def _place(self, key: str, info: dict[str, Any]) -> Place:
         moved = info.get("extensions", {}).get("KHR_texture_transform", {})
         offset, scale = (
             finite_numbers(self.path, f"{key} of KHR_texture_transform", moved.get(key, default), 2)
@@ -161,21 +157,21 @@ class Looks:
         # Counter-clockwise as one looks at the picture, whose rows run down.
         linear = np.array([[cos, sin], [-sin, cos]]) * scale
         uv_set = moved.get("texCoord", info.get("texCoord", 0))
-        return self._wrap(info), uv_set, np.column_stack([linear, offset])
+        return Place(self._wrap(key, info), uv_set, np.column_stack([linear, offset]))
 
-    def _wrap(self, info: dict[str, Any]) -> tuple[str, str]:
-        """Return what a base colour texture shows outside its picture, across and down."""
+    def _wrap(self, key: str, info: dict[str, Any]) -> tuple[str, str]:
+        """Return what a texture shows outside its picture, across and down."""
         textures, samplers = (entries_of(self.path, self.document, key) for key in ("textures", "samplers"))
-        texture = textures[number_below(self.path, "baseColorTexture.index", info.get("index"), len(textures))]
+        texture = textures[number_below(self.path, f"{key}.index", info.get("index"), len(textures))]
         if (given := texture.get("sampler")) is None:
             return REPEAT
         number = number_below(self.path, "textures.sampler", given, len(samplers))
-        across, down = (samplers[number].get(key, REPEATS) for key in ("wrapS", "wrapT"))
-        for key, mode in (("wrapS", across), ("wrapT", down)):
+        across, down = (samplers[number].get(each, REPEATS) for each in ("wrapS", "wrapT"))
+        for each, mode in (("wrapS", across), ("wrapT", down)):
             if not isinstance(mode, int) or mode not in WRAPS:
                 shown = reprlib.repr(mode)[:LONGEST_NAME]
                 raise MeshError(
-                    f"{self.path}: broken: samplers[{number}].{key} is {shown}; valid are {', '.join(map(str, WRAPS))}"
+                    f"{self.path}: broken: samplers[{number}].{each} is {shown}; valid are {', '.join(map(str, WRAPS))}"
                 )
         return WRAPS[across], WRAPS[down]
 

@@ -1,6 +1,7 @@
 """Facets of a glTF file's primitives, straight from its accessors (glTF 2.0, section 3.7)."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,12 @@ import numpy as np
 
 from lfmesh.errors import MeshError
 from lfmesh.geometry.files.gltf_buffers import Buffers
-from lfmesh.geometry.files.gltf_looks import Look, Looks
+from lfmesh.geometry.files.gltf_looks import Looks, Place
 from lfmesh.geometry.files.gltf_nodes import FAN, STRIP, TRIANGLES
 from lfmesh.geometry.files.obj_file import NO_PLACE
 from lfmesh.geometry.files.off_file import check_corners
 from lfmesh.geometry.files.pictures import Pictures
-from lfmesh.geometry.files.piece import Notes, Piece
+from lfmesh.geometry.files.piece import GlossPicture, Notes, Piece
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
 
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -76,25 +77,28 @@ def _piece(where: str, primitive: dict[str, Any], buffers: Buffers, looks: Looks
             raise ValueError(f"{where} has {len(positions)} vertices, and {len(values)} entries of {name}")
         return values[faces]
 
-    look = looks.of(primitive.get("material"))
-    uv = at_corners(f"TEXCOORD_{look.uv_set}", "VEC2")
+    def in_picture(place: Place) -> Array | None:
+        uv = at_corners(f"TEXCOORD_{place.uv_set}", "VEC2")
+        return _in_picture(uv, place.to_picture) if uv is not None else None
+
+    look, place, gloss, gloss_place = looks.of(primitive.get("material"))
+    uv, gloss_uv = in_picture(place), in_picture(gloss_place)
     if uv is None and look.picture is not None:
         notes.count(len(faces), NO_PLACE)
-    if uv is None and look.uv_set:
-        uv = at_corners("TEXCOORD_0", "VEC2")
+        look = replace(look, picture=None)
+    if uv is None and place.uv_set:
+        uv = in_picture(place._replace(uv_set=0))
+    if gloss is not None and gloss_uv is None:
+        notes.count(len(faces), "{} of its facets have no place in their picture of metallic and roughness")
     normals = at_corners("NORMAL", "VEC3")
     colours = at_corners("COLOR_0", "VEC3", "VEC4")
     return Piece(
         Mesh(positions, faces, normals),
-        _in_picture(uv, look) if uv is not None else None,
-        look.picture if uv is not None else None,
-        look.factor,
-        look.material,
-        look.alpha_mode,
-        look.alpha_cutoff,
-        look.wrap,
+        uv,
+        GlossPicture(gloss, gloss_uv, gloss_place.wrap) if gloss is not None and gloss_uv is not None else None,
         np.clip(colours, 0.0, 1.0) if colours is not None else None,
         f"materials[{primitive['material']}]" if "material" in primitive else "",
+        **vars(look),
     )
 
 
@@ -112,9 +116,7 @@ def _faces(where: str, mode: int, corners: Index, notes: Notes) -> Index:
     return np.stack([corners[k + 1], corners[k + 2], np.full(len(k), corners[0])], axis=-1)
 
 
-def _in_picture(uv: Array, look: Look) -> Array:
+def _in_picture(uv: Array, to_picture: Array) -> Array:
     """Return the place in the picture, counted from its bottom left: glTF counts from its top left."""
-    u, v = (
-        look.to_picture[k, 0] * uv[..., 0] + look.to_picture[k, 1] * uv[..., 1] + look.to_picture[k, 2] for k in (0, 1)
-    )
+    u, v = (to_picture[k, 0] * uv[..., 0] + to_picture[k, 1] * uv[..., 1] + to_picture[k, 2] for k in (0, 1))
     return np.stack([u, 1.0 - v], axis=-1)

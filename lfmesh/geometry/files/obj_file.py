@@ -327,9 +327,8 @@ def _pieces(
         mesh = Mesh(vertices[used], faces, normals)
         wrap = ("clamp", "clamp") if given is not None and given.clamped else REPEAT
         own_colours = colours[facets.corners[own, 0]] if colours is not None else None
-        made.append(
-            Piece(mesh, uv, picture if with_uv else None, factor, wrap=wrap, colours=own_colours, called=called)
-        )
+        shown = picture if with_uv else None
+        made.append(Piece(mesh, uv, None, own_colours, called, picture=shown, factor=factor, wrap=wrap))
     return made
 
 

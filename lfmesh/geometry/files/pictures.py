@@ -9,7 +9,15 @@ import PIL.Image
 from lfmesh.errors import FileError
 from lfmesh.geometry.files.companion import check_companion
 from lfmesh.geometry.files.piece import Notes
-from lfmesh.geometry.objects.texture import FORMATS, Texture, linear_light, opened, with_alpha
+from lfmesh.geometry.objects.texture import (
+    FORMATS,
+    Texture,
+    Transfer,
+    linear_light,
+    opened,
+    srgb_to_linear,
+    with_alpha,
+)
 from lfmesh.regular_file import read_bytes
 
 
@@ -23,10 +31,12 @@ class Pictures:
     alpha : bool
         Read their alpha, too.
     notes : Notes
+    transfer : function
+        From codes, 0..1, to the values of the texture.
     """
 
-    def __init__(self, path: Path, alpha: bool, notes: Notes) -> None:
-        self.path, self.alpha, self.notes = path, alpha, notes
+    def __init__(self, path: Path, alpha: bool, notes: Notes, transfer: Transfer = srgb_to_linear) -> None:
+        self.path, self.alpha, self.notes, self.transfer = path, alpha, notes, transfer
         self._known: dict[object, Texture | None] = {}
 
     def of_file(self, names: list[str]) -> Texture | None:
@@ -49,7 +59,7 @@ class Pictures:
             self.notes.add(f"its picture {names[0][:100]} is not there: its facets have their plain colour")
             return None
         if name not in self._known:
-            self._known[name] = _light(read_bytes(self.path.parent / name), name, self.alpha)
+            self._known[name] = self._read(read_bytes(self.path.parent / name), name)
         return self._known[name]
 
     def of_bytes(self, key: object, content: bytes) -> Texture | None:
@@ -67,8 +77,22 @@ class Pictures:
             It is no picture that can be read.
         """
         if key not in self._known:
-            self._known[key] = _light(content, "", self.alpha)
+            self._known[key] = self._read(content, "")
         return self._known[key]
+
+    def _read(self, content: bytes, name: str) -> Texture:
+        its = f"its picture {name}".rstrip()
+        try:
+            with opened(io.BytesIO(content)) as image:
+                values = linear_light(image, self.transfer)
+                return with_alpha(values, image) if self.alpha else values
+        except FileError as error:
+            raise ValueError(f"{its} {str(error).partition(': ')[2]}") from None
+        except PIL.UnidentifiedImageError:
+            raise ValueError(f"{its} is of no kind that is read; valid are {', '.join(FORMATS)}") from None
+        except Exception as error:  # a damaged file may raise anything inside Pillow's readers
+            reason = f"{error}".splitlines()[0] if str(error) else type(error).__name__
+            raise ValueError(f"{its} is broken ({reason[:100]})") from None
 
 
 def companion_name(path: Path, names: list[str], kind: str) -> str | None:
@@ -90,18 +114,3 @@ def companion_name(path: Path, names: list[str], kind: str) -> str | None:
     for name in names:
         check_companion(path, name, kind)
     return next((name for name in names if (path.parent / name).is_file()), None)
-
-
-def _light(content: bytes, name: str, alpha: bool) -> Texture:
-    its = f"its picture {name}".rstrip()
-    try:
-        with opened(io.BytesIO(content)) as image:
-            light = linear_light(image)
-            return with_alpha(light, image) if alpha else light
-    except FileError as error:
-        raise ValueError(f"{its} {str(error).partition(': ')[2]}") from None
-    except PIL.UnidentifiedImageError:
-        raise ValueError(f"{its} is of no kind that is read; valid are {', '.join(FORMATS)}") from None
-    except Exception as error:  # a damaged file may raise anything inside Pillow's readers
-        reason = f"{error}".splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{its} is broken ({reason[:100]})") from None

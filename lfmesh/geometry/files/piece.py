@@ -1,6 +1,7 @@
 """A part of a mesh file with one material, and what its reader says of the file."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,17 +12,30 @@ from lfmesh.optics.gltf_material import GltfMaterial
 REPEAT = ("repeat", "repeat")
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A part of a mesh file with one material.
+class GlossPicture(NamedTuple):
+    """Picture of metallic and roughness on a piece.
 
     Attributes
     ----------
-    mesh : Mesh
-        In the file's frame, mm; with corner normals only where the file itself gives them (OBJ, PLY, OFF, GLB), of
-        whatever length and sense it gives.
-    uv : (m, 3, 2) float64 or None
-        Place in the picture of each facet's corners; (0, 0) is its bottom left; `wrap` tells what lies outside 0..1.
+    picture : (h, w, 3) float32
+        As coded, 0..1: the factors of roughness in its second channel, of metallic in its third.
+    uv : (m, 3, 2) float64
+        As `Piece.uv`.
+    wrap : tuple of str
+        As `Look.wrap`.
+    """
+
+    picture: Texture
+    uv: Array
+    wrap: tuple[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """Colours and material that a mesh file gives facets.
+
+    Attributes
+    ----------
     picture : (h, w, 3) float32 or None
         Base colour texture, linear light; (h, w, 4) with its alpha.
     factor : (3,) float64
@@ -34,6 +48,29 @@ class Piece:
     wrap : tuple of str
         Across and down, what the picture shows outside 0..1: "repeat", "mirror" (every other repeat is mirrored) or
         "clamp" (its edge goes on).
+    """
+
+    picture: Texture | None = None
+    factor: Array = field(default_factory=lambda: np.ones(3))
+    material: GltfMaterial | None = None
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    wrap: tuple[str, str] = REPEAT
+
+
+@dataclass(frozen=True)
+class Piece(Look):
+    """A part of a mesh file with one material.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        In the file's frame, mm; with corner normals only where the file itself gives them (OBJ, PLY, OFF, GLB), of
+        whatever length and sense it gives.
+    uv : (m, 3, 2) float64 or None
+        Place in the picture of each facet's corners; (0, 0) is its bottom left; `wrap` tells what lies outside 0..1.
+    gloss : GlossPicture or None
+        Of `material`, whose metallic and roughness it multiplies.
     colours : (m, 3, 3) float64 or None
         Colours at each facet's corners, linear, that multiply the factor; (m, 3, 4) with their alpha.
     called : str
@@ -42,12 +79,7 @@ class Piece:
 
     mesh: Mesh
     uv: Array | None = None
-    picture: Texture | None = None
-    factor: Array = field(default_factory=lambda: np.ones(3))
-    material: GltfMaterial | None = None
-    alpha_mode: str = "OPAQUE"
-    alpha_cutoff: float = 0.5
-    wrap: tuple[str, str] = REPEAT
+    gloss: GlossPicture | None = None
     colours: Array | None = None
     called: str = ""
 
@@ -93,10 +125,21 @@ class Piece:
         """Return the piece with the corners of each facet in the opposite order; its normals stay as they are."""
         mesh = self.mesh
         normals = mesh.corner_normals[:, ::-1] if mesh.corner_normals is not None else None
+        return self.with_mesh_turned(Mesh(mesh.vertices, mesh.faces[:, ::-1], normals))
+
+    def with_mesh_turned(self, mesh: Mesh) -> "Piece":
+        """Return the piece on its mesh with the corners of each facet in the opposite order.
+
+        Parameters
+        ----------
+        mesh : Mesh
+            In that order.
+        """
         return replace(
             self,
-            mesh=Mesh(mesh.vertices, mesh.faces[:, ::-1], normals),
+            mesh=mesh,
             uv=self.uv[:, ::-1] if self.uv is not None else None,
+            gloss=self.gloss._replace(uv=self.gloss.uv[:, ::-1]) if self.gloss is not None else None,
             colours=self.colours[:, ::-1] if self.colours is not None else None,
         )
 

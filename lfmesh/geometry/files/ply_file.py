@@ -5,7 +5,7 @@ Read is "The PLY Polygon File Format" (Turk, 1994) with the names of properties 
 
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +117,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
             notes.add("its facets have no place in its picture: they have their plain colour")
         else:
             light = Pictures(path, alpha, notes).of_file([pictures[0].replace("\\", "/")])
-            made = Piece(made.mesh, made.uv, light, made.factor, colours=made.colours)
+            made = replace(made, picture=light)
     return [made]
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.files.mesh_file import FARTHEST_MM, UNIT_OF_FORMAT, load_mesh
@@ -13,6 +14,7 @@ from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_corner_normals
 from lfmesh.geometry.meshes.vertex_normals import is_closed
 from lfmesh.geometry.meshes.weld import welded
 from lfmesh.geometry.objects.atlas import atlas
+from lfmesh.geometry.objects.gloss_pictures import GlossOnFacets, gloss_on_facets, without_even_gloss
 from lfmesh.geometry.objects.primitives import box_of_glass, primitive
 from lfmesh.geometry.objects.refractors import solid_mesh
 from lfmesh.geometry.objects.texture import Texture, load_texture
@@ -45,7 +47,9 @@ class TargetMesh:
     materials : tuple of GltfMaterial
         Of the mesh file, where they are taken over in place of the scene's.
     material_of : (m,) int64 or None
-        Which of them each facet has; -1: that of the scene.
+        Which of them each facet has; -1: that of the scene. Of a gloss that varies, the first that it spans.
+    gloss : GlossOnFacets or None
+        Metallic and roughness by a picture, where the file's materials have one.
     smooth : bool
         Shaded with the mesh's corner normals.
     closed : bool
@@ -60,6 +64,7 @@ class TargetMesh:
     alpha: Texture | None = None
     materials: tuple[GltfMaterial, ...] = ()
     material_of: Index | None = None
+    gloss: GlossOnFacets | None = None
     smooth: bool = False
 
 
@@ -98,7 +103,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
         if target.materials == "file" and not taken:
             raise MeshError(f'{name}: brings no materials of glTF, and materials = "file" asks for them; omit it')
         if taken:
-            pieces = _with_alpha_by_mode(pieces)
+            pieces = [without_even_gloss(piece) for piece in _with_alpha_by_mode(pieces)]
         elif may_take:
             pieces = [_opaque(piece) for piece in pieces]
         elif target.materials == "ignore":
@@ -132,11 +137,25 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     placed = placed[solid] if placed is not None else None
     made = TargetMesh(mesh, placed, texture, closed, alpha, smooth=at_corners is not None)
     if taken:
-        made.materials = tuple(dict.fromkeys(piece.material for piece in pieces if piece.material is not None))
-        number = {None: -1} | {each: i for i, each in enumerate(made.materials)}
-        each = np.repeat([number[piece.material] for piece in pieces], [len(piece.mesh.faces) for piece in pieces])
-        made.material_of = each[solid]
+        _take_materials(made, name, pieces, solid)
     return made
+
+
+def _take_materials(made: TargetMesh, name: str, pieces: list[Piece], solid: NDArray[np.bool_]) -> None:
+    """Give a target the materials of its pieces, of whose facets it has the solid ones."""
+    gloss = gloss_on_facets(name, pieces)
+    materials = [None if piece.gloss is not None else piece.material for piece in pieces]
+    spanned = [each.materials for each in gloss.ranges] if gloss is not None else []
+    made.materials = tuple(
+        dict.fromkeys([each for each in materials if each is not None] + [each for some in spanned for each in some])
+    )
+    number = {None: -1} | {each: i for i, each in enumerate(made.materials)}
+    of_facets = np.repeat([number[each] for each in materials], [len(piece.mesh.faces) for piece in pieces])
+    if gloss is not None:
+        firsts = np.array([number[some[0]] for some in spanned])
+        of_facets = np.where(gloss.range_of < 0, of_facets, firsts[gloss.range_of])
+        made.gloss = gloss.of(solid)
+    made.material_of = of_facets[solid]
 
 
 def _stood(mesh: Mesh, target: Target) -> Mesh:
@@ -239,7 +258,7 @@ def _covered(piece: Piece, picture: Texture, name: str) -> Piece:
             f"{name}: the mesh has no texture coordinates, so its material's texture has no place on it; "
             "leave the texture out or export the mesh with UVs (OBJ, PLY, GLB)"
         )
-    return Piece(piece.mesh, piece.uv, picture, np.ones(picture.shape[2]))
+    return Piece(piece.mesh, piece.uv, picture=picture, factor=np.ones(picture.shape[2]))
 
 
 def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:
@@ -265,4 +284,4 @@ def _enclosed(mesh: Mesh) -> float:
 
 def _turned(piece: Piece) -> Piece:
     """Return the piece with every facet looking the other way."""
-    return replace(piece, mesh=piece.mesh.flipped(), uv=piece.uv[:, ::-1] if piece.uv is not None else None)
+    return piece.with_mesh_turned(piece.mesh.flipped())

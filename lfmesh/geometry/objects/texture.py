@@ -1,7 +1,7 @@
 """Pictures on targets: files to linear light."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -18,6 +18,8 @@ from lfmesh.regular_file import why_no_file
 Texture = NDArray[np.float32]
 """(h, w, 3) linear light, 0 to 1; row 0 is the top of the picture. Not to be written to: see `is_grey`."""
 
+Transfer = Callable[[NDArray[np.float64]], Texture]
+"""Values of a texture by a picture's codes, 0..1."""
 
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "GIF")
 """Formats that are opened, named as by Pillow, whatever a file's name ends in. Pillow knows more: PostScript, for which
@@ -93,14 +95,14 @@ def opened(path: Path | BytesIO) -> Iterator[PIL.Image.Image]:
             yield picture
 
 
-def linear_light(picture: PIL.Image.Image) -> Texture:
-    """Return a Pillow image as (h, w, 3) linear light.
+def linear_light(picture: PIL.Image.Image, transfer: Transfer | None = None) -> Texture:
+    """Return a Pillow image as (h, w, 3) linear light, or as another function of its codes than that of sRGB.
 
     Grey of 16 bits is taken as it is; every other mode with 8 bits, without its transparency. Of grey light the three
     channels are one array in memory, which cannot be written to.
     """
     deep = picture.mode.startswith("I;16")
-    linear_of_code = srgb_to_linear(np.arange(65536) / 65535.0 if deep else np.arange(256) / 255.0)
+    linear_of_code = (transfer or srgb_to_linear)(np.arange(65536) / 65535.0 if deep else np.arange(256) / 255.0)
     coded = np.asarray(picture if deep or picture.mode == "L" else picture.convert("RGB"))
     height, width = coded.shape[:2]
     linear = np.empty(coded.shape, np.float32)
@@ -128,3 +130,8 @@ def srgb_to_linear(coded: NDArray[np.float64]) -> Texture:
     """Undo the sRGB transfer function (IEC 61966-2-1) of values from 0 to 1."""
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear, dtype=np.float32)
+
+
+def as_coded(coded: NDArray[np.float64]) -> Texture:
+    """Return values from 0 to 1 as they are: of pictures that are no light."""
+    return np.asarray(coded, dtype=np.float32)

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import barycentric
@@ -10,6 +11,12 @@ from lfmesh.transport.events.scattering import Point, emissivity
 from lfmesh.transport.packets.random import derived, uniform
 from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
+from lfmesh.transport.tables.varied_gloss import drawn_model
+
+Array = NDArray[np.float64]
+
+VARIED = 1 << 40
+"""Number of the first facet's random numbers for its scattering model, among those that a packet's key has."""
 
 EMITTED = 1 << 24
 """Number of the random numbers of emission, among those that a packet's key has for its children."""
@@ -39,13 +46,42 @@ def point_of(
     facet = objects.facets[prim]
     normal = facet.normal
     nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
-    model = _model_in(objects.glass, objects.model[prim], packet.medium)
+    model = objects.model[prim]
+    if len(objects.varied.ranges) > 0:
+        model = _drawn_model(objects, packet, prim, model, x, y, z)
+    model = _model_in(objects.glass, model, packet.medium)
     if side < 0.0:
         model = objects.scattering.models[model].behind
     if not objects.smooth[facet.body]:
         return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
     sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
     return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
+
+
+@kernel
+def _drawn_model(objects: ObjectTables, packet: Any, prim: int, model: int, x: float, y: float, z: float) -> int:
+    """Return the row of a facet's scattering model: of one of those that a picture mixes at the point, if one does.
+
+    The random numbers belong to the packet, its event and the facet. Light that is asked for at the point and light
+    that is scattered there may follow different models: each is weighted by the densities of its own.
+
+    Parameters
+    ----------
+    packet : PACKET
+    model : int
+        Row of the model where no picture varies it.
+    """
+    varied = objects.varied
+    if varied.range_of[prim] < 0:
+        return model
+    facet = objects.facets[prim]
+    first, height, width = varied.picture[facet.body, 0], varied.picture[facet.body, 1], varied.picture[facet.body, 2]
+    row, column = _place_in(facet, varied.uv[prim], height, width, x, y, z)
+    roughness = _between_texels(varied.roughness, first, height, width, row, column)
+    metallic = _between_texels(varied.metallic, first, height, width, row, column)
+    key = derived(packet.key, VARIED + prim)
+    u, v = uniform(key, 2 * packet.events), uniform(key, 2 * packet.events + 1)
+    return drawn_model(varied, varied.range_of[prim], roughness, metallic, u, v)
 
 
 @inlined
@@ -125,7 +161,7 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
     if height == 0:
         return 1.0
     first, width = objects.texture[body, 0], objects.texture[body, 2]
-    row, column = _place_in_texture(objects, prim, x, y, z)
+    row, column = _place_in(objects.facets[prim], objects.uv[prim], height, width, x, y, z)
     left, low = int(np.floor(column)), int(np.floor(row))
     right_share, low_share = column - left, row - low
     # No views of rows: a view counts its references, which costs more than what is read.
@@ -146,15 +182,29 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
 
 
 @inlined
-def _place_in_texture(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return row and column of a facet's texture at a point, counted from the middle of the first texel."""
-    body = objects.facets[prim].body
-    b, c = barycentric(objects.facets[prim], x, y, z)
-    uv = objects.uv[prim]
+def _place_in(
+    facet: Any, uv: Array, height: int, width: int, x: float, y: float, z: float
+) -> tuple[float, float]:  # fmt: skip
+    """Return row and column of a facet's picture at a point, counted from the middle of the first texel."""
+    b, c = barycentric(facet, x, y, z)
     a = 1.0 - b - c
     u = a * uv[0, 0] + b * uv[1, 0] + c * uv[2, 0]
     v = a * uv[0, 1] + b * uv[1, 1] + c * uv[2, 1]
-    return (1.0 - v) * objects.texture[body, 1] - 0.5, u * objects.texture[body, 2] - 0.5
+    return (1.0 - v) * height - 0.5, u * width - 0.5
+
+
+@inlined
+def _between_texels(
+    values: NDArray[np.float32], first: int, height: int, width: int, row: float, column: float
+) -> float:
+    """Return a value of a picture at a place, bilinear and clamped; the values from `first` on are its texels."""
+    low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
+    j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
+    s, t = low - j, left - k
+    place = first + j * width + k
+    down, right = (width if height > 1 else 0), (1 if width > 1 else 0)
+    upper = (1.0 - t) * values[place] + t * values[place + right]
+    return (1.0 - s) * upper + s * ((1.0 - t) * values[place + down] + t * values[place + down + right])
 
 
 @kernel
@@ -171,15 +221,8 @@ def opacity_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -
     if objects.opacity[body] != BY_ALPHA:
         return objects.opacity[body]
     height, width = objects.texture[body, 1], objects.texture[body, 2]
-    row, column = _place_in_texture(objects, prim, x, y, z)
-    low, left = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
-    j, k = min(int(low), max(height - 2, 0)), min(int(left), max(width - 2, 0))
-    s, t = low - j, left - k
-    place = objects.alpha_first[body] + j * width + k
-    down, right = (width if height > 1 else 0), (1 if width > 1 else 0)
-    alpha = objects.alpha
-    upper = (1.0 - t) * alpha[place] + t * alpha[place + right]
-    return (1.0 - s) * upper + s * ((1.0 - t) * alpha[place + down] + t * alpha[place + down + right])
+    row, column = _place_in(objects.facets[prim], objects.uv[prim], height, width, x, y, z)
+    return _between_texels(objects.alpha, objects.alpha_first[body], height, width, row, column)
 
 
 @inlined

@@ -1,6 +1,5 @@
 """Scattering models of the facets of a scene: a row for each target or file's material, in each medium round it."""
 
-from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.tables.gloss_places import media_round_gloss
 from lfmesh.transport.tables.hosts import Hosts
 from lfmesh.transport.tables.scattering import ScatteringTables, scattering_tables
+from lfmesh.transport.tables.varied_gloss import VariedGloss, varied_gloss
 
 Rows = NDArray[np.int64]
 Key = tuple[int | GltfMaterial, int]
@@ -25,6 +25,7 @@ class FacetModels(NamedTuple):
     scattering: ScatteringTables
     of_facets: Rows  # (m,) row of each facet, in the first of the media round its target
     in_media: Rows  # (rows, media) row of the same surface in each medium
+    varied: VariedGloss  # gloss that a picture varies, whose first model `of_facets` tells
 
 
 def facet_models(
@@ -66,7 +67,7 @@ def facet_models(
         of_facets.append(chosen)
     return FacetModels(
         scattering, np.concatenate(of_facets).astype(np.int64),
-        _in_media(keys, hosts.media.indices, len(scattering.models)),
+        _in_media(keys, hosts.media.indices, len(scattering.models)), varied_gloss(targets, around, rows),
     )  # fmt: skip
 
 
@@ -84,11 +85,10 @@ def _in_media(keys: list[Key], indices: Array, count: int) -> Rows:
     count : int
     """
     in_media = np.tile(np.arange(count)[:, None], len(indices))
-    several = Counter(what for what, _ in keys)
+    same: dict[int | GltfMaterial, list[int]] = {}
     for row, (what, _) in enumerate(keys):
-        if several[what] == 1:
-            continue
-        for other, (its, medium) in enumerate(keys):
-            if its == what:
-                in_media[row, (indices == indices[medium]).all(axis=1)] = other
+        same.setdefault(what, []).append(row)
+    for rows in same.values():
+        for row in rows if len(rows) > 1 else ():
+            in_media[np.ix_(rows, (indices == indices[keys[row][1]]).all(axis=1))] = row
     return in_media

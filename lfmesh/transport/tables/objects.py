@@ -233,6 +233,7 @@ def object_tables(
         ),
         scattering=models.scattering,
         model=np.append(models.of_facets, np.zeros(len(housing.faces), np.int64)),
+        varied=models.varied,
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         emission_spectra=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),

@@ -5,7 +5,7 @@ A new model has its parameters in the scene's `Material`, its kind and its row h
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +75,13 @@ def scattering_tables(
         _model_of(each, share, wavelengths_nm, outer)
         for each, share, outer in zip(materials, reflectances, around, strict=False)
     ]
-    made += [
-        (BLEND, gltf_parameters(each, wavelengths_nm, outer))
-        for each, outer in zip(from_files, around[len(materials) :], strict=True)
-    ]
+    blends: dict[tuple[Any, ...], Array] = {}
+    for each, outer in zip(from_files, around[len(materials) :], strict=True):
+        # Of all metallics, which is no parameter.
+        key = each.base, each.alpha, outer.tobytes()
+        if key not in blends:
+            blends[key] = gltf_parameters(each, wavelengths_nm, outer)
+        made.append((BLEND, blends[key]))
     hot = [i for i, each in enumerate(materials) if each.temperature_k is not None]
     one_sided = [i for i in hot if materials[i].sides == "front"]
     black = len(made)
@@ -95,11 +98,14 @@ def scattering_tables(
     models["emission"][hot] = thermal + np.arange(len(hot))
     models["emission"][thermal : thermal + len(hot)] = hot
     rows: list[Array] = []
+    first: dict[int, int] = {}
     for model, (kind, parameters) in zip(models, made, strict=True):
+        if id(parameters) not in first:
+            first[id(parameters)] = len(rows)
+            rows += list(parameters)
         model["kind"] = kind
-        model["first"] = len(rows)
+        model["first"] = first[id(parameters)]
         model["black"] = not parameters.any()
-        rows += list(parameters)
     return ScatteringTables(models, np.array(rows))
 
 

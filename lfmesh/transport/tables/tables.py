@@ -11,6 +11,7 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.tables.lights import Profiles
 from lfmesh.transport.tables.scattering import ScatteringTables
+from lfmesh.transport.tables.varied_gloss import VariedGloss
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -221,6 +222,7 @@ class ObjectTables(NamedTuple):
     scattering: ScatteringTables
     # (m,) row of the scattering model of each facet, in the first of the media round its target; of the housing 0
     model: NDArray[np.int64]
+    varied: VariedGloss  # models of facets whose gloss a picture varies
     smooth: NDArray[np.bool_]  # (targets,) shaded with normals interpolated between the facets' corners
     radiance: Array  # (targets, wavelengths) W/(m² sr), which the model of emission lowers
     emission_spectra: Array  # (targets, wavelengths) radiance relative to the largest of its target

@@ -1,7 +1,8 @@
 """Polygons of mesh files, cut into triangles that cover the same area.
 
-A convex polygon becomes a fan. Any other one is cut by its ears (mapbox_earcut), so that a notch stays open. A hole
-that a polygon reaches by a cut through itself, as programs write rings, stays a hole.
+A convex polygon becomes a fan. Any other one is cut by its ears (mapbox_earcut), so that a notch stays open. Ears of
+straight corners have no area; their long edges are flipped. A hole that a polygon reaches by a cut through itself, as
+programs write rings, stays a hole.
 """
 
 from typing import NamedTuple
@@ -130,8 +131,53 @@ def _ears(polygon: Array) -> NDArray[np.int64]:
     axis = int(np.abs(normal).argmax())
     flat = np.ascontiguousarray(polygon[:, [(axis + 1) % 3, (axis + 2) % 3]])
     ears = mapbox_earcut.triangulate_float64(flat, np.array([count], np.uint32)).astype(np.int64).reshape(-1, 3)
+    ears = _without_slivers(polygon, ears)
     (ux, uy), (vx, vy) = (flat[ears[:, k]].T - flat[ears[:, 0]].T for k in (1, 2))
     area = ux * vy - uy * vx
     against = area * normal[axis] < 0.0
     ears[against] = ears[against][:, ::-1]
     return np.asarray(ears)
+
+
+def _without_slivers(polygon: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return triangles, (m, 3), that cover the same, of which none has a straight corner where that can be.
+
+    A triangle whose corner b is straight lies on its edge from a to c. With the triangle a, c, d on the other side of
+    that edge it becomes a, b, d and b, c, d.
+    """
+    straight = _middle_sines(polygon[triangles]) <= STRAIGHT
+    if not straight.any():
+        return triangles
+    made = [tuple(map(int, triangle)) for triangle in triangles]
+    owner = {edge: number for number, triangle in enumerate(made) for edge in _edges(triangle)}
+    waiting = np.flatnonzero(straight).tolist()
+    while waiting:
+        number = waiting.pop()
+        edges = _edges(made[number])
+        lengths = [float(np.linalg.norm(polygon[p] - polygon[q])) for p, q in edges]
+        c, a = edges[int(np.argmax(lengths))]
+        other = owner.get((a, c))
+        if not straight[number] or other is None or straight[other]:
+            continue
+        (b,), (d,) = set(made[number]) - {a, c}, set(made[other]) - {a, c}
+        for place, triangle in ((number, (a, b, d)), (other, (b, c, d))):
+            made[place] = triangle
+            owner |= dict.fromkeys(_edges(triangle), place)
+            straight[place] = _middle_sines(polygon[[triangle]])[0] <= STRAIGHT
+        # Those that waited for the other side of their own long edge.
+        beside = (owner.get((q, p)) for p, q in ((a, b), (b, c), (c, d), (d, a)))
+        waiting += [each for each in beside if each is not None and straight[each]]
+    return np.array(made)
+
+
+def _edges(triangle: tuple[int, ...]) -> list[tuple[int, int]]:
+    return [(triangle[k], triangle[(k + 1) % 3]) for k in range(3)]
+
+
+def _middle_sines(triangles: Array) -> Array:
+    """Return the sines of the angles that face the longest edges of triangles, (m, 3, 3); 1 where points coincide."""
+    edge = np.roll(triangles, -1, axis=1) - triangles
+    length = np.sort(np.linalg.norm(edge, axis=2), axis=1)
+    twice_area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
+    product = length[:, 0] * length[:, 1]
+    return np.divide(twice_area, product, out=np.ones_like(product), where=product > 0.0)

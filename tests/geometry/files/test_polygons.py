@@ -55,6 +55,30 @@ def test_corners_on_a_straight_edge_stay_corners():
     assert made.short == 0
 
 
+def divided(flat, shares, edges):
+    """Return a polygon with further corners on some of its edges."""
+    places = [np.linspace(0.0, 1.0, shares + 1)[:-1] if k in edges else np.zeros(1) for k in range(len(flat))]
+    ends = np.roll(flat, -1, axis=0)
+    return np.concatenate([p + t[:, None] * (q - p) for p, q, t in zip(flat, ends, places, strict=True)])
+
+
+TRIANGLE = np.array([[0, 0], [3, 0], [1, 2]], float)
+
+
+@pytest.mark.parametrize("shape", [(TRIANGLE, 4, [0]), (TRIANGLE, 5, [0, 1, 2]), (ELL, 3, range(6)), (ELL, 7, [1, 2])])
+def test_straight_corners_make_no_facet_without_area(shape):
+    """As polygons have them beside finer neighbours: whichever way rounding turns them, every corner is used."""
+    flat = divided(*shape)
+    for seed in range(100):
+        points, normal = turned(flat, seed)
+        made = cut(points, np.arange(len(points)), np.array([len(points)]))
+        found = areas(points, made.corners) @ normal * np.sign(shoelace(flat))
+        assert found.min() > 1e-6 * found.max()
+        assert found.sum() == pytest.approx(abs(shoelace(flat)), rel=1e-12)
+        assert set(made.corners.ravel().tolist()) == set(range(len(flat)))
+        assert made.short == 0
+
+
 def test_polygons_of_all_kinds_keep_their_order():
     shapes = [ELL, star(3), ELL[:3], star(8), RING, ELL[:2], ELL[[0, 1, 3, 4]]]
     points = np.concatenate([turned(flat, number)[0] for number, flat in enumerate(shapes)])

@@ -5,10 +5,9 @@ with the base colour, and of a metal whose reflectance at normal incidence is th
 α = roughness². The two parts are those of `optics.gloss`, which lose no light that facets reflect several times; the
 mixture of two reciprocal parts that gain nothing is reciprocal and gains nothing.
 
-Where a picture varies both over the surface, each point mixes the materials of a `GltfRange` that are next to it:
-those of the least and the largest metallic, which is exact, and of the two nearest roughnesses. Such a mixture is
-reciprocal and gains nothing either. Its density of facets is off by at most RATIO²/2, 1.04 %, from that of the
-roughness itself.
+A picture may vary metallic and roughness over the surface. Each point then mixes four materials of a `GltfRange`: of
+the least and the largest metallic, which is exact, and of the two nearest roughnesses. Such a mixture is reciprocal and
+gains nothing either. Its density of facets is off by at most RATIO²/2, 1.04 %, from that of the roughness itself.
 """
 
 import math

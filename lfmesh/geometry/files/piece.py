@@ -70,7 +70,7 @@ class Piece(Look):
     uv : (m, 3, 2) float64 or None
         Place in the picture of each facet's corners; (0, 0) is its bottom left; `wrap` tells what lies outside 0..1.
     gloss : GlossPicture or None
-        Of `material`, whose metallic and roughness it multiplies.
+        Multiplies metallic and roughness of `material`.
     colours : (m, 3, 3) float64 or None
         Colours at each facet's corners, linear, that multiply the factor; (m, 3, 4) with their alpha.
     called : str

@@ -140,9 +140,9 @@ def _ears(polygon: Array) -> NDArray[np.int64]:
 
 
 def _without_slivers(polygon: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return triangles, (m, 3), that cover the same, of which none has a straight corner where that can be.
+    """Return triangles, (m, 3), that cover the same area without straight corners, where that is possible.
 
-    A triangle whose corner b is straight lies on its edge from a to c. With the triangle a, c, d on the other side of
+    A triangle with a straight corner b lies on its edge from a to c. With the triangle a, c, d on the other side of
     that edge it becomes a, b, d and b, c, d.
     """
     straight = _middle_sines(polygon[triangles]) <= STRAIGHT

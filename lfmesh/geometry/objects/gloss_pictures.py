@@ -41,7 +41,7 @@ class GlossOnFacets(NamedTuple):
 
 
 def without_even_gloss(piece: Piece) -> Piece:
-    """Return a piece whose picture of metallic and roughness, if it is the same all over, is in its material."""
+    """Return a piece with its picture of metallic and roughness in its material, if it is the same all over."""
     if piece.gloss is None or piece.material is None:
         return replace(piece, gloss=None)
     factors = piece.gloss.picture[0, 0].astype(np.float64)

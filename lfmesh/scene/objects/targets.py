@@ -161,9 +161,9 @@ class Target(BodyFile):
     shape: Shape | None = None
     """A primitive shape. Or give `file`."""
     materials: Literal["file", "colours", "ignore"] | None = None
-    """Use of the mesh file's own materials. "file": those of a glTF file whole, base colour, metallic,
-    roughness and alpha, facet by facet. Then the target has no `material`. "colours": their base colours and pictures
-    alone, which multiply the reflectance and the radiance of `material`. Its own texture replaces them. "ignore":
+    """Use of the mesh file's own materials. "file": those of a glTF file whole, base colour, metallic, roughness and
+    alpha, with their pictures. Then the target has no `material`. "colours": their base colours and the pictures of
+    these alone, which multiply the reflectance and the radiance of `material`. Its own texture replaces them. "ignore":
     nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
     else "colours"."""
     normals: Literal["file", "facets"] = "file"

@@ -1,12 +1,30 @@
 """Glasses that lens files name: found in the catalogue or refused, never guessed."""
 
 import math
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 
 from lfmesh.errors import GlassError, SceneError
-from lfmesh.optics.glass import D_LINE_NM, MAKERS, find_glass, glass_in_words, is_glass, material_page, refractive_index
+from lfmesh.optics.glass import (
+    C_LINE_NM,
+    D_LINE_NM,
+    F_LINE_NM,
+    MAKERS,
+    OTHER_GLASS,
+    SUCCESSORS_OFF,
+    find_glass,
+    former_index,
+    glass_in_words,
+    glass_name,
+    is_glass,
+    line_indices,
+    material_page,
+    near_glasses,
+    refractive_index,
+    successor,
+)
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
@@ -22,8 +40,16 @@ Medium = float | str | OwnGlass
 """Index without dispersion, name of a catalogue glass, or a glass by its dispersion."""
 
 
+Stated = tuple[float, float | None]
+"""n_d, and the Abbe number where it is given, beside a glass's name."""
+
 SPECIAL = "_SPECIAL"
 """Suffix that CODE V writes behind a material that is in no maker's catalogue."""
+
+_FORMER = "SCHOTT's former glass"
+
+_FORMER_NAME = re.compile(r"[A-Z]{1,5}[0-9]{1,3}[A-Z]?")
+"""Names before makers marked their new glasses by a letter and a hyphen: BK7, LAKN12, SSK4A."""
 
 
 def _material(name: str) -> tuple[str, str] | None:
@@ -34,36 +60,45 @@ def _material(name: str) -> tuple[str, str] | None:
     return page, f"{name}: no maker's glass; taken as {glass_in_words(page)} of the catalogue"
 
 
-def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
+def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) -> tuple[str, str]:
     """Return the catalogue's name of a glass, and what to say where it is not from one of the file's catalogues.
 
     Parameters
     ----------
     name : str
-        As the file writes it: "N-BK7", "NBK7_SCHOTT".
+        As the file writes it: "N-BK7", "NBK7_SCHOTT", "BK7".
     catalogues : list of str
         Makers whose glasses the file uses, the first first; empty where it does not say.
+    stated : tuple of float and float or None, optional
+        n_d and Abbe number beside the name. They tell apart the glasses that share the name. They do not overrule the
+        name, since files often hold those of an earlier glass.
 
     Raises
     ------
     GlassError
-        There is no such glass; the message names close ones.
+        There is no such glass, or the name means several; the message names the remedy.
     """
     name = name[: -len(SPECIAL)] if name.upper().endswith(SPECIAL) else name
-    for maker in catalogues:
-        if is_glass(full := f"{maker}/{name}"):
-            return full, ""
-    _refuse_ambiguous(name)
-    try:
-        find_glass(name)
-    except GlassError:
-        if (material := _material(name)) is not None:
-            return material
-        stem, _, maker = name.partition("_")
-        if maker.upper() not in MAKERS:
-            raise
-        # Names close to a CODE V name are found by maker and glass.
-        find_glass(f"{maker}/{stem}")
+    stem, _, maker = name.partition("_")
+    if "/" in name:
+        maker, _, stem = name.partition("/")
+    if maker.upper() in MAKERS and is_glass(name):
+        return name, ""
+    if maker.upper() == "SCHOTT" and (heir := successor(stem)):
+        return _succeeded(stem, heir, stated)
+    if options := _of_catalogues(name, catalogues, stated):
+        heir = successor(name)
+        if options[0] != heir:
+            return options[0], ""
+        alike = [each for each in options[1:] if _off(each, heir) <= OTHER_GLASS]
+        if alike:
+            return alike[0], ""
+        if not is_glass(name):
+            return _succeeded(name, heir, stated)
+    if found := _meant(name, catalogues, stated):
+        return found
+    if not is_glass(name):
+        return _not_found(name, stated)
     if not catalogues:
         # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
         own = "/" in name or find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
@@ -71,19 +106,153 @@ def named_glass(name: str, catalogues: list[str]) -> tuple[str, str]:
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
 
 
-def _refuse_ambiguous(name: str) -> None:
-    """Raise if a name without a maker means glasses that differ, SCHOTT's successor of an old one among them."""
-    found: dict[str, float] = {}
-    for full in filter(is_glass, (*(f"{maker}/{name}" for maker in MAKERS), f"SCHOTT/N-{name}")):
-        # Not one whose data do not reach that line.
-        with suppress(GlassError):
-            found[full] = refractive_index(full, D_LINE_NM)
+def glass_code(name: str, stated: Stated | None = None) -> tuple[float, float] | None:
+    """Return n_d and Abbe number of a six-digit glass code, 1.517 and 64.2 for "517642"; None for other names.
+
+    Parameters
+    ----------
+    name : str
+    stated : tuple of float and float or None, optional
+        n_d and Abbe number beside the code. They have more digits, and are taken where they round to it.
+    """
+    if not re.fullmatch(r"[0-9]{6}", name) or not int(name[3:]):
+        return None
+    index, abbe = 1.0 + int(name[:3]) / 1000.0, int(name[3:]) / 10.0
+    if stated is not None and stated[1] is not None and abs(stated[0] - index) < 1e-3 and abs(stated[1] - abbe) < 0.1:
+        return stated[0], stated[1]
+    return index, abbe
+
+
+def _of_catalogues(name: str, catalogues: list[str], stated: Stated | None) -> list[str]:
+    """Return the glasses of this name in the file's catalogues; those of the stated n_d alone where there are any.
+
+    SCHOTT's former glasses are in its catalogue by their successors.
+    """
+    found = []
+    for maker in catalogues:
+        if is_glass(full := f"{maker}/{name}"):
+            found.append(full)
+        elif maker == "SCHOTT" and (heir := successor(name)):
+            found.append(heir)
+        elif maker == "SCHOTT" and former_index(name) is not None:
+            # Older files mean the former glass, newer ones that of a later catalogue.
+            break
+    return [each for each in found if _fits(each, stated)] or found
+
+
+def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str, str] | None:
+    """Return the glass of a bare name that only n_d or SCHOTT's custom decides; None where the name is enough.
+
+    Raises
+    ------
+    GlassError
+        Makers use the name for different glasses, and n_d does not tell which.
+    """
+    if "/" in name or "_" in name:
+        return None
+    makers = [full for maker in MAKERS if is_glass(full := f"{maker}/{name}")]
+    # Not one whose data do not reach that line.
+    found = {full: lines[1] for full in makers if (lines := line_indices(full)) is not None}
+    heir, former = successor(name), former_index(name)
+    words = {full: f"{full} (nd = {index:.5f})" for full, index in found.items()}
+    if former is not None:
+        key = heir or _FORMER
+        found[key] = former
+        words[key] = f"{f'{heir} for ' if heir else ''}SCHOTT's former {name} (nd = {former:.5f})"
     if found and max(found.values()) - min(found.values()) > SAME:
-        listed = ", ".join(f"{glass} (nd = {index:.5f})" for glass, index in found.items())
-        raise GlassError(
-            f"glass {name!r} means different glasses: {listed}; name the maker in the file (GCAT), or give --glass "
-            f"{name}={next(iter(found))} or camera.lens.substitutes"
-        )
+        fits = [full for full, index in found.items() if stated and abs(index - stated[0]) <= OTHER_GLASS]
+        if not fits or max(found[full] for full in fits) - min(found[full] for full in fits) > SAME:
+            choice = next((full for full in found if full != _FORMER), "GLASS")
+            raise GlassError(
+                f"glass {name!r} means different glasses: {', '.join(words.values())}; name the maker in the file, or "
+                f"{_remedy(name, choice)}"
+            )
+        if fits[0] != _FORMER:
+            if fits[0] == heir:
+                return _succeeded(name, heir, stated)
+            return fits[0], f"several glasses have the name {name}; its nd tells that it is {glass_in_words(fits[0])}"
+        return _by_indices(name, stated) or _not_found(name, stated)
+    if heir and not makers and (not catalogues or _fits(heir, stated)) and not is_glass(name):
+        return _succeeded(name, heir, stated)
+    return None
+
+
+def _succeeded(name: str, heir: str, stated: Stated | None) -> tuple[str, str]:
+    """Return SCHOTT's successor of a former glass, and say by how much the two differ."""
+    said = f"SCHOTT's former {name}; taken as its successor {glass_in_words(heir)}"
+    if stated is not None and abs(stated[0] - refractive_index(heir, D_LINE_NM)) <= UNLIKE:
+        return heir, f"{said}, {_apart(heir, stated)}"
+    return heir, f"{said}, whose index at F, d and C differs by at most {SUCCESSORS_OFF:g}"
+
+
+def _by_indices(name: str, stated: Stated | None) -> tuple[str, str] | None:
+    """Return the glass that continues a former name, or any melt, with the stated n_d and Abbe number; None without."""
+    bare = name.partition("_")[0].upper()
+    if stated is None or not stated[1] or not _FORMER_NAME.fullmatch(bare):
+        return None
+    index, dispersion = stated[0], (stated[0] - 1.0) / stated[1]
+    for limit, ending in ((OTHER_GLASS, f"-{bare}"), (SAME, "")):
+        off, glass = next(iter(near_glasses(index, dispersion, ending)), (math.inf, ""))
+        if off <= limit:
+            return glass, f"{name} is in no catalogue; by its nd and Vd taken as {glass_in_words(glass)}, " + _apart(
+                glass, stated
+            )
+    return None
+
+
+def _not_found(name: str, stated: Stated | None) -> tuple[str, str]:
+    """Return the crystal, plastic or glass of the same indices that a name means, which no maker has as a glass.
+
+    Raises
+    ------
+    GlassError
+        There is none; the message names the nearest glass and the remedy.
+    """
+    if (found := _material(name) or _by_indices(name, stated)) is not None:
+        return found
+    stem, _, maker = name.partition("_")
+    try:
+        # Names close to a CODE V name are found by maker and glass.
+        return glass_name(f"{maker}/{stem}" if maker.upper() in MAKERS else name), ""
+    except GlassError as error:
+        said = str(error)
+    if stated is not None and stated[1]:
+        _, nearest = near_glasses(stated[0], (stated[0] - 1.0) / stated[1])[0]
+        said += f"; nearest to its nd and Vd is {glass_in_words(nearest)}, {_apart(nearest, stated)}"
+    raise GlassError(f"{said}; {_remedy(name)}")
+
+
+def _remedy(name: str, glass: str = "GLASS") -> str:
+    return f"give --glass {name}={glass} or camera.lens.substitutes"
+
+
+def _fits(glass: str, stated: Stated | None) -> bool:
+    """Return whether a file's n_d is that of a glass."""
+    lines = line_indices(glass)
+    return stated is not None and lines is not None and abs(lines[1] - stated[0]) <= OTHER_GLASS
+
+
+def _off(glass: str, other: str) -> float:
+    """Return the largest difference of two glasses of the catalogue at F, d and C."""
+    pair = line_indices(glass), line_indices(other)
+    if pair[0] is None or pair[1] is None:
+        return math.inf
+    return max(abs(a - b) for a, b in zip(pair[0], pair[1], strict=True))
+
+
+def _apart(glass: str, stated: Stated) -> str:
+    """Say by how much the index of a catalogue glass is above that which n_d and the Abbe number of a file tell."""
+    lines = line_indices(glass)
+    assert lines is not None
+    if stated[1]:
+        with suppress(SceneError, GlassError):
+            normal = OwnGlass(nd=stated[0], vd=stated[1])
+            f, d, c = (
+                here - normal.index_at(line)
+                for here, line in zip(lines, (F_LINE_NM, D_LINE_NM, C_LINE_NM), strict=True)
+            )
+            return f"whose index differs by {f:+.5f} at F, {d:+.5f} at d and {c:+.5f} at C (F, C: of a normal glass)"
+    return f"whose index differs by {lines[1] - stated[0]:+.5f} at d"
 
 
 def formula_glass(formula: str, coefficients: list[float]) -> tuple[Medium, str]:

@@ -17,7 +17,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.clear_apertures import apertures_mm, stop_radius_mm, without_crossings
 from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.imports.decentres import START, Place, gaps, straightened
-from lfmesh.imports.glasses import Medium, model_glass, named_glass, unlike
+from lfmesh.imports.glasses import Medium, glass_code, model_glass, named_glass, unlike
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.surface_coatings import lens_coatings
@@ -220,6 +220,8 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
         if surface.is_break:
             media.append(media[-1] if media else None)
             continue
+        stated = None if surface.stated_index is None else (surface.stated_index, surface.stated_abbe)
+        model = surface.model if surface.glass is None else glass_code(surface.glass, stated)
         medium: Medium | None = None
         at, text = surface.glass_line or (surface.line, surface.text)
         try:
@@ -229,16 +231,14 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
                 report.add(at, text, Verdict.APPROXIMATED, f"{surface.glass}: {given} as asked for")
             elif surface.glass in prescription.indices:
                 medium = prescription.indices[surface.glass]
+            elif model is not None:
+                medium = model_glass(*model, prescription.wavelengths_nm)
+                if model[1]:
+                    report.add(at, text, Verdict.APPROXIMATED, "the normal glass of its nd and Vd")
             elif surface.glass is not None:
-                found, doubt = named_glass(surface.glass, prescription.makers)
+                found, doubt = named_glass(surface.glass, prescription.makers, stated)
                 medium = glass_name(found)
-                doubts = [doubt, unlike(found, surface.stated_index) if surface.stated_index is not None else ""]
-                for how in filter(None, doubts):
-                    report.add(at, text, Verdict.APPROXIMATED, how)
-            elif surface.model is not None:
-                medium = model_glass(*surface.model, prescription.wavelengths_nm)
-                if surface.model[1]:
-                    how = "the normal glass of its nd and Vd"
+                for how in filter(None, (doubt, unlike(found, stated[0]) if stated is not None else "")):
                     report.add(at, text, Verdict.APPROXIMATED, how)
         except GlassError as error:
             report.refuse(at, text, str(error))

@@ -208,11 +208,12 @@ def _fill(surface: FileSurface, values: Mapping[str, str]) -> None:
     index = number(values["index"]) if "index" in values else None
     if index == 1.0 and name.lower() in _AIR:
         return
+    abbe = number(values["abbe"]) if "abbe" in values else None
     try:
-        known = bool(name) and bool(named_glass(name, []))
+        known = bool(name) and bool(named_glass(name, [], None if index is None else (index, abbe)))
     except GlassError:
         known = False
     if known or index is None:
-        surface.glass, surface.stated_index = name, index
+        surface.glass, surface.stated_index, surface.stated_abbe = name, index, abbe
     else:
-        surface.model = index, number(values.get("abbe", "0"))
+        surface.model = index, abbe or 0.0

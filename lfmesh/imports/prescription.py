@@ -38,6 +38,8 @@ class FileSurface:
     """nd and Vd in place of a name."""
     stated_index: float | None = None
     """nd that the file gives beside the name."""
+    stated_abbe: float | None = None
+    """Vd that the file gives beside the name."""
     conic: float = 0.0
     asphere: list[float] = field(default_factory=list)
     """Coefficients of r⁴, r⁶, ..."""

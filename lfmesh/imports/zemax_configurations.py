@@ -42,7 +42,8 @@ def _glass(surface: FileSurface, value: str) -> None:
     name = value.strip('"')
     if name.upper() == "MIRROR":
         raise ValueError("mirrors are not supported: the lens refracts")
-    surface.glass, surface.model, surface.stated_index = name or None, None, None
+    surface.glass, surface.model = name or None, None
+    surface.stated_index = surface.stated_abbe = None
 
 
 _OF_SURFACES: dict[str, Setter] = {

@@ -154,7 +154,7 @@ class SurfaceReader:
             surface.glass = name
             # Files of catalogue glasses carry 1.5 and 40 where the program never wrote what it knows.
             if values and values[0] not in (0.0, 1.5):
-                surface.stated_index = values[0]
+                surface.stated_index, surface.stated_abbe = values[0], values[1] or None
         self._taken(self._solve(["2"] if len(words) > 1 and words[1] == "2" else []))
 
     def _on_coni(self, words: list[str]) -> None:

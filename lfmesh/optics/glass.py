@@ -9,6 +9,7 @@ what the catalogue knows of their internal transmittance.
 
 import difflib
 import math
+import re
 from functools import cache
 from typing import Any, Protocol
 
@@ -21,6 +22,21 @@ F_LINE_NM, D_LINE_NM, C_LINE_NM = 486.1327, 587.5618, 656.2725
 
 SAME_INDEX = 1e-5
 """Difference of index up to which two makers' glasses are one: catalogues print five digits."""
+
+OTHER_GLASS = 5e-4
+"""Difference of index at F, d or C above which two glasses of one name are different ones."""
+
+SUCCESSORS_OFF = 4e-4
+"""Bound of the difference in index between SCHOTT's glasses N-BK7, N-LAK12, ... and their predecessors BK7, LAKN12, ...
+
+Robb and Mercado (Applied Optics 22, 1198, 1983) give the dispersion of the former catalogue. Of its names 50 have a
+successor today; their indices at F, d and C differ by at most 3.1e-4 (LAF21), the next by 1.4e-4, half of them by
+less than 3e-5."""
+
+FORMER = {"BAF5": (1.60729, 49.4), "BK6": (1.53113, 62.1), "BK8": (1.52015, 63.6), "F7": (1.62536, 35.6)}
+"""n_d and Abbe number of SCHOTT's former glasses without a successor whose names are another maker's glass today.
+
+Source as for `SUCCESSORS_OFF`."""
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
 """Makers in the order in which their glasses are proposed where several have the name."""
@@ -47,6 +63,9 @@ ordinary rays."""
 
 Page = tuple[str, str, str]
 """Shelf, book and page: how the catalogue files a material."""
+
+Lines = tuple[float, float, float]
+"""Indices at F, d and C."""
 
 
 class Dispersion(Protocol):
@@ -77,15 +96,15 @@ def refractive_index(medium: Medium, wavelength_nm: float) -> float:
     ----------
     medium : float, str, Dispersion or None
         An index (returned as it is), a glass name ("SCHOTT/N-BK7", "HIKARI/SK16", "OHARA/S-BSL7", as CODE V writes
-        it "NBK7_SCHOTT", or the bare name where all makers that have it give the same indices; "shelf/book/page"
-        reaches the rest of the catalogue), a glass by its dispersion, or None for air (1.0).
+        it "NBK7_SCHOTT", or the bare name where all makers that have or had it give the same indices;
+        "shelf/book/page" reaches the rest of the catalogue), a glass by its dispersion, or None for air (1.0).
     wavelength_nm : float
 
     Raises
     ------
     GlassError
-        The catalogue has no such glass (the message names close ones), makers have it with different indices, its data
-        do not reach the wavelength (the message gives their range), or an index is not above 0.
+        The catalogue has no such glass (the message names close ones), makers use the name for different glasses, its
+        data do not reach the wavelength (the message gives their range), or an index is not above 0.
     """
     if medium is None:
         return AIR
@@ -180,7 +199,74 @@ def is_glass(name: str) -> bool:
         As in `refractive_index`.
     """
     pages = _pages(name)
-    return len(pages) == 1 or (len(pages) > 1 and _are_one_glass(pages))
+    one = len(pages) == 1 or (len(pages) > 1 and _are_one_glass(pages))
+    return one and not _other_former(name, pages)
+
+
+def successor(name: str) -> str | None:
+    """Return SCHOTT's glass of today in place of a former one: "SCHOTT/N-BK7" for "BK7"; None where there is none.
+
+    The former catalogue marked some glasses by an N before the number, so that "SCHOTT/N-LAK12" follows "LAKN12".
+
+    Parameters
+    ----------
+    name : str
+        Without maker.
+    """
+    former = name.strip().upper()
+    names = (f"SCHOTT/N-{stem}" for stem in (former, re.sub(r"(?<=[A-Z])N(?=\d)", "", former)))
+    return next((_short(page) for each in names for page in _catalogue().get(each, [])), None)
+
+
+def former_index(name: str) -> float | None:
+    """Return n_d of the glass that SCHOTT once sold under a bare name; None where it is not known.
+
+    Parameters
+    ----------
+    name : str
+        Without maker.
+    """
+    heir = successor(name)
+    if heir is not None:
+        return refractive_index(heir, D_LINE_NM)
+    return FORMER.get(name.strip().upper(), (None,))[0]
+
+
+def line_indices(name: str) -> Lines | None:
+    """Return the indices of a catalogue glass at the lines F, d and C; None where its data do not reach these.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    GlassError
+        As in `refractive_index`.
+    """
+    return _visible(_find(name))
+
+
+def near_glasses(index_d: float, dispersion: float, ending: str = "") -> list[tuple[float, str]]:
+    """Return the glasses of all makers in order of their distance from n_d and n_F − n_C, each behind its distance.
+
+    The distance is the larger one of the two differences. Equal ones stand in the order of `MAKERS`.
+
+    Parameters
+    ----------
+    index_d : float
+    dispersion : float
+        n_F − n_C.
+    ending : str
+        Ending of the names, in upper case: "-ZK3" finds "CDGM/H-ZK3".
+    """
+    found = []
+    for page in sorted({page for pages in _catalogue().values() for page in pages if page[0] == "specs"}, key=_rank):
+        lines = _visible(page) if _maker(page) in MAKERS and page[2].upper().endswith(ending) else None
+        if lines is not None:
+            f, d, c = lines
+            found.append((max(abs(d - index_d), abs(f - c - dispersion)), page))
+    return [(off, _short(page)) for off, page in sorted(found, key=lambda each: each[0])]
 
 
 def material_page(name: str) -> str | None:
@@ -292,13 +378,28 @@ def _find(name: str) -> Page:
     pages = _pages(name)
     if not pages:
         raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")
-    if len(pages) == 1:
-        return pages[0]
     best = sorted(pages, key=_rank)
-    if not _are_one_glass(pages):
-        choices = " or ".join(f"{_short(page)!r}{_in_brackets(page)}" for page in best)
-        raise GlassError(f"glass {name!r}: {len(pages)} glasses of different index have this name; say {choices}")
+    former = _other_former(name, pages)
+    if former or not (len(pages) == 1 or _are_one_glass(pages)):
+        choices = " or ".join([*(f"{_short(page)!r}{_in_brackets(page)}" for page in best), *former])
+        count = len(pages) + len(former)
+        raise GlassError(f"glass {name!r}: {count} glasses of different index have this name; say {choices}")
     return best[0]
+
+
+def _other_former(name: str, pages: list[Page]) -> list[str]:
+    """Describe SCHOTT's former glass of a bare name where makers use the name for another glass today."""
+    known = [_visible(page) for page in pages if page[0] == "specs"]
+    if "/" in name or any(_maker(page) == "SCHOTT" for page in pages):
+        return []
+    index = former_index(name)
+    if index is None or not any(lines is not None and abs(lines[1] - index) > OTHER_GLASS for lines in known):
+        return []
+    heir = successor(name)
+    if heir is None:
+        nd, abbe = FORMER[name.strip().upper()]
+        return [f"nd = {nd:.5f} and vd = {abbe:g} for SCHOTT's former glass"]
+    return [f"{heir!r}{_in_brackets(_find(heir))} for SCHOTT's former glass"]
 
 
 @cache
@@ -331,7 +432,7 @@ def _rank(page: Page) -> tuple[int, Page]:
 
 
 @cache
-def _visible(page: Page) -> tuple[float, float, float] | None:
+def _visible(page: Page) -> Lines | None:
     """Return the indices of a page at the lines F, d and C; None where its data do not reach these."""
     name = "/".join(page)
     try:

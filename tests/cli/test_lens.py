@@ -52,11 +52,11 @@ def test_a_lens_without_lines_of_another_program_says_nothing_of_lines(tmp_path:
 
 
 def test_a_glass_may_be_replaced_in_conversion(tmp_path: Path, capsys):
-    (tmp_path / "in.seq").write_text(SINGLET_SEQ.replace("NBK7_SCHOTT", "BK7_SCHOTT"))
+    (tmp_path / "in.seq").write_text(SINGLET_SEQ.replace("NBK7_SCHOTT", "BK77_SCHOTT"))
     words = ["lens", "convert", str(tmp_path / "in.seq"), str(tmp_path / "out.zmx")]
     assert main(words) == 2
     assert "SCHOTT/N-BK7" in capsys.readouterr().err
-    assert main([*words, "--glass", "BK7_SCHOTT=SCHOTT/N-BK7"]) == 0
+    assert main([*words, "--glass", "BK77_SCHOTT=SCHOTT/N-BK7"]) == 0
     assert load_lens(tmp_path / "out.zmx").surfaces[0].glass == "SCHOTT/N-BK7"
 
 

@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import GlassError
-from lfmesh.optics.glass import _catalogue, absorption_per_mm, find_glass, glass_in_words, refractive_index
+from lfmesh.optics.glass import (
+    FORMER,
+    MAKERS,
+    OTHER_GLASS,
+    _catalogue,
+    absorption_per_mm,
+    find_glass,
+    former_index,
+    glass_in_words,
+    is_glass,
+    refractive_index,
+)
 
 LINES = (486.1327, 587.5618, 656.2725)
 
@@ -164,3 +175,37 @@ def test_a_glass_without_internal_transmittance_is_not_clear_but_refused() -> No
     refractive_index("LZOS/K8", 587.6)
     with pytest.raises(GlassError, match="no internal transmittance of it"):
         absorption_per_mm("LZOS/K8", 587.6)
+
+
+def test_a_bare_name_means_one_glass_whoever_used_it() -> None:
+    """Over all names of makers: a name that is taken has the index of each maker's glass and of SCHOTT's former one."""
+    bare = {name for name, pages in _catalogue().items() if "/" not in name and any(p[0] == "specs" for p in pages)}
+    refused = set()
+    for name in bare:
+        own = [f"{maker}/{name}" for maker in MAKERS if is_glass(f"{maker}/{name}")]
+        try:
+            indices = [refractive_index(each, LINES[1]) for each in own]
+        except GlassError:
+            # Infrared glasses, whose data do not reach the d line.
+            continue
+        former = None if any(each.startswith("SCHOTT/") for each in own) else former_index(name)
+        indices += [] if former is None else [former]
+        if indices and np.ptp(indices) > OTHER_GLASS:
+            refused.add(name)
+            assert not is_glass(name)
+    assert {"BK10", "F1", "F4"} <= refused
+    assert set(FORMER) <= refused
+
+
+@pytest.mark.parametrize(
+    ("name", "today", "former"),
+    [
+        ("BK6", 1.53998, "nd = 1.53113 and vd = 62.1 for SCHOTT's former glass"),
+        ("BK10", 1.56889, r"'SCHOTT/N-BK10' \(nd 1.49782, Vd 66.95\) for SCHOTT's former glass"),
+        ("f7", 1.63636, "nd = 1.62536 and vd = 35.6 for SCHOTT's former glass"),
+    ],
+)
+def test_a_bare_name_that_another_maker_uses_for_another_glass_is_refused_with_both(name, today, former) -> None:
+    both = rf"2 glasses of different index have this name; say '\w+/{name.upper()}' \(nd {today:.5f}, .* or {former}"
+    with pytest.raises(GlassError, match=both):
+        find_glass(name)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from lfmesh.errors import SceneError
-from lfmesh.imports.prescription import KeptSurfaces, Prescription
+from lfmesh.imports.prescription import FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.scene.camera.lens import Surface, gap_round_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
@@ -88,16 +88,20 @@ def apertures_mm(
         curvatures = tuple((s.curvature_x if s.section else s.vertex_curvature) / unit for s in made.kept)
         across = _needed_mm(prescription, made, replace(paraxial, curvatures=curvatures), stop_mm)
         needed = [max(sizes) for sizes in zip(needed, across, strict=True)]
+    axial = paraxial.heights_mm(paraxial.marginal_ray(made.object_mm, stop_mm))
     apertures, computed = [], []
     for i, (surface, size) in enumerate(zip(made.kept, given, strict=True)):
+        reach = unit * min(_reach(surface.curvature, surface.conic), _reach(surface.curvature_x, surface.conic_x))
         if i == paraxial.stop:
             apertures.append(stop_mm)
         elif size:
             apertures.append(size * unit)
         else:
-            reach = unit * min(_reach(surface.curvature, surface.conic), _reach(surface.curvature_x, surface.conic_x))
             apertures.append(min(needed[i] * (1 + MARGIN), 0.999 * reach))
             computed.append(str(i))
+        if i != paraxial.stop and apertures[-1] > reach:
+            _end_at(reach, apertures[-1], abs(axial[i]), surface, report)
+            apertures[-1] = reach
         end = surface.forbes[1] * unit if surface.forbes and surface.forbes[0] == "qbfs" else math.inf
         if apertures[-1] > end:
             how = f"clear aperture of surface {i}: {end:.6g} mm, where its terms end, not {apertures[-1]:.6g} mm"
@@ -109,6 +113,16 @@ def apertures_mm(
             f"paraxial marginal and chief rays, with {MARGIN:.0%} to spare"
         )
     return apertures
+
+
+def _end_at(reach: float, size: float, beam: float, surface: FileSurface, report: Report) -> None:
+    """Say that a clear aperture ends with its surface; refuse the surface where it ends inside the axial beam."""
+    if beam < reach:
+        how = f"semi-diameter {size:.6g} mm: the surface ends {reach:.6g} mm from the axis, which is taken"
+        report.add(surface.line, surface.text, Verdict.APPROXIMATED, how)
+    else:
+        why = f"the surface ends {reach:.6g} mm from the axis, within the beam of {beam:.6g} mm radius"
+        report.refuse(surface.line, surface.text, why)
 
 
 def _reach(curvature: float, conic: float) -> float:
@@ -169,7 +183,11 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
         if not free or not sizes:
             continue
         radius = _radius_of_contact(front, back, min(sizes))
-        if radius < min(sizes):
+        if radius == 0.0:
+            first, second = made.kept[i : i + 2]
+            why = f"it crosses the next surface, line {second.line}, beside the axis; {front.thickness_mm:g} mm apart"
+            report.refuse(first.line, first.text, why)
+        elif radius < min(sizes):
             for k in free:
                 surfaces[k] = {**surfaces[k], "semi_diameter_mm": min(radius, shaped[k].semi_diameter_mm or radius)}
             how = (

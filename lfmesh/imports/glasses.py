@@ -98,7 +98,7 @@ def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) 
     if found := _meant(name, catalogues, stated):
         return found
     if not is_glass(name):
-        return _not_found(name, stated)
+        return _not_found(name, catalogues, stated)
     if not catalogues:
         # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
         own = "/" in name or find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
@@ -171,7 +171,7 @@ def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str
             if fits[0] == heir:
                 return _succeeded(name, heir, stated)
             return fits[0], f"several glasses have the name {name}; its nd tells that it is {glass_in_words(fits[0])}"
-        return _by_indices(name, stated) or _not_found(name, stated)
+        return _by_indices(name, stated) or _not_found(name, catalogues, stated)
     if heir and not makers and (not catalogues or _fits(heir, stated)) and not is_glass(name):
         return _succeeded(name, heir, stated)
     return None
@@ -192,7 +192,7 @@ def _by_indices(name: str, stated: Stated | None) -> tuple[str, str] | None:
         return None
     index, dispersion = stated[0], (stated[0] - 1.0) / stated[1]
     for limit, ending in ((OTHER_GLASS, f"-{bare}"), (SAME, "")):
-        off, glass = next(iter(near_glasses(index, dispersion, ending)), (math.inf, ""))
+        off, glass = next(iter(near_glasses(index, dispersion, ending=ending)), (math.inf, ""))
         if off <= limit:
             return glass, f"{name} is in no catalogue; by its nd and Vd taken as {glass_in_words(glass)}, " + _apart(
                 glass, stated
@@ -200,13 +200,13 @@ def _by_indices(name: str, stated: Stated | None) -> tuple[str, str] | None:
     return None
 
 
-def _not_found(name: str, stated: Stated | None) -> tuple[str, str]:
+def _not_found(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str, str]:
     """Return the crystal, plastic or glass of the same indices that a name means, which no maker has as a glass.
 
     Raises
     ------
     GlassError
-        There is none; the message names the nearest glass and the remedy.
+        There is none; the message names the remedy, and the nearest glass of the file's makers.
     """
     if (found := _material(name) or _by_indices(name, stated)) is not None:
         return found
@@ -217,7 +217,8 @@ def _not_found(name: str, stated: Stated | None) -> tuple[str, str]:
     except GlassError as error:
         said = str(error)
     if stated is not None and stated[1]:
-        _, nearest = near_glasses(stated[0], (stated[0] - 1.0) / stated[1])[0]
+        makers = [each for each in MAKERS if each in catalogues] or ["SCHOTT"]
+        _, nearest = near_glasses(stated[0], (stated[0] - 1.0) / stated[1], makers)[0]
         said += f"; nearest to its nd and Vd is {glass_in_words(nearest)}, {_apart(nearest, stated)}"
     raise GlassError(f"{said}; {_remedy(name)}")
 

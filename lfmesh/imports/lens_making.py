@@ -17,6 +17,7 @@ from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.clear_apertures import apertures_mm, stop_radius_mm, without_crossings
 from lfmesh.imports.conditions import Conditions, FieldPoint
 from lfmesh.imports.decentres import START, Place, gaps, straightened
+from lfmesh.imports.file_words import file_fault
 from lfmesh.imports.glasses import Medium, glass_code, model_glass, named_glass, unlike
 from lfmesh.imports.prescription import FAR_MM, FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
@@ -26,6 +27,7 @@ from lfmesh.scene.camera.lens import FileChoices, Lens, Surface
 from lfmesh.scene.first_order.paraxial import Paraxial
 from lfmesh.scene.literals import plain
 from lfmesh.scene.materials.matter import Matter
+from lfmesh.scene.quantities import LARGEST
 
 OFF_MM = 1e-9
 """Largest deviation of a surface after its term in r² was rewritten."""
@@ -120,6 +122,8 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     f_number = value if of_infinity else None
     stop_mm = stop_radius_mm(prescription, made, paraxial, report)
     apertures = apertures_mm(prescription, made, paraxial, stop_mm, report)
+    report.raise_refusals()
+    _note_telecentric(prescription, paraxial, stop_mm, report)
     for surface, aperture in zip(made.kept, apertures, strict=True):
         if surface.rewritten is None:
             continue
@@ -145,8 +149,10 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
         air: dict[str, object] = {"index": AIR} if i == 0 and media[0] is not None and made.media[0] is None else {}
         values = given | _shape(surface, unit) | (air or _medium_keys(made.media[i]))
         surfaces.append({key: value for key, value in values.items() if value is not None})
+    _refuse_faulty(surfaces, made, report)
+    surfaces = without_crossings(surfaces, made, report)
+    report.raise_refusals()
     try:
-        surfaces = without_crossings(surfaces, made, report)
         lens = Lens(
             name=prescription.name or None,
             source=prescription.source or None,
@@ -157,9 +163,18 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             object_medium=None if media[0] is None else Matter(**_medium_keys(media[0])),
         )
     except SceneError as error:
-        raise SceneError(f"{report.path}: as a lens of this program: {error}") from None
+        raise SceneError(f"{report.path}: {file_fault(str(error), made.kept)}") from None
     _note(prescription, made, paraxial, report)
     return lens
+
+
+def _refuse_faulty(surfaces: list[dict[str, object]], made: KeptSurfaces, report: Report) -> None:
+    """Raise if a surface cannot be one of a scene, in the words of the file."""
+    for i, values in enumerate(surfaces):
+        try:
+            Surface(**values)
+        except SceneError as error:
+            raise SceneError(f"{report.path}: {file_fault(str(error), made.kept, i)}") from None
 
 
 def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
@@ -192,10 +207,15 @@ def _medium_keys(medium: Medium | None) -> dict[str, object]:
 
 
 def shortest_radius(curvature: float) -> float:
-    """Return the radius of a curvature with the fewest digits that has exactly this curvature; inf for 0."""
+    """Return the radius of a curvature with the fewest digits that has exactly this curvature.
+
+    A curvature of 0, or of a radius beyond the longest of a scene, gives inf.
+    """
     if curvature == 0 or abs(curvature) < 1e-300:
         return math.inf
     radius = 1.0 / curvature
+    if abs(radius) > LARGEST:
+        return math.inf
     for digits in range(1, _MOST_DIGITS):
         rounded = float(f"{radius:.{digits}g}")
         if rounded and 1.0 / rounded == curvature:
@@ -269,6 +289,7 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
         inner[0].stop = True
     for surface in usable[1:]:
         surface.stop = False
+    _move_stop(prescription, media, report)
     before = media[0]
     left_out = []
     numbers = []
@@ -292,6 +313,13 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
             f"surface{'s' if len(left_out) > 1 else ''} {', '.join(left_out)} of the file: the same medium on both "
             "sides and no aperture; left out"
         )
+    if made.kept and made.media[-1] is not None:
+        last = made.kept[-1]
+        at, text = last.glass_line or (last.line, last.text)
+        why = (
+            "the image stands in this glass, and a lens here ends in air; a medium behind the last surface is not read"
+        )
+        report.refuse(at, text, why)
     if made.kept:
         made.image_mm = made.gaps_mm.pop()
         _stand_off_axis(prescription, made, numbers, report)
@@ -304,10 +332,45 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
             report.refuse(
                 surface.line,
                 surface.text,
-                f"the next surface stands {-distance:.6g} mm before this one; light must go on",
+                f"the next surface stands {-distance:.6g} mm before this one; light must go on: a distance below 0 is "
+                "not supported, except to a plane without effect",
             )
     made.gaps_mm = [max(0.0, distance) for distance in made.gaps_mm]
     return made
+
+
+def _move_stop(prescription: Prescription, media: list[Medium | None], report: Report) -> None:
+    """Let a surface be the stop in place of a plane in its vertex that it bulges through.
+
+    Programs that trace surfaces in their order put such planes there; as bodies the two would cross.
+    """
+    surfaces = prescription.surfaces
+    k = next(k for k, surface in enumerate(surfaces) if surface.stop)
+    plane = surfaces[k]
+    if plane.vertex_curvature or plane.focal_length is not None or any(plane.asphere) or media[k] != media[k - 1]:
+        return
+    after = k + 1
+    while after < len(surfaces) - 1 and surfaces[after].is_break and not surfaces[after].thickness:
+        after += 1
+    between = surfaces[k:after]
+    sides = []
+    if not any(surface.thickness for surface in between) and surfaces[after].vertex_curvature < 0.0:
+        sides.append((after, between))
+    if not surfaces[k - 1].thickness and surfaces[k - 1].vertex_curvature > 0.0:
+        sides.append((k - 1, [plane]))
+    for number, passed in sides:
+        surface = surfaces[number]
+        moved = any(each.before or each.after or each.returns_to is not None for each in (surface, *passed))
+        if moved or not 0 < number < len(surfaces) - 1 or media[number] == media[number - 1]:
+            continue
+        size = plane.aperture or (plane.extent if prescription.pupil[0] == "stop" else None)
+        surface.aperture = min(filter(None, (size, surface.aperture)), default=None)
+        surface.stop, plane.stop, plane.aperture = True, False, None
+        how = (
+            f"this plane stands in the vertex of surface {number} of the file, which bulges through it and is the stop"
+        )
+        report.add(plane.line, plane.text, Verdict.APPROXIMATED, how)
+        return
 
 
 def _stop_of(kept: list[FileSurface]) -> int:
@@ -360,6 +423,21 @@ def _frames(surfaces: list[FileSurface], unit: float) -> tuple[list[Place], list
             place, total = frames[surface.returns_to - 1], sums[surface.returns_to - 1]
         place, total = place.along(surface.thickness), total + surface.thickness * unit
     return [Place(frame.vertex * unit, frame.turn) for frame in frames], sums
+
+
+def _note_telecentric(prescription: Prescription, paraxial: Paraxial, stop_mm: float, report: Report) -> None:
+    """Say whether the stop makes the chief rays parallel to the axis where the file asks for that."""
+    if prescription.telecentric is None:
+        return
+    place_mm, _ = paraxial.entrance_pupil(stop_mm)
+    if math.isinf(place_mm):
+        report.add(*prescription.telecentric, Verdict.TAKEN, "telecentric in object space: the stop makes it so")
+    else:
+        how = (
+            "the file asks for chief rays parallel to the axis in object space; here they pass the stop, with an "
+            f"entrance pupil {place_mm:.6g} mm behind the first surface"
+        )
+        report.add(*prescription.telecentric, Verdict.APPROXIMATED, how)
 
 
 def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> None:

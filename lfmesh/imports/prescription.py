@@ -131,6 +131,8 @@ class Prescription:
         Index, or glass, by name of the materials that the file defines itself.
     coating_file : str or Path, optional
         Name of the file, beside this one, that defines coatings; or the path of one that is given in its place.
+    telecentric : tuple of int and str, optional
+        Line, with its text, that asks for chief rays parallel to the axis in object space.
     """
 
     surfaces: list[FileSurface] = field(default_factory=list)
@@ -145,6 +147,7 @@ class Prescription:
     makers: list[str] = field(default_factory=list)
     indices: dict[str, Medium] = field(default_factory=dict)
     coating_file: str | Path | None = None
+    telecentric: tuple[int, str] | None = None
 
     @property
     def primary_nm(self) -> float:

@@ -195,6 +195,8 @@ class _Reader(SurfaceReader):
     def _on_ftyp(self, words: list[str]) -> None:
         kind = int(number(words[0]))
         self.made.field_kind = FIELD_KINDS.get(kind, "angle")
+        if len(words) > 1 and number(words[1]):
+            self.made.telecentric = self.at, self.text
         if len(words) > 3:
             self.count = int(number(words[3]))
             self.fields["count"] = [number(words[2])]

@@ -9,6 +9,7 @@ from lfmesh.imports.prescription import MOST_SURFACES, FileSurface, Prescription
 from lfmesh.imports.report import Report, Verdict
 from lfmesh.imports.zemax_tables import (
     ASPHERES,
+    BEFORE_EXTRA,
     EXTENDED,
     FIRST_TERM,
     FORBES,
@@ -165,6 +166,9 @@ class SurfaceReader:
         place, value = int(number(words[0])), number(words[1])
         if not value:
             self._taken()
+        elif self.kind in FIRST_TERM and place > BEFORE_EXTRA:
+            # Later versions count extra data among the parameters.
+            self._on_xdat([str(place - BEFORE_EXTRA), words[1]])
         elif self.kind == "EVENASPH" and 1 <= place <= 8:
             self._add_term(2 * place, value)
         elif self.kind == "ODDASPHE" and 1 <= place <= 8:

@@ -26,6 +26,12 @@ sharp at 405 nm with the deviation along the normal of its conic)."""
 FIRST_TERM = {FORBES: 4, **dict.fromkeys(EXTENDED, 3)}
 """Place of the first coefficient in XDAT, behind the number of terms and the radius."""
 
+BEFORE_EXTRA = 12
+"""Parameters of a surface before its extra data.
+
+OpticStudio's help, 24.2, "Extended Asphere", counts the number of terms, the radius and the coefficients as parameters
+13, 14 and 15 to 254, which are XDAT 1, 2 and 3 to 242. It gives no meaning to parameters 1 to 12."""
+
 SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
 """Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
 its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.

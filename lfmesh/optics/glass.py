@@ -10,6 +10,7 @@ what the catalogue knows of their internal transmittance.
 import difflib
 import math
 import re
+from collections.abc import Container
 from functools import cache
 from typing import Any, Protocol
 
@@ -226,8 +227,7 @@ def former_index(name: str) -> float | None:
     name : str
         Without maker.
     """
-    heir = successor(name)
-    if heir is not None:
+    if (heir := successor(name)) is not None:
         return refractive_index(heir, D_LINE_NM)
     return FORMER.get(name.strip().upper(), (None,))[0]
 
@@ -247,8 +247,10 @@ def line_indices(name: str) -> Lines | None:
     return _visible(_find(name))
 
 
-def near_glasses(index_d: float, dispersion: float, ending: str = "") -> list[tuple[float, str]]:
-    """Return the glasses of all makers in order of their distance from n_d and n_F − n_C, each behind its distance.
+def near_glasses(
+    index_d: float, dispersion: float, makers: Container[str] = MAKERS, ending: str = ""
+) -> list[tuple[float, str]]:
+    """Return the glasses of some makers in order of their distance from n_d and n_F − n_C, each behind its distance.
 
     The distance is the larger one of the two differences. Equal ones stand in the order of `MAKERS`.
 
@@ -257,12 +259,13 @@ def near_glasses(index_d: float, dispersion: float, ending: str = "") -> list[tu
     index_d : float
     dispersion : float
         n_F − n_C.
+    makers : container of str
     ending : str
         Ending of the names, in upper case: "-ZK3" finds "CDGM/H-ZK3".
     """
     found = []
     for page in sorted({page for pages in _catalogue().values() for page in pages if page[0] == "specs"}, key=_rank):
-        lines = _visible(page) if _maker(page) in MAKERS and page[2].upper().endswith(ending) else None
+        lines = _visible(page) if _maker(page) in makers and page[2].upper().endswith(ending) else None
         if lines is not None:
             f, d, c = lines
             found.append((max(abs(d - index_d), abs(f - c - dispersion)), page))
@@ -378,8 +381,7 @@ def _find(name: str) -> Page:
     pages = _pages(name)
     if not pages:
         raise GlassError(f"glass {name!r}: not in the catalogue; {_suggestion(name)}")
-    best = sorted(pages, key=_rank)
-    former = _other_former(name, pages)
+    best, former = sorted(pages, key=_rank), _other_former(name, pages)
     if former or not (len(pages) == 1 or _are_one_glass(pages)):
         choices = " or ".join([*(f"{_short(page)!r}{_in_brackets(page)}" for page in best), *former])
         count = len(pages) + len(former)

@@ -370,3 +370,11 @@ def test_a_primary_wavelength_that_is_not_there_is_said():
     ]
     assert report.conditions is not None
     assert report.conditions.primary == 0
+
+
+def test_a_telecentric_object_space_is_said_where_the_stop_does_not_make_it():
+    said = [line.how for line in report_of(changed("FTYP 0 0", "FTYP 0 1")).of(Verdict.APPROXIMATED)]
+    assert said == [
+        "the file asks for chief rays parallel to the axis in object space; here they pass the stop, with an entrance "
+        "pupil 0 mm behind the first surface"
+    ]

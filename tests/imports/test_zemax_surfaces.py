@@ -1,5 +1,6 @@
 """Surfaces of Zemax files against their defining formulas, at 40 digits where a term is rewritten."""
 
+import functools
 import math
 import random
 from decimal import Decimal, localcontext
@@ -241,3 +242,20 @@ def test_terms_beyond_their_count_are_none():
     lens, report = lens_of(aspheric("XASPHERE", *terms)), report_of(aspheric("XASPHERE", *terms))
     assert len(lens.surfaces[1].asphere_mm) == 1
     assert [line.text for line in report.of(Verdict.WITHOUT_EFFECT) if "XDAT" in line.text] == ["XDAT 5 1e-3 0 0"]
+
+
+@pytest.mark.parametrize("kind", ["XASPHERE", "XOSPHERE"])
+def test_extra_data_among_the_parameters_are_the_same_surface(kind):
+    """OpticStudio's help, 24.2, counts the number of terms, the radius and the coefficients from parameter 13 on."""
+    values = {1: 4, 2: 5.0, 4: -1e-3, 6: 2e-4}
+    texts = [
+        SINGLET_ZMX.replace(
+            "  TYPE EVENASPH\n", f"  TYPE {kind}\n" + "".join(f"  {line(k)} {v!r}\n" for k, v in values.items())
+        )
+        for line in (lambda k: f"XDAT {k}", lambda k: f"PARM {k + 12}")
+    ]
+    own = ("  PARM 1 0\n", "  PARM 2 1e-6\n", "  PARM 3 -2e-9\n")
+    stripped = [functools.reduce(lambda text, line: text.replace(line, ""), own, text) for text in texts]
+    by_extra, by_parameters = (lens_of(text) for text in stripped)
+    assert by_extra == by_parameters
+    assert any(by_extra.surfaces[1].asphere_mm)

@@ -137,7 +137,7 @@ position_mm = [0.0, 0.0, -500.0]
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "zoom.zmx").write_text(ZOOM.replace("GLAS N-BK77", "GLAS BK7"))
+    (tmp_path / "zoom.zmx").write_text(ZOOM.replace("GLAS N-BK7", "GLAS BK77"))
     (tmp_path / "lens.toml").write_text("surfaces = []\n")
     return tmp_path
 

@@ -137,14 +137,14 @@ position_mm = [0.0, 0.0, -500.0]
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "zoom.zmx").write_text(ZOOM.replace("GLAS N-BK7", "GLAS BK77"))
+    (tmp_path / "zoom.zmx").write_text(ZOOM.replace("GLAS N-BK7", "GLAS N-BK77"))
     (tmp_path / "lens.toml").write_text("surfaces = []\n")
     return tmp_path
 
 
 def test_a_scene_chooses_the_configuration_and_the_glasses_of_its_lens_file(folder):
-    with pytest.warns(LensFileWarning, match="BK77: SCHOTT/N-BK7 as asked for"):
-        scene = loads(SCENE % 'substitutes = { BK77 = "SCHOTT/N-BK7" }\nconfiguration = 1', folder)
+    with pytest.warns(LensFileWarning, match="N-BK77: SCHOTT/N-BK7 as asked for"):
+        scene = loads(SCENE % 'substitutes = { N-BK77 = "SCHOTT/N-BK7" }\nconfiguration = 1', folder)
     assert scene.camera.lens.surfaces == lens_and_report(ZOOM, 1)[0].surfaces
     scene = loads(SCENE % "configuration = 2", folder)
     assert scene.camera.lens.surfaces == lens_and_report(ZOOM, 2)[0].surfaces
@@ -155,10 +155,10 @@ def test_a_scene_chooses_the_configuration_and_the_glasses_of_its_lens_file(fold
     [
         ("configuration = 0", "configuration = 0"),
         ("configuration = 3", "configuration = 3: the file has configurations 1 to 2"),
-        ('substitutes = { BK77 = "SCHOTT/N-BK77" }', "N-BK77"),
-        ("substitutes = { BK77 = 0.5 }", "0.5"),
+        ('substitutes = { N-BK77 = "SCHOTT/N-BK77" }', "N-BK77"),
+        ("substitutes = { N-BK77 = 0.5 }", "0.5"),
         ('substitutes = "BK77"', "substitutes"),
-        ("configuration = 1", "'BK77'"),
+        ("configuration = 1", "'N-BK77'"),
     ],
 )
 def test_choices_that_cannot_be_are_refused_by_their_key(folder, keys, words):

@@ -199,6 +199,9 @@ class SurfaceReader:
 
     def _add_term(self, power: int, value: float) -> None:
         """Let the sag have a term in a power of r."""
+        if not math.isfinite(value):
+            self._refuse(f"its term in r^{power} is beyond the range of numbers")
+            return
         try:
             self._surface.add_term(power, value)
         except ValueError as error:
@@ -240,7 +243,7 @@ class SurfaceReader:
                 self.report.add(at, text, Verdict.WITHOUT_EFFECT, f"XDAT {first - 2} counts {count:g} terms")
             elif self.kind in EXTENDED:
                 power = EXTENDED[self.kind] * (place - first + 1)
-                self._add_term(power, value / norm_radius**power if norm_radius > 0.0 else 0.0)
+                self._add_term(power, _over(value, norm_radius, power) if norm_radius > 0.0 else 0.0)
             elif place - first >= MOST_ASPHERE_TERMS:
                 self._refuse(f"Forbes' aspheres have {MOST_ASPHERE_TERMS} terms at most")
             else:
@@ -288,3 +291,13 @@ class SurfaceReader:
             self._refuse("a decentred or tilted surface is not supported; put coordinate breaks round it")
         else:
             self._taken()
+
+
+def _over(value: float, radius: float, power: int) -> float:
+    """Return a coefficient over a power of a radius; inf beyond the range of numbers."""
+    try:
+        return value / radius**power
+    except OverflowError:
+        return 0.0
+    except ZeroDivisionError:
+        return math.inf

@@ -35,6 +35,7 @@ from lfmesh.study.fits.board_files import read_corners
 from lfmesh.study.optimise.optimise import load_design
 from tests.cameras import bench_camera
 from tests.fuzz.test_meshes import damaged, damages, kept
+from tests.imports.files import CROWDED_ZMX
 
 SCENE = bench_camera(4, 4) + (
     '[[targets]]\nshape = { kind = "plane", width_mm = 6.0, height_mm = 6.0 }\nposition_mm = [0.0, 0.0, -500.0]\n'
@@ -284,6 +285,7 @@ TEXTS: dict[str, Callable[[], Kind]] = {
     "lens": lambda: Kind("toml", asset_path("lenses/cooke_triplet_50mm.toml").read_bytes(), lens),
     "zmx": lambda: Kind("zmx", as_lens("zmx"), lens),
     "seq": lambda: Kind("seq", as_lens("seq"), lens),
+    "crowded zmx": lambda: Kind("zmx", CROWDED_ZMX.encode(), lens),
     "calibration": lambda: Kind("json", calibration(), read_calibration),
     "vti": lambda: Kind("vti", by_writing("vti", vti), read_voxels),
 }
@@ -298,7 +300,7 @@ BINARIES: dict[str, Callable[[], Kind]] = {
 }
 
 
-WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq")
+WITH_SCENES = ("study", "filling study", "dataset", "design", "lens", "zmx", "seq", "crowded zmx")
 """What names a scene, or is part of one: all faults are said at once."""
 
 

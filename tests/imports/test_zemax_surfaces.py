@@ -259,3 +259,12 @@ def test_extra_data_among_the_parameters_are_the_same_surface(kind):
     by_extra, by_parameters = (lens_of(text) for text in stripped)
     assert by_extra == by_parameters
     assert any(by_extra.surfaces[1].asphere_mm)
+
+
+@pytest.mark.parametrize(("radius", "taken"), [("1e300", True), ("1e-300", False), ("0.1", True)])
+def test_a_radius_whose_powers_leave_the_range_of_numbers_ends_in_no_traceback(radius, taken):
+    text = aspheric("XASPHERE", "XDAT 1 12", f"XDAT 2 {radius}", "XDAT 4 1e-9")
+    if taken:
+        assert lens_of(text).surfaces[1].asphere_mm == (() if radius == "1e300" else pytest.approx((1e-5,), rel=1e-12))
+    else:
+        assert "XDAT 4 1e-9: its term in r^4 is beyond the range of numbers" in refusal_of(text)

@@ -190,7 +190,8 @@ class LensRays:
         Raises
         ------
         LfmeshError
-            Ray aiming did not converge: neither a ray nor an edge was found.
+            Ray aiming did not converge: neither a ray nor an edge was found. Or a caustic ends rays, and others that
+            have crossed before the stop pass the lens.
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
@@ -203,6 +204,9 @@ class LensRays:
                 f"ray aiming did not converge for {unknown} of {len(aim)} rays of the field with a slope of "
                 f"{float(field[1]):.4g} at {wavelength_nm:g} nm; give a smaller field or stop"
             )
+        if (ends.edge == Edge.CAUSTIC).any():
+            # Rays that have crossed may come to where those that have not end.
+            self.refuse_crossing(field, wavelength_nm)
         known = np.isfinite(entry).all(axis=1)
         place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
         if known.any():

@@ -50,11 +50,14 @@ DEGREES = (5, 3, 1)
 CLOSE = 0.1
 """Largest distance of a ray from its interpolated guess, over that from the chief ray."""
 
+NEAR_CAUSTIC = 0.1
+"""Ratio of the areas that known rays map to, below which interpolated ones may have come beyond a caustic."""
+
 NEAR_EDGE = 1e-3
 """Distance from the end of a continuation, over the front's radius, within which a surface that ends is met."""
 
-FOLD = 0.05
-"""Ratio of the singular values of a derivative below which neighbouring rays cross there."""
+NEAR_FOLD = 1e-2
+"""Distance from there, over the front's radius, within which the map to the stop turns over at a caustic."""
 
 TRIALS = 33
 """Trials across the front of the lens, along each axis, where no ray can be continued from the axis."""
@@ -369,7 +372,10 @@ class StopAim:
         """Return rays of a field that trials across the front find."""
         trial = self.trials()
         hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
-        ok = np.isfinite(hit).all(axis=1)
+        senses = self._senses(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
+        ok = np.flatnonzero(np.isfinite(hit).all(axis=1) & np.isfinite(senses))
+        # Beyond a caustic lies another branch of the map; this is that of the middle of the front.
+        ok = ok[senses[ok] == senses[ok[np.argsort(np.hypot(*trial[ok].T))[:1]]]]
         nearest = np.argsort(np.hypot(*hit[ok].T))[:TRIALS]
         start = _Known(hit[ok][nearest], trial[ok][nearest], np.full((len(nearest), 2, 2), np.nan))
         return _of(self._continued((field, field), start, start.aim, wavelength_nm), start.aim)
@@ -390,14 +396,18 @@ class StopAim:
         entry : (n, 2) float64, mm
         wavelength_nm : float
         """
-        sides = DIFFERENCE * self.stop_radius * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        trial = (entry + sides[:, None]).reshape(-1, 2)
-        hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm).reshape(4, -1, 2)
-        (a, b), (c, d) = (hit[0] - hit[1]).T, (hit[2] - hit[3]).T
-        senses = np.sign(a * d - b * c)
+        senses = self._senses(np.broadcast_to(field, entry.shape), entry, wavelength_nm)
         # At borders the neighbourhood is not known.
         turned = senses[np.isfinite(senses)] < 0.0
         return float(min(turned.mean(), 1.0 - turned.mean())) if len(turned) else 0.0
+
+    def _senses(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
+        """Return the sign (n,) of the area in the stop that rays round each cross; NaN at borders."""
+        sides = DIFFERENCE * self.stop_radius * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        trial = (entry + sides[:, None]).reshape(-1, 2)
+        hit = self.at_stop(np.tile(slope, (4, 1)), trial, wavelength_nm).reshape(4, -1, 2)
+        (a, b), (c, d) = (hit[0] - hit[1]).T, (hit[2] - hit[3]).T
+        return np.asarray(np.sign(a * d - b * c))
 
     def _interpolated(self, known: _Known, field: Array, aim: Array, wavelength_nm: float) -> Array:
         """Return the entries of rays that are found from guesses by polynomials through known ones; NaN: not found."""
@@ -417,6 +427,20 @@ class StopAim:
         off, way = (np.hypot(*(aimed.start - of).T) for of in (guess, known.entry[0]))
         widest = np.hypot(*(known.entry - known.entry[0]).T).max()
         ok = aimed.arrived & (off <= CLOSE * np.maximum(way, CLOSE * widest))
+        area = (
+            known.derivative[:, 0, 0] * known.derivative[:, 1, 1]
+            - known.derivative[:, 0, 1] * known.derivative[:, 1, 0]
+        )
+        if len(area) <= len(_rings()) or np.abs(area).min() < NEAR_CAUSTIC * np.abs(area).max():
+            # Beyond a caustic the map lies turned over: rays there belong to another branch.
+            landed = np.flatnonzero(ok)
+            ok[landed] = (
+                self._senses(
+                    np.broadcast_to(field, (len(landed), 2)), entry=aimed.start[landed], wavelength_nm=wavelength_nm
+                )
+                * area[0]
+                > 0.0
+            )
         entry[ok] = aimed.start[ok]
         return entry
 
@@ -427,21 +451,28 @@ class StopAim:
         edge, surface = np.full(len(start), int(Edge.UNKNOWN)), np.full(len(start), -1)
         hit = self.at_stop(slope, start, wavelength_nm)
         step = np.linalg.solve(_regular(derivative), (aim - hit)[:, :, None])[:, :, 0]
-        length = np.maximum(np.hypot(*step.T), 1e-300)
-        unit = step / length[:, None]
-        for reach in np.geomspace(1e-9, NEAR_EDGE, 13) * self.front_radius:
-            open_ = np.flatnonzero(edge == Edge.UNKNOWN)
-            if not len(open_):
-                break
-            trial = start[open_] + reach * unit[open_]
-            arrived = self._unbounded(slope[open_], trial, wavelength_nm, self._faces_to_stop)
-            lost = ~(arrived.weight > 0.0)
-            reflected = arrived.ended[lost] == DROPPED
-            numbers = np.append(self.world.lens_shape.numbers, -1)
-            edge[open_[lost]] = np.where(reflected, Edge.REFLECTED, Edge.MISSED)
-            surface[open_[lost]] = numbers[arrived.met[lost] - reflected]
-        narrow, wide = np.sort(np.linalg.svd(derivative, compute_uv=False), axis=1).T
-        edge[(narrow < FOLD * wide) & (edge == Edge.UNKNOWN)] = Edge.CAUSTIC
+        unit = step / np.maximum(np.hypot(*step.T), 1e-300)[:, None]
+        _, _, across = np.linalg.svd(derivative)
+        numbers = np.append(self.world.lens_shape.numbers, -1)
+        # At a border the map is stretched without end across it, so that the way there may be along the border.
+        for way in (unit, across[:, 0], -across[:, 0]):
+            for reach in np.geomspace(1e-9, NEAR_EDGE, 13) * self.front_radius:
+                open_ = np.flatnonzero(edge == Edge.UNKNOWN)
+                if not len(open_):
+                    break
+                trial = start[open_] + reach * way[open_]
+                arrived = self._unbounded(slope[open_], trial, wavelength_nm, self._faces_to_stop)
+                lost = ~(arrived.weight > 0.0)
+                reflected = arrived.ended[lost] == DROPPED
+                edge[open_[lost]] = np.where(reflected, Edge.REFLECTED, Edge.MISSED)
+                surface[open_[lost]] = numbers[arrived.met[lost] - reflected]
+        before = self._senses(slope, start, wavelength_nm)
+        for reach in np.geomspace(1e-2, 1.0, 3) * NEAR_FOLD * self.front_radius:
+            for way in (across[:, 1], -across[:, 1]):
+                open_ = np.flatnonzero(edge == Edge.UNKNOWN)
+                if len(open_):
+                    there = self._senses(slope[open_], start[open_] + reach * way[open_], wavelength_nm)
+                    edge[open_[there * before[open_] < 0.0]] = Edge.CAUSTIC
         return Ends(edge, surface)
 
     def _no_ray(self, field: Array, count: int, wavelength_nm: float) -> Ends:

@@ -8,7 +8,6 @@ from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order.axial_beam import beam_heights_mm
 from lfmesh.scene.first_order.focused import middle_of
-from lfmesh.scene.first_order.kick_error import error_of_faces
 from lfmesh.scene.first_order.meridional import edge_of_stop_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import focus_wished_mm
@@ -340,11 +339,8 @@ def _diffraction(scene: Scene, facts: "FirstOrder") -> Iterator[PictureWarning]:
             advice = f'; with transport.diffraction = "lenslets" white pictures are no nearer: {shares}'
         elif error is not None:
             edges = "" if error.edge_with is None else f", of edges {percent(error.edge_with)}"
-            faces = percent(error_of_faces(facts.microlens_f_number))
-            advice += (
-                f", with an error of white pictures of {percent(error.white_with)} behind thin lenslets and up to "
-                f"{faces} more behind true faces{edges}"
-            )
+            white = f"{percent(error.white_with)} {error.lenslets_in_words}"
+            advice += f", with an error of white pictures of {white}{edges}"
         disks.append(("microlenses'", facts.microlens_f_number, facts.microlens_airy_disk_px, "pixels", advice))
     for whose, f_number, width, samples, advice in disks:
         if 1.0 < width < math.inf:

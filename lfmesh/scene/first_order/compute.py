@@ -10,6 +10,7 @@ from lfmesh.scene.first_order.conjugates import along_shifts
 from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import focused_lenslets, middle_of, sensor_over_focal_length
 from lfmesh.scene.first_order.kick_error import KickError, kick_error
+from lfmesh.scene.first_order.lenslet_waves import error_on_true_faces
 from lfmesh.scene.first_order.lenslets import lenslet_sections, lenslet_to_sensor_mm, micro_image
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.report import CONVENTIONAL, GALILEAN, KEPLERIAN, STANDARD, AtWavelength, FirstOrder
@@ -53,7 +54,7 @@ def first_order(scene: Scene) -> FirstOrder:
 def report_of_solved(scene: Scene) -> FirstOrder:
     """Return the first-order report of a scene that is solved already; see `first_order`."""
     facts = facts_of_solved(scene)
-    facts = replace(facts, kick_error=_kick_error(scene.camera, facts))
+    facts = replace(facts, kick_error=_kick_error(scene, facts))
     return replace(facts, warnings=warnings(scene, facts))
 
 
@@ -142,9 +143,12 @@ def facts_of_solved(scene: Scene) -> FirstOrder:
     return facts
 
 
-def _kick_error(camera: Camera, facts: FirstOrder) -> KickError | None:
-    """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables."""
-    mla, fresnel = camera.mla, facts.microlens_fresnel_number
+def _kick_error(scene: Scene, facts: FirstOrder) -> KickError | None:
+    """Return the errors of pictures with and without diffraction; None of round apertures, and beyond the tables.
+
+    True faces count where the lenslets' diffraction is traced, or is warned of as it is not.
+    """
+    camera, mla, fresnel = scene.camera, scene.camera.mla, facts.microlens_fresnel_number
     pitch, diameter = facts.micro_image_pitch_px, facts.micro_image_diameter_px
     if mla is None or mla.clear_diameter_mm is not None or not fresnel or pitch is None or diameter is None:
         return None
@@ -152,7 +156,11 @@ def _kick_error(camera: Camera, facts: FirstOrder) -> KickError | None:
     if not beyond or not 0.0 < width < math.inf:
         return None
     pixels = max(1, round(mla.pitch_mm / camera.sensor.pixel_mm))
-    return kick_error(fresnel, beyond, layout=mla.layout, in_focus=not facts.focused, width=width, pixels=pixels)
+    error = kick_error(fresnel, beyond, layout=mla.layout, in_focus=not facts.focused, width=width, pixels=pixels)
+    if error is None or not (scene.transport.diffraction == "lenslets" or (facts.microlens_airy_disk_px or 0.0) > 1.0):
+        return error
+    white = error_on_true_faces(camera, scene.reach_nm[1], facts.working_f_number)
+    return error if white is None else error._replace(white_with=white, true_faces=True)
 
 
 def airy_disk_mm(wavelength_nm: float, f_number: float) -> float:

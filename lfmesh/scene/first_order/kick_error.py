@@ -10,7 +10,7 @@ micro-images about 0.9 pitches wide. The tests of this module compute the tables
 hexagons are not known.
 
 All of these are of thin lenslets. Rays take the aberrations of true faces geometrically, and the kick does not know
-them: `error_of_faces` says how much that adds.
+them: `lenslet_waves` computes the error of white pictures that they bring.
 """
 
 import math
@@ -71,13 +71,6 @@ HEXAGONS_WITH = (
 """Of white pictures behind hexagons, by distance and Fresnel number."""
 
 
-FACES, AT_F_NUMBER = 0.019, 4.0
-"""Most that true faces add to the error of white pictures in focus with the lenslets' diffraction, at this f-number.
-
-Of plano-convex lenslets of 14 and 28 µm, f/2.5 to f/8 and the indices 1.5 and 1.8, spheres and a conic, whose curved
-face looks to the sensor: 1.2 to 1.8 % at f/4. Where it looks to the lens, a quarter of that or less."""
-
-
 class KickError(NamedTuple):
     """Errors of pictures of extended light, over the light, without diffraction and with that of the lenslets.
 
@@ -86,12 +79,20 @@ class KickError(NamedTuple):
     white_without, white_with : float
     edge_without, edge_with : float or None
         None where edges in focus are not behind lenslets in focus, of hexagons, and of cameras unlike the tables'.
+    true_faces : bool
+        `white_with` is computed behind the camera's own lenslets, not behind thin ones.
     """
 
     white_without: float
     white_with: float
     edge_without: float | None
     edge_with: float | None
+    true_faces: bool = False
+
+    @property
+    def lenslets_in_words(self) -> str:
+        """The lenslets for which `white_with` holds."""
+        return "behind the true faces" if self.true_faces else "behind thin lenslets and more behind true faces"
 
 
 def kick_error(
@@ -134,19 +135,6 @@ def kick_error(
         _by_number(EDGE_WITHOUT, fresnel_number) if edges and known else None,
         _by_number(EDGE_WITH, fresnel_number) if edges and finer else None,
     )
-
-
-def error_of_faces(f_number: float) -> float:
-    """Return how much true faces may add to the error of white pictures with the lenslets' diffraction.
-
-    What was measured, see `FACES`, goes about as the square of the numerical aperture, or falls faster.
-
-    Parameters
-    ----------
-    f_number : float
-        Of the lenslets.
-    """
-    return FACES * (AT_F_NUMBER / f_number) ** 2
 
 
 def _by_number(errors: tuple[float, ...], number: float) -> float:

@@ -10,7 +10,7 @@ from lfmesh.optics.glass import AIR
 from lfmesh.scene.distance import reach_in_words
 from lfmesh.scene.first_order.field_of_view import FieldOfView
 from lfmesh.scene.first_order.focused import FocusedLenslets, middle_of
-from lfmesh.scene.first_order.kick_error import KickError, error_of_faces
+from lfmesh.scene.first_order.kick_error import KickError
 from lfmesh.scene.first_order.lenslets import LensletSection
 from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.scene.literals import percent
@@ -264,8 +264,7 @@ class FirstOrder(Shown):
             yield (
                 "diffraction, lenslets",
                 f"white pictures are off by {percent(error.white_without)} of their light{without}; with "
-                f'transport.diffraction = "lenslets" {percent(error.white_with)} behind thin lenslets'
-                f"{self._faces_in_words()}{edges}"
+                f'transport.diffraction = "lenslets" {percent(error.white_with)} {error.lenslets_in_words}{edges}'
                 f"{'' if better else ': no nearer'}",
             )
         lit = self.views_across if self.views_across is not None else math.nan
@@ -275,12 +274,6 @@ class FirstOrder(Shown):
         if self.focused:
             where = f"{middle_of(self.focused).seen_by:.3g} lenslets where it is sharp"
         yield "diffraction, points", f"the waves of {where} interfere: lf.point_spread has them"
-
-    def _faces_in_words(self) -> str:
-        """Return what the lenslets' true faces add to the error of white pictures with diffraction."""
-        if self.microlens_f_number is None:
-            return ""
-        return f" and up to {percent(error_of_faces(self.microlens_f_number))} more behind true faces"
 
     def lines(self) -> list[str]:
         """Return the report, a line a property, its warnings last, as notes.

@@ -14,7 +14,7 @@ from lfmesh.geometry.meshes.mesh import facet_normals
 from lfmesh.geometry.objects.primitives import primitive
 from lfmesh.geometry.objects.targets import target_mesh
 from lfmesh.geometry.objects.texture import srgb_to_linear
-from lfmesh.optics.gltf_material import GltfMaterial
+from lfmesh.optics.gltf_material import RATIO, GltfMaterial
 from lfmesh.scene import Box, Cylinder, Disk, Plane, Sphere, Target
 
 SHAPES = {
@@ -427,13 +427,19 @@ def test_alpha_counts_as_the_material_says(folder, mode, alpha, seen):
     assert found == (seen if seen is None else pytest.approx(seen, abs=1e-6))
 
 
-def test_pictures_of_metallic_and_roughness_count_by_their_means(folder):
+def test_pictures_of_metallic_and_roughness_span_the_materials_of_their_facets(folder):
     picture = np.zeros((1, 2, 3), np.uint8)
     picture[0, 0, 1], picture[0, :, 2] = 255, [51, 102]
     target = folder.mesh(file=board(folder, metallicRoughnessTexture=PIL.Image.fromarray(picture), roughnessFactor=0.8))
-    (white,) = (each for each in target.materials if each.base == (1.0, 1.0, 1.0))
-    assert white.roughness == pytest.approx(0.4)
-    assert white.metallic == pytest.approx(0.3)
+    assert target.gloss is not None
+    assert target.material_of is not None
+    (spanned,) = target.gloss.ranges
+    assert spanned.metallic == pytest.approx((51 / 255, 102 / 255))
+    assert {target.materials[k].base for k in target.material_of[target.gloss.range_of == 0]} == {(1.0, 1.0, 1.0)}
+    # The smoothest texel has no roughness, the roughest that of the factor.
+    roughnesses = [each.roughness for each in spanned.materials]
+    assert min(roughnesses) == pytest.approx(0.1)
+    assert 0.8 <= max(roughnesses) < 0.8 * np.exp(0.5 * RATIO)
 
 
 def test_materials_that_are_not_there_are_refused(folder):

@@ -8,7 +8,7 @@ from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order.axial_beam import beam_heights_mm
 from lfmesh.scene.first_order.focused import middle_of
-from lfmesh.scene.first_order.meridional import edge_of_stop_mm
+from lfmesh.scene.first_order.meridional import beam_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
 from lfmesh.scene.first_order.solve import focus_wished_mm
 from lfmesh.scene.light.particles import shining_particles
@@ -241,7 +241,7 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     if not camera.lens.has_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
         try:
             if camera.lens.number_off_revolution is None:
-                heights = edge_of_stop_mm(camera.lens, wavelength, distance, marginal.height_mm)
+                heights = beam_mm(camera.lens, wavelength, distance, marginal.height_mm)
             else:
                 heights = beam_heights_mm(camera.lens, wavelength, distance)
         except (OverflowError, ValueError):

@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 AZIMUTHS = 96
 """Rays through the rim of the stop; the largest height between them follows from a parabola through three."""
 
+RINGS = 8
+"""Rings of the stop with so many rays each, the outermost its rim."""
+
 STEPS = 20
 """Of Newton's method towards a surface."""
 
@@ -39,18 +42,20 @@ def beam_heights_mm(lens: Lens, wavelength_nm: float, object_mm: float) -> list[
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
     angle = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-    rim = radius * np.column_stack([np.sin(angle), np.cos(angle)])
+    # Aberrations can carry rays from within the stop farther out than those from its rim.
+    ring = radius * np.arange(1, RINGS + 1) / RINGS
+    points = (ring[:, None, None] * np.column_stack([np.sin(angle), np.cos(angle)])).reshape(-1, 2)
     middle = _crossings(lens, wavelength_nm, object_mm, np.zeros((1, 2)))[stop]
 
     def miss(entry: Array, share: Array, which: NDArray[np.int64]) -> Array:
-        wanted = middle + share[:, None] * (rim[which] - middle)
+        wanted = middle + share[:, None] * (points[which] - middle)
         return _crossings(lens, wavelength_nm, object_mm, entry)[stop] - wanted
 
-    found = continue_rays(miss, np.zeros_like(rim), DIFFERENCE * radius, radius)
-    if not found.arrived.any():
+    found = continue_rays(miss, np.zeros_like(points), DIFFERENCE * radius, radius)
+    if not found.arrived[-AZIMUTHS:].any():
         return []
     met = np.hypot(*np.moveaxis(_crossings(lens, wavelength_nm, object_mm, found.start), 2, 0))
-    return [_largest(heights) for heights in met]
+    return [max(_largest(each) for each in heights.reshape(RINGS, AZIMUTHS)) for heights in met]
 
 
 def _largest(heights: Array) -> float:

@@ -14,6 +14,9 @@ STEPS = 50
 TRIALS = 60
 """Rays at most of which the one at the edge of the stop is sought."""
 
+RINGS = 32
+"""Zones of the beam whose rays are followed; the largest height between them follows from a parabola through three."""
+
 
 def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
     """Return the heights at the surfaces, in order, of a real ray from the axial object point.
@@ -59,6 +62,38 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
     return heights
 
 
+def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> list[float]:
+    """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
+
+    Spherical aberration can carry rays from within the stop farther out than those from its edge.
+
+    Parameters
+    ----------
+    lens, wavelength_nm, object_mm, guess_mm
+        As for `edge_of_stop_mm`.
+
+    Returns
+    -------
+    list of float
+        mm; empty where no ray reaches the edge of the stop.
+    """
+    entry, edge = _edge_of_stop(lens, wavelength_nm, object_mm, guess_mm)
+    if not edge:
+        return []
+    inner = [heights_mm(lens, wavelength_nm, object_mm, entry * ring / RINGS) for ring in range(RINGS)]
+    beam = []
+    for number in range(max(len(heights) for heights in [*inner, edge])):
+        met = [abs(heights[number]) for heights in [*inner, edge] if len(heights) > number]
+        highest = met.index(max(met))
+        rise = 0.0
+        if 0 < highest < len(met) - 1:
+            before, top, behind = met[highest - 1 : highest + 2]
+            bend = 2.0 * top - before - behind
+            rise = (before - behind) ** 2 / (8.0 * bend) if bend > 0.0 else 0.0
+        beam.append(met[highest] + rise)
+    return beam
+
+
 def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> list[float]:
     """Return the heights at the surfaces of the real axial ray that meets the edge of the stop, no aperture in its way.
 
@@ -72,6 +107,11 @@ def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm
     guess_mm : float
         Height of the paraxial ray in the plane of the first vertex.
     """
+    return _edge_of_stop(lens, wavelength_nm, object_mm, guess_mm)[1]
+
+
+def _edge_of_stop(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> tuple[float, list[float]]:
+    """Return the height of that ray in the plane of the first vertex, too."""
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
 
@@ -98,8 +138,8 @@ def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm
             high, above, outside = height, excess, heights
         else:
             low, below, inside = height, excess, heights
-    heights = outside if above < -below else inside
-    return heights if len(heights) > stop and abs(heights[stop]) >= radius * (1 - 1e-6) else []
+    height, heights = (high, outside) if above < -below else (low, inside)
+    return height, heights if len(heights) > stop and abs(heights[stop]) >= radius * (1 - 1e-6) else []
 
 
 def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, float] | None:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from lfmesh.scene import Lens, Paraxial, Scene, Surface, first_order
-from lfmesh.scene.first_order.meridional import edge_of_stop_mm, heights_mm
+from lfmesh.scene.first_order.meridional import beam_mm, edge_of_stop_mm, heights_mm
 
 
 def ball(index: float = 1.5, radius: float = 10.0) -> Lens:
@@ -75,3 +75,19 @@ def test_the_warning_of_apertures_is_that_of_real_rays(scene: Scene, excess: flo
     assert any("clear aperture" in warning for warning in first_order(tight).warnings) is warned
     paraxial = Paraxial.of(big.camera.lens, 587.6)
     assert paraxial.heights_mm(paraxial.marginal_ray(400.0, 9.5))[2] < 0.998 * real
+
+
+def test_the_axial_beam_is_as_wide_as_its_outermost_ray_of_any_zone() -> None:
+    """On the back of a ball inner rays lie 2.9 times as far from the axis as those of the rim."""
+    fan = [heights_mm(ball(), 587.6, math.inf, 9.99 * ray / 800) for ray in range(801)]
+    widest = [max(abs(heights[number]) for heights in fan) for number in range(2)]
+    assert beam_mm(ball(), 587.6, math.inf, 9.99) == pytest.approx(widest, rel=1e-3)
+    assert widest[1] > 2.5 * abs(edge_of_stop_mm(ball(), 587.6, math.inf, 9.99)[1])
+
+
+def test_an_aperture_that_clips_inner_rays_only_is_warned_of() -> None:
+    front, back = ball().surfaces
+    surfaces = (front, back.model_copy(update={"semi_diameter_mm": 1.5}))
+    camera = {"focus_mm": math.inf, "lens": Lens(surfaces=surfaces), "sensor": {"pixels": [8, 8], "pixel_mm": 0.01}}
+    scene = Scene.model_validate({"schema_version": 1, "camera": camera})
+    assert any("3.96 mm wide on surfaces[1]" in warning for warning in first_order(scene).warnings)

@@ -229,7 +229,7 @@ class _Points(NamedTuple):
         return np.asarray(below[to_y, to_x] - below[to_y, x] - below[y, to_x] + below[y, x])
 
     def within(self, bounds: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the numbers of points in rectangles, and those of the rectangles."""
+        """Return the numbers of points in rectangles, and of their rectangles."""
         first, behind = self._range(bounds)
         wide = behind - first
         which = np.repeat(np.arange(len(wide)), wide.prod(axis=1))
@@ -296,9 +296,9 @@ def _images(lens: Prescription, cells: _Cells) -> _Images:
 
 
 def _rays(lens: Prescription, cells: _Cells, images: _Images, points: _Points) -> tuple[NDArray[np.int64], int]:
-    """Find the rays of flat cells through points, and return the points and cells (n, 2) of those that pass.
+    """Find the rays of flat cells through points, and return the points and cells (n, 2) of the rays that pass.
 
-    The second number is that of rays that were not found.
+    The second number counts the rays that were not found.
     """
     point, cell = points.within(images.bounds)
     back = np.linalg.inv(images.slopes)

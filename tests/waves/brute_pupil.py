@@ -19,8 +19,8 @@ Flags = NDArray[np.bool_]
 CELLS, DEEPEST = 72, 28
 """Number of cells of the grid along each axis, and how often they are divided in two along each axis at most."""
 
-FOLDS = 3
-"""How often cells that light passes are divided where no point lies near them, to find folds."""
+FOLDS = 5
+"""How often cells that light may pass are divided where no point lies near them, to find folds."""
 
 WIDER = 1.5
 """Width of the square of a cell's nodes over that of the cell, so that no border passes between the nodes unseen."""
@@ -155,7 +155,7 @@ def reached(lens: Prescription, across: int) -> Reached:
         turned |= _senses(images.slopes[images.flat & images.clear])
         over = images.open & (points.number(images.bounds) > 0)
         flat.append((cells.taken(images.flat & over), images.taken(images.flat & over)))
-        divided = ~images.flat & (over | (images.clear & (level < FOLDS)))
+        divided = ~images.flat & (over | (images.open & (level < FOLDS)))
         cells = cells._replace(bounds=images.bounds).taken(divided).divided()
     mine, theirs = (tuple(zip(*(pair[k] for pair in flat), strict=True)) for k in (0, 1))
     flat_cells, flat_images = _Cells(*map(np.concatenate, mine)), _Images(*map(np.concatenate, theirs))
@@ -260,7 +260,7 @@ class _Images(NamedTuple):
         Low and high corners of a rectangle that holds the image.
     flat, open, clear : (n,) bool
         Whether the map is known and nearly linear; whether light may pass, each condition being met at some node; and
-        whether it passes at all nodes.
+        whether it passes in the middle.
     """
 
     middle: Array
@@ -292,7 +292,7 @@ def _images(lens: Prescription, cells: _Cells) -> _Images:
         cells.bounds,
     )
     flat = whole & (off <= FLAT * np.linalg.norm(slopes, ord=-2, axis=(1, 2)))
-    return _Images(at[:, 4], slopes / WIDER, bounds, flat, met.any(axis=1).all(axis=1), met.all(axis=(1, 2)))
+    return _Images(at[:, 4], slopes / WIDER, bounds, flat, met.any(axis=1).all(axis=1), met[:, 4].all(axis=1))
 
 
 def _rays(lens: Prescription, cells: _Cells, images: _Images, points: _Points) -> tuple[NDArray[np.int64], int]:

@@ -11,6 +11,7 @@ from lfmesh.optics.glass import (
     C_LINE_NM,
     D_LINE_NM,
     F_LINE_NM,
+    FORMER,
     MAKERS,
     OTHER_GLASS,
     SUCCESSORS_OFF,
@@ -95,7 +96,7 @@ def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) 
             return alike[0], ""
         if not is_glass(name):
             return _succeeded(name, heir, stated)
-    if found := _meant(name, catalogues, stated):
+    if found := _former_melt(stem, catalogues, maker, stated) or _meant(name, catalogues, stated):
         return found
     if not is_glass(name):
         return _not_found(name, catalogues, stated)
@@ -185,7 +186,7 @@ def _succeeded(name: str, heir: str, stated: Stated | None) -> tuple[str, str]:
     return heir, f"{said}, whose index at F, d and C differs by at most {SUCCESSORS_OFF:g}"
 
 
-def _by_indices(name: str, stated: Stated | None) -> tuple[str, str] | None:
+def _by_indices(name: str, stated: Stated | None, called: str = "") -> tuple[str, str] | None:
     """Return the glass that continues a former name, or any melt, with the stated n_d and Abbe number; None without."""
     bare = name.partition("_")[0].upper()
     if stated is None or not stated[1] or not _FORMER_NAME.fullmatch(bare):
@@ -194,10 +195,22 @@ def _by_indices(name: str, stated: Stated | None) -> tuple[str, str] | None:
     for limit, ending in ((OTHER_GLASS, f"-{bare}"), (SAME, "")):
         off, glass = next(iter(near_glasses(index, dispersion, ending=ending)), (math.inf, ""))
         if off <= limit:
-            return glass, f"{name} is in no catalogue; by its nd and Vd taken as {glass_in_words(glass)}, " + _apart(
-                glass, stated
-            )
+            said = f"{called or name} is in no catalogue; by its nd and Vd taken as {glass_in_words(glass)}"
+            return glass, f"{said}, {_apart(glass, stated)}"
     return None
+
+
+def _former_melt(name: str, catalogues: list[str], maker: str, stated: Stated | None) -> tuple[str, str] | None:
+    """Return a melt of the indices of SCHOTT's former glass without a successor, where the name is SCHOTT's."""
+    former = FORMER.get(name.upper())
+    used = any(is_glass(f"{each}/{name}") for each in catalogues or MAKERS)
+    if former is None or maker.upper() not in ("", "SCHOTT"):
+        return None
+    if not maker and (used or (catalogues and "SCHOTT" not in catalogues)):
+        return None
+    if stated is not None and abs(stated[0] - former[0]) > OTHER_GLASS:
+        return None
+    return _by_indices(name, former, f"SCHOTT's former {name}")
 
 
 def _not_found(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str, str]:

@@ -34,10 +34,13 @@ Robb and Mercado (Applied Optics 22, 1198, 1983) give the dispersion of the form
 successor today; their indices at F, d and C differ by at most 3.1e-4 (LAF21), the next by 1.4e-4, half of them by
 less than 3e-5."""
 
-FORMER = {"BAF5": (1.60729, 49.4), "BK6": (1.53113, 62.1), "BK8": (1.52015, 63.6), "F7": (1.62536, 35.6)}
-"""n_d and Abbe number of SCHOTT's former glasses without a successor whose names are another maker's glass today.
-
-Source as for `SUCCESSORS_OFF`."""
+FORMER = {
+    "BAF5": (1.60729, 49.4), "BK1": (1.51009, 63.4), "BK6": (1.53113, 62.1), "BK8": (1.52015, 63.6),
+    "F4": (1.61659, 36.66), "F6": (1.63636, 35.4), "F7": (1.62536, 35.6), "LAK31": (1.69673, 56.4),
+    "PSK2": (1.56873, 63.0), "SF3": (1.74, 28.23), "SSK4": (1.61765, 55.2),
+}  # fmt: skip
+"""n_d and Abbe number of SCHOTT's former glasses without a successor whose names another maker uses, or that lens files
+name and another maker melts. Source as for `SUCCESSORS_OFF`."""
 
 MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA", "LZOS")
 """Makers in the order in which their glasses are proposed where several have the name."""
@@ -391,14 +394,11 @@ def _find(name: str) -> Page:
 
 def _other_former(name: str, pages: list[Page]) -> list[str]:
     """Describe SCHOTT's former glass of a bare name where makers use the name for another glass today."""
-    known = [_visible(page) for page in pages if page[0] == "specs"]
-    if "/" in name or any(_maker(page) == "SCHOTT" for page in pages):
+    known = [lines for page in pages if page[0] == "specs" and (lines := _visible(page)) is not None]
+    index = None if "/" in name or any(_maker(page) == "SCHOTT" for page in pages) else former_index(name)
+    if index is None or not any(abs(lines[1] - index) > OTHER_GLASS for lines in known):
         return []
-    index = former_index(name)
-    if index is None or not any(lines is not None and abs(lines[1] - index) > OTHER_GLASS for lines in known):
-        return []
-    heir = successor(name)
-    if heir is None:
+    if (heir := successor(name)) is None:
         nd, abbe = FORMER[name.strip().upper()]
         return [f"nd = {nd:.5f} and vd = {abbe:g} for SCHOTT's former glass"]
     return [f"{heir!r}{_in_brackets(_find(heir))} for SCHOTT's former glass"]

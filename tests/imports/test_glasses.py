@@ -10,7 +10,7 @@ from lfmesh.errors import SceneError
 from lfmesh.imports import codev
 from lfmesh.imports.report import Verdict
 from lfmesh.imports.zemax import read
-from lfmesh.optics.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, SUCCESSORS_OFF, refractive_index
+from lfmesh.optics.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, OTHER_GLASS, SUCCESSORS_OFF, refractive_index
 from tests.imports.files import SINGLET_SEQ, SINGLET_ZMX
 
 FILE = Path("lens.zmx")
@@ -174,3 +174,20 @@ def test_former_names_are_understood_in_other_formats(name, glass):
 def test_a_code_is_read_in_other_formats():
     lens, _ = codev.read(Path("lens.seq"), SINGLET_SEQ.replace("NBK7_SCHOTT", "517642").splitlines())
     assert (lens.surfaces[0].glass.nd, lens.surfaces[0].glass.vd) == (1.517, 64.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "buchdahl", "glass"),
+    [
+        # As above, of SCHOTT's glasses that have no successor.
+        ("SF3", (1.741863, -0.14249, 0.055258), "CDGM/ZF5"),
+        ("F4", (1.617794, -0.091970, 0.023170), "CDGM/H-F3"),
+    ],
+)
+def test_a_former_glass_without_successor_is_a_melt_of_its_published_indices(name, buchdahl, glass):
+    lens, report = (of(glass_line(f"{name} 0 0 1.5 40")) for of in (lens_of, report_of))
+    assert lens.surfaces[0].glass == glass
+    (line,) = report.of(Verdict.APPROXIMATED)
+    assert line.how.startswith(f"SCHOTT's former {name} is in no catalogue; by its nd and Vd taken as {glass} (nd ")
+    for wavelength in (F_LINE_NM, D_LINE_NM, C_LINE_NM):
+        assert abs(refractive_index(glass, wavelength) - buchdahl_index(buchdahl, wavelength)) < OTHER_GLASS

@@ -213,6 +213,7 @@ def _turns(parts: Sequence[Array], points: Array) -> Index:
 def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
     """Refuse a body with a shell that does not have glass behind it and air in front of it."""
     for i, own in parts.items():
+        _refuse_crossed_shells(own, names[i])
         budget = _budget(own, own)
         tried = np.concatenate([_tried(shell, budget) for shell in own])
         wrong = _turns(own, _beside(tried, JUST_BESIDE)) != 1
@@ -224,6 +225,30 @@ def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
                 f"mm; its {len(own)} closed surfaces must not cut each other, outer ones must face outwards, those of "
                 "hollows into them"
             )
+
+
+def _refuse_crossed_shells(own: Sequence[Array], name: str) -> None:
+    """Refuse a body with a closed surface a part of which lies in another one, and a part does not.
+
+    The edges of two surfaces that cut each other may all pass through edges, where `cut` takes them to touch.
+    """
+    for k, shell in enumerate(own):
+        low, high = _box([shell])
+        others = [other for j, other in enumerate(own) if j != k and _boxes_overlap((low, high), _box([other]))]
+        if not others:
+            continue
+        near = CUT * min(float((high - low).max()), *(float(np.ptp(other, axis=(0, 1)).max()) for other in others))
+        inside, places = parts_in_shells(shell, others, near)
+        if len(inside) > 1:
+            x, y, z = places[int(inside.sum(axis=1).argmax())]
+            raise SceneError(
+                f"{name}: its closed surfaces cut each other near ({x:.4g}, {y:.4g}, {z:.4g}) mm; join its parts into "
+                "one body (a Boolean union) and export it again"
+            )
+
+
+def _boxes_overlap(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
+    return bool(((one[0] <= other[1]) & (one[1] >= other[0])).all())
 
 
 def _holders(parts: Shells, names: dict[int, str], priority: dict[int, int]) -> dict[int, set[int]]:

@@ -1,4 +1,4 @@
-"""How far one optical surface reaches through another inside both clear apertures, by bounds on cells.
+"""Depth to which one optical surface reaches through another inside both clear apertures, by bounds on cells.
 
 The aperture of the first surface is divided into squares. From the height over the other surface at the middle of a
 square follows its largest one there, by its gradient and a bound of its second derivatives. Squares that cannot hold
@@ -21,7 +21,7 @@ FIRST = 9
 """Squares across an aperture to begin with; the middle of one is the vertex."""
 
 LEVELS = 12
-"""How often they are halved."""
+"""Times that they are halved."""
 
 MOST_SQUARES = 1 << 13
 """Squares beyond which they are divided no further: surfaces touch all over, and stay as far apart as their middles."""

@@ -26,9 +26,9 @@ def file_fault(said: str, kept: list[FileSurface], number: int | None = None) ->
     said : str
         The scene's message, one fault a line.
     kept : list of FileSurface
-        Surfaces of the file that are those of the lens.
+        The file's lines of the lens's surfaces, in their order.
     number : int, optional
-        Surface of which the message speaks, if it does not say itself.
+        Number of the faulty surface, where the message does not give it.
     """
     fault = next((line.strip() for line in said.splitlines() if _FAULT.match(line.strip())), said)
     found = _FAULT.match(fault)

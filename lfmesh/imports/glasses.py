@@ -72,7 +72,7 @@ def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) 
         Makers whose glasses the file uses, the first first; empty where it does not say.
     stated : tuple of float and float or None, optional
         n_d and Abbe number beside the name. They tell apart the glasses that share the name. They do not overrule the
-        name, since files often hold those of an earlier glass.
+        name, since files often hold the indices of an earlier glass.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def glass_code(name: str, stated: Stated | None = None) -> tuple[float, float] |
 
 
 def _of_catalogues(name: str, catalogues: list[str], stated: Stated | None) -> list[str]:
-    """Return the glasses of this name in the file's catalogues; those of the stated n_d alone where there are any.
+    """Return the glasses of this name in the file's catalogues, only the ones with the stated n_d if there are any.
 
     SCHOTT's former glasses are in its catalogue by their successors.
     """

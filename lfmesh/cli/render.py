@@ -221,7 +221,7 @@ def _render(
     # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
     with defer_interrupt():
         from lfmesh.files import run
-        from lfmesh.files.folder import refuse_claimed
+        from lfmesh.files.claims import refuse_claimed
 
     # A render that runs has a checkpoint, too.
     refuse_claimed(folder)
@@ -266,7 +266,7 @@ def _resume(
         raise LfmeshError(f"--resume takes scene and settings from the run: leave out {', '.join(beside)}")
     with defer_interrupt():
         from lfmesh.files import checkpoint, image_file, run
-        from lfmesh.files.folder import refuse_claimed
+        from lfmesh.files.claims import refuse_claimed
 
     refuse_claimed(folder)
     if run.is_complete(folder):

@@ -9,7 +9,6 @@ what it says is done inside it or not at all.
 
 import json
 import os
-import platform
 import secrets
 import shutil
 import stat
@@ -17,28 +16,22 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files.inside import NO_LINK, Inside, refuse_link
+from lfmesh.files.locks import fcntl, held, locked
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.regular_file import read_text
 from lfmesh.scene.inputs import COPIES, digest_of
-
-# Windows has none.
-fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 
 MANIFEST, JOURNAL = "manifest.json", ".lfmesh-journal.json"
 STAGING = ".lfmesh-"
 
 FORMAT = 1
 """Of the manifest; a reader refuses any other."""
-
-CLAIM = f"{STAGING}rendering"
-"""Stands in a run folder and is locked while a run is saved there, or rendered that will be; it names the process."""
 
 FORGOTTEN_SECONDS = 86_400.0
 """Age of staging that belongs to a dead process, where files cannot be locked."""
@@ -127,10 +120,10 @@ def is_forgotten(path: Path) -> bool:
     mode = path.lstat().st_mode
     if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
         return False
-    with _lock(path, wait=False) as locked:
-        if locked is None:
+    with locked(path, wait=False) as free:
+        if free is None:
             return time.time() - path.stat().st_mtime > FORGOTTEN_SECONDS
-        return locked
+        return free
 
 
 def recover(folder: Path) -> None:
@@ -148,7 +141,7 @@ def recover(folder: Path) -> None:
     if not left:
         return
     try:
-        with _lock(folder):
+        with locked(folder):
             if (folder / JOURNAL).exists():
                 _finish(folder)
             for entry in left:
@@ -210,98 +203,13 @@ def write_inside(folder: Path, name: str, content: str | bytes) -> None:
         raise FileError(f"{folder / name} cannot be written: {error.strerror or error}") from None
 
 
-def refuse_claimed(folder: Path) -> None:
-    """Refuse a folder into which another process renders or saves a run.
-
-    Raises
-    ------
-    FileError
-        Naming the process.
-    """
-    try:
-        # Under the folder's lock nobody else tries the claim's own.
-        with _lock(folder), _lock(folder / CLAIM, wait=False) as free:
-            owner = read_text(folder / CLAIM) if free is False else ""
-    except (OSError, ValueError):
-        return
-    if free is False and owner != _this_process():
-        raise _taken(folder, owner)
-
-
-@contextmanager
-def claimed(folder: Path, *, again: bool = False) -> Iterator[None]:
-    """Claim a folder for a run of this process while the body renders or saves it.
-
-    Parameters
-    ----------
-    folder : Path
-    again : bool
-        Let this process in where it has claimed the folder already, as a render that saves.
-
-    Raises
-    ------
-    OSError
-        It cannot be written.
-    FileError
-        Another process has claimed it, or this one has.
-    """
-    handle = _claim(folder)
-    if isinstance(handle, str):
-        if handle != _this_process():
-            raise _taken(folder, handle)
-        if not again:
-            raise FileError(f"{folder}: this process is rendering into it already: give another folder")
-        handle = None
-    try:
-        yield
-    finally:
-        if handle is not None:
-            # Nobody opens the claim before it is gone and locks it afterwards.
-            with suppress(OSError), _lock(folder):
-                (folder / CLAIM).unlink()
-            os.close(handle)
-
-
-def _claim(folder: Path) -> int | str | None:
-    """Return the handle of a new claim, or the process that has claimed a folder; None where there are no locks."""
-    if fcntl is None:
-        return None
-    path = folder / CLAIM
-    with _lock(folder):
-        handle, ours = _locked(path, os.O_RDWR | os.O_CREAT | NO_LINK, wait=False)
-        if ours:
-            try:
-                os.ftruncate(handle, 0)
-                os.write(handle, _this_process().encode())
-            except BaseException:
-                os.close(handle)
-                raise
-            return handle
-        with os.fdopen(handle, encoding="utf-8", errors="replace") as file:
-            if ours is False:
-                return file.read()
-        path.unlink()
-        return None
-
-
-def _taken(folder: Path, owner: str) -> FileError:
-    return FileError(
-        f"{folder}: process {owner} is rendering into it or saving a run there: wait for its end, or give another"
-        " folder"
-    )
-
-
-def _this_process() -> str:
-    return f"{os.getpid()} on {platform.node()}"
-
-
 @contextmanager
 def staged(parent: Path) -> Iterator[Path]:
     """Yield an empty folder inside another, ours as long as this process lives; remove it at the end."""
-    with _lock(parent):
+    with locked(parent):
         staging = parent / f"{STAGING}{os.getpid()}-{secrets.token_hex(4)}"
         staging.mkdir()
-        handle = _held(staging)
+        handle = held(staging)
     try:
         yield staging
     finally:
@@ -314,7 +222,7 @@ def staged(parent: Path) -> Iterator[Path]:
 @contextmanager
 def staged_file(folder: Path, name: str) -> Iterator[Any]:
     """Yield a new binary file, which takes the place of a file of a folder when the body is done."""
-    with _lock(folder):
+    with locked(folder):
         handle, temporary = tempfile.mkstemp(prefix=STAGING, dir=folder)
         if fcntl is not None:
             with suppress(OSError):
@@ -365,7 +273,7 @@ def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) ->
     new = {name: Entry.of(staging / name) for name in names}
     for name in names:
         _to_disk(staging / name)
-    with _lock(folder):
+    with locked(folder):
         # A change that another process decided and did not finish comes first.
         if (folder / JOURNAL).exists():
             _finish(folder)
@@ -467,46 +375,3 @@ def _to_disk(path: Path) -> None:
             os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _held(path: Path) -> int | None:
-    """Lock a folder as long as this process has the handle open; None where that cannot be done."""
-    if fcntl is None:
-        return None
-    handle, ours = _locked(path, os.O_RDONLY | os.O_DIRECTORY | NO_LINK, wait=True)
-    if ours:
-        return handle
-    os.close(handle)
-    return None
-
-
-@contextmanager
-def _lock(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
-    """Hold a lock on a folder, or without waiting on a file or folder inside one.
-
-    Yields False where another has the lock, None where there are no locks.
-    """
-    if fcntl is None:
-        yield None
-        return
-    # The user's own folder may be reached through a link; what lies in it may not. Neither is a pipe waited for.
-    handle, ours = _locked(path, os.O_RDONLY | (os.O_DIRECTORY if wait else NO_LINK), wait=wait)
-    try:
-        yield ours
-    finally:
-        os.close(handle)
-
-
-def _locked(path: Path, flags: int, *, wait: bool) -> tuple[int, bool | None]:
-    """Open a path and lock it; return its handle and whether the lock is ours, None where there are no locks."""
-    handle = os.open(path, flags, 0o666)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        return handle, True
-    except BlockingIOError:
-        return handle, False
-    except OSError:
-        return handle, None
-    except BaseException:
-        os.close(handle)
-        raise

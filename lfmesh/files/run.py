@@ -16,6 +16,7 @@ from lfmesh.errors import FileError
 from lfmesh.files import exr, words
 from lfmesh.files.calibration import read_calibration, write_calibration
 from lfmesh.files.checkpoint import CHECKPOINT
+from lfmesh.files.claims import claimed, refuse_claimed
 from lfmesh.files.colour import white_in_words
 from lfmesh.files.folder import (
     MANIFEST,
@@ -23,12 +24,10 @@ from lfmesh.files.folder import (
     Change,
     Entry,
     Manifest,
-    claimed,
     commit,
     is_safe,
     manifest_of,
     recover,
-    refuse_claimed,
     saved,
     staged,
 )

@@ -14,7 +14,8 @@ from lfmesh.cli import main
 from lfmesh.errors import FileError
 from lfmesh.files import run
 from lfmesh.files.checkpoint import CHECKPOINT
-from lfmesh.files.folder import CLAIM, STAGING, refuse_claimed
+from lfmesh.files.claims import CLAIM, refuse_claimed
+from lfmesh.files.folder import STAGING
 from tests.files.conftest import PLENOPTIC
 
 Build = Callable[..., lf.Image]

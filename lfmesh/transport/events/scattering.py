@@ -71,6 +71,19 @@ def albedo(scattering: ScatteringTables, point: Point, colour: int, ix: float, i
 
 
 @inlined
+def is_hot(scattering: ScatteringTables, row: int) -> bool:
+    """Tell whether a model emits by temperature: as what absorbs at its surface, in all directions.
+
+    Parameters
+    ----------
+    scattering : ScatteringTables
+    row : int
+        Of a model by which a surface emits.
+    """
+    return scattering.models[row].kind == THERMAL
+
+
+@inlined
 def evaluate(
     scattering: ScatteringTables, point: Point, colour: int, incoming: Direction, outgoing: Direction
 ) -> float:  # fmt: skip

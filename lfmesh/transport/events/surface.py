@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import barycentric
-from lfmesh.transport.events.scattering import Point, emissivity
+from lfmesh.transport.events.scattering import Point, emissivity, is_hot
 from lfmesh.transport.packets.random import derived, uniform
-from lfmesh.transport.tables.scattering import THERMAL
 from lfmesh.transport.tables.tables import AIR, BY_ALPHA, ObjectTables
 from lfmesh.transport.tables.varied_gloss import drawn_model
 
@@ -113,7 +112,7 @@ def emission_of(objects: ObjectTables, point: Point, key: np.uint64) -> Point:
         Of the packet.
     """
     row = objects.scattering.models[point.model].emission
-    smooth = point.smooth and objects.scattering.models[row].kind == THERMAL
+    smooth = point.smooth and is_hot(objects.scattering, row)
     u, v = 0.0, 0.0
     if smooth:
         u, v = uniform(derived(key, EMITTED), 0), uniform(derived(key, EMITTED), 1)
@@ -243,7 +242,7 @@ def emitted_radiance(
     if radiance <= 0.0:
         return 0.0
     source = emission_of(objects, point, derived(packet.key, packet.events))
-    hot = objects.scattering.models[source.model].kind == THERMAL
+    hot = is_hot(objects.scattering, source.model)
     # Radiance over n² is conserved. That of a black body grows as n², and is known for what bodies stand in.
     index = objects.media.indices[AIR if hot else packet.medium, packet.colour]
     radiance /= index * index

@@ -189,11 +189,30 @@ def test_the_command_line_loads_no_heavy_library_before_it_works(arguments: list
     assert not HEAVY & loaded_by(f"from lfmesh.cli import main; assert main({arguments}) == 0")
 
 
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"]])
+def test_help_loads_no_numbers_and_no_part_that_works(arguments: list[str]) -> None:
+    loaded = modules_loaded_by(f"from lfmesh.cli import main; assert main({arguments}) == 0")
+    working = {f"lfmesh.{part}" for part in ORDER} - {"lfmesh.cli", "lfmesh.view", "lfmesh.__main__"}
+    assert not loaded & {"numpy", "scipy", "pydantic", "pydantic_core", *HEAVY, *working}
+    assert "lfmesh.cli" in loaded
+
+
+def test_the_list_of_lenses_loads_scenes_and_glasses_alone() -> None:
+    loaded = modules_loaded_by("from lfmesh.cli import main; assert main(['lens', 'list']) == 0")
+    assert not loaded & {"lfmesh.geometry", "lfmesh.imports", *HEAVY}
+    assert "lfmesh.scene" in loaded
+
+
 def loaded_by(statements: str) -> set[str]:
     """Return the libraries that a fresh process has loaded after some statements."""
+    return {name.split(".")[0] for name in modules_loaded_by(statements)}
+
+
+def modules_loaded_by(statements: str) -> set[str]:
+    """Return the full names of the modules that a fresh process has loaded after some statements."""
     script = f"import sys; {statements}; print('\\n', *sys.modules)"
     child = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
-    return {name.split(".")[0] for name in child.stdout.splitlines()[-1].split()}
+    return set(child.stdout.splitlines()[-1].split())
 
 
 def test_no_file_names_a_folder_of_one_machine() -> None:

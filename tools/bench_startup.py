@@ -23,6 +23,8 @@ import numpy as np
 from bench_report import COLOURS, Report, Table, deliver, guarded, parser, say, whole
 
 ROUNDS, QUICK_ROUNDS = 3, 1
+UNIT = "import numpy"
+"""Step whose processor time is the unit of the others', so that figures of several machines can be compared."""
 SPLIT = {"all reflections": "both", "image path": "transmit"}
 
 RENDER = """
@@ -36,16 +38,27 @@ COLUMNS = {
     "step": ("step", ""),
     "seconds": ("seconds", ".2f"),
     "processor_s": ("of processor", ".2f"),
+    "ratio": ("to import numpy", ".1f"),
 }
 
 
 @dataclass(frozen=True)
 class StartupRow:
-    """Time of a step in a fresh process: by the clock and of the processor, medians over the rounds."""
+    """Time of a step in a fresh process: medians over the rounds.
+
+    Attributes
+    ----------
+    step : str
+    seconds, processor_s : float
+        By the clock, and of the processor.
+    ratio : float
+        Processor time over that of `UNIT`, taken in the same round.
+    """
 
     step: str
     seconds: float
     processor_s: float
+    ratio: float
 
 
 def clocked(arguments: Sequence[str], cache: Path | None = None) -> tuple[float, float]:
@@ -70,8 +83,11 @@ def measure_round() -> dict[str, tuple[float, float]]:
     """Take every step once."""
     found = {
         "Python alone": clocked(["-c", "pass"]),
+        UNIT: clocked(["-c", UNIT]),
         "import lfmesh": clocked(["-c", "import lfmesh"]),
         "lfmesh --help": clocked(["-m", "lfmesh", "--help"]),
+        "lfmesh --version": clocked(["-m", "lfmesh", "--version"]),
+        "lfmesh lens list": clocked(["-m", "lfmesh", "lens", "list"]),
     }
     for paths, split in SPLIT.items():
         code = RENDER.format(split=split)
@@ -87,10 +103,12 @@ def measure(rounds: int) -> list[StartupRow]:
     for number in range(rounds):
         say(f"round {number + 1} of {rounds}")
         found.append(measure_round())
-    return [
-        StartupRow(step, *(float(np.median([taken[step][clock] for taken in found])) for clock in (0, 1)))
-        for step in found[0]
-    ]
+    rows = []
+    for step in found[0]:
+        seconds, processor_s = (float(np.median([taken[step][clock] for taken in found])) for clock in (0, 1))
+        ratio = float(np.median([taken[step][1] / taken[UNIT][1] for taken in found]))
+        rows.append(StartupRow(step, seconds, processor_s, ratio))
+    return rows
 
 
 def draw(rows: Sequence[StartupRow], figure: Any) -> None:

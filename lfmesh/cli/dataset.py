@@ -12,7 +12,6 @@ from lfmesh.cli.printing import list_files, say_note, say_warnings
 from lfmesh.cli.progress import status
 from lfmesh.cli.study import LISTED, progress_in_words
 from lfmesh.errors import LfmeshError
-from lfmesh.scene.literals import counted
 
 if TYPE_CHECKING:
     from lfmesh.study.datasets.dataset import Dataset
@@ -67,6 +66,8 @@ def dataset(
     for number, reason in sorted(made.failed.items()):
         say_note(f"item {number}: {reason}")
     if made.noted:
+        from lfmesh.scene.literals import counted
+
         say_note(f"{counted(made.noted, 'item')} {'has' if made.noted == 1 else 'have'} notes, which the index holds")
     print(f"{made.done} of {made.count} items are done.")
     list_files([made.index])
@@ -80,6 +81,7 @@ def _plan(loaded: "Dataset") -> int:
         print(f"  and {len(loaded) - LISTED} more")
     with defer_interrupt():
         from lfmesh.geometry.lens.solved_camera import solved_camera
+        from lfmesh.scene.literals import counted
         from lfmesh.transport.checks.foreseen import foreseen
         from lfmesh.transport.world import build
 

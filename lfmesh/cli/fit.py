@@ -11,7 +11,6 @@ from lfmesh.cli.options import Whole
 from lfmesh.cli.printing import list_files, say_note
 from lfmesh.cli.progress import status
 from lfmesh.errors import LfmeshError
-from lfmesh.scene.literals import plain
 from lfmesh.wrapping import wrapped
 
 if TYPE_CHECKING:
@@ -135,6 +134,8 @@ def _with_boards(
 
 
 def _boards_in_words(found: "BoardFit", names: list[Path]) -> list[str]:
+    from lfmesh.scene.literals import plain
+
     lines = list(map(_estimate, found.estimates))
     for number, (name, pose) in enumerate(zip(names, found.poses, strict=True)):
         for kind, unit, part in (("position", "mm", 0), ("rotation", "deg", 3)):
@@ -153,6 +154,8 @@ def _boards_in_words(found: "BoardFit", names: list[Path]) -> list[str]:
 
 
 def _estimate(each: "Estimate") -> str:
+    from lfmesh.scene.literals import plain
+
     error = "kept, not determined" if each.kept else f"± {plain(each.standard_error, 2)}"
     if each.together and not each.kept:
         error += ", if what is kept is right"
@@ -160,6 +163,8 @@ def _estimate(each: "Estimate") -> str:
 
 
 def _in_words(found: "Fit") -> list[str]:
+    from lfmesh.scene.literals import plain
+
     lines = list(map(_estimate, found.estimates))
     lines.append(f"{'micro-image pitch':<22}{found.pitch_px:>12.7g} px  ± {plain(found.pitch_error_px, 2)}")
     for both in found.combinations:

@@ -19,7 +19,7 @@ def list_lenses() -> int:
 
     In a scene file: [camera.lens] file = "lib:cooke_triplet_50mm".
     """
-    from lfmesh.imports.catalogue import entries
+    from lfmesh.scene.lens_library import entries
 
     for entry in entries():
         print(wrapped(str(entry)))

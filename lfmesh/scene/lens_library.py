@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from lfmesh.optics.glass import D_LINE_NM
-from lfmesh.scene import Paraxial, load_lens
 from lfmesh.scene.camera.lens import Lens
-from lfmesh.scene.files import LIBRARY, library
+from lfmesh.scene.files import LIBRARY, library, load_lens
+from lfmesh.scene.first_order.paraxial import Paraxial
 
 
 @dataclass(frozen=True)

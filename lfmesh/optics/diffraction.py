@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.quadrature import gauss_legendre
 
 RECTANGLE, HEXAGON, ROUND = range(3)
 """Shapes of apertures."""
@@ -79,7 +80,7 @@ def hexagon_cells() -> NDArray[np.float32]:
         That share, and the other number: as few bytes as possible, as they are read at random.
     """
     chances = np.zeros(_CELLS * _CELLS + 1)
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = gauss_legendre(3)
     _add_cells(nodes, weights, chances)
     chances[-1] = 1.0 - chances.sum()
     parts, others = chances * len(chances), np.arange(len(chances))

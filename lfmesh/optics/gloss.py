@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.optics.microfacets import facet_density, projected_area, smith_g2, visible_normal
+from lfmesh.optics.quadrature import gauss_legendre
 
 Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
@@ -45,6 +46,9 @@ ACROSS, ROUND = 48, 32
 BASE, ALPHA, INDEX, EXTINCTION, SEVERAL, BASE_NORM, SEVERAL_NORM, TABLES = 0, 1, 2, 3, 4, 5, 6, 7
 ROWS = TABLES + 2 * (NODES + 1)
 
+KEPT_ROUGHNESSES, KEPT_LAYERS = 256, 4096
+"""Roughnesses and layers whose tables are cached: 17 MB and 8 MB at most."""
+
 LEAST_CHANCE = 0.05
 """Of each of the two ways in which a direction is drawn."""
 
@@ -62,25 +66,53 @@ def gloss_parameters(reflectance: Array, index: NDArray[np.complex128], roughnes
         α_g.
     """
     rows = np.zeros((ROWS, len(index)))
-    moments = facet_moments(roughness)
-    not_one = np.maximum(1.0 - moments[0] - MARGIN, 0.0)
-    loss = _table_mean(not_one)
-    known: dict[complex, tuple[float, Array]] = {}
+    not_one, loss = _lost_by_facets(roughness)
     for column, n in enumerate(index):
-        if complex(n) not in known:
-            mean = _mean(partial(interface_reflectance, n.real, n.imag))
-            several = mean * mean * (1.0 - loss) / (1.0 - mean * loss)
-            through = 1.0 - _expanded(n) @ moments - several * not_one - MARGIN
-            known[complex(n)] = several, np.maximum(through, 0.0)
-        several, through = known[complex(n)]
+        several, through, mean_through = _layer(complex(n), roughness)
         rows[BASE, column] = reflectance[column] if n.imag == 0.0 else 0.0
         rows[ALPHA, column], rows[INDEX, column], rows[EXTINCTION, column] = roughness, n.real, n.imag
         rows[SEVERAL, column] = several
         rows[SEVERAL_NORM, column] = several / (np.pi * loss) if loss > 0.0 else 0.0
-        rows[BASE_NORM, column] = rows[BASE, column] / (np.pi * _table_mean(through)) if through.any() else 0.0
+        rows[BASE_NORM, column] = rows[BASE, column] / (np.pi * mean_through) if through.any() else 0.0
         rows[TABLES : TABLES + NODES + 1, column] = not_one
         rows[TABLES + NODES + 1 :, column] = through
     return rows
+
+
+@lru_cache(maxsize=KEPT_ROUGHNESSES)
+def _lost_by_facets(alpha: float) -> tuple[Array, float]:
+    """Return what single facets that reflect everything lose, 1 − E₁, (NODES + 1,), and its mean."""
+    not_one = np.maximum(1.0 - facet_moments(alpha)[0] - MARGIN, 0.0)
+    not_one.setflags(write=False)
+    return not_one, _table_mean(not_one)
+
+
+@lru_cache(maxsize=KEPT_LAYERS)
+def _layer(n: complex, alpha: float) -> tuple[float, Array, float]:
+    """Return what depends on the facets alone, whatever lies below them.
+
+    Parameters
+    ----------
+    n : complex
+        Index of the facets.
+    alpha : float
+        Roughness α_g.
+
+    Returns
+    -------
+    several : float
+        Factor of the light that several facets reflect, F_ms.
+    through : (NODES + 1,) float64
+        1 − E.
+    mean_through : float
+        Its mean.
+    """
+    not_one, loss = _lost_by_facets(alpha)
+    mean = _mean(partial(interface_reflectance, n.real, n.imag))
+    several = mean * mean * (1.0 - loss) / (1.0 - mean * loss)
+    through = np.maximum(1.0 - _expanded(n) @ facet_moments(alpha) - several * not_one - MARGIN, 0.0)
+    through.setflags(write=False)
+    return several, through, _table_mean(through)
 
 
 def _expanded(n: complex) -> Array:
@@ -92,14 +124,14 @@ def _expanded(n: complex) -> Array:
 
 def _mean(of_cosine: Callable[[Array], Array]) -> float:
     """Return the mean of a function of the cosine over the hemisphere, weighted by the cosine."""
-    x, w = np.polynomial.legendre.leggauss(64)
+    x, w = gauss_legendre(64)
     c = 0.5 * (x + 1.0)
     return float((w * c * of_cosine(c)).sum())
 
 
 def _table_mean(table: Array) -> float:
     """Return the same mean of a table, linear in the root of the cosine: exactly, by quadrature of each interval."""
-    x, w = np.polynomial.legendre.leggauss(4)
+    x, w = gauss_legendre(4)
     t = (np.arange(NODES)[:, None] + 0.5 * (x + 1.0)) / NODES
     share = 0.5 * (x + 1.0)
     values = table[:-1, None] * (1.0 - share) + table[1:, None] * share
@@ -135,7 +167,7 @@ facet_reflectance = inlined(_reflectance)
 """Return Fresnel's reflectance from air at a facet: index n, extinction k, cosine of incidence."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=KEPT_ROUGHNESSES)
 def facet_moments(alpha: float) -> Array:
     """Return the directional albedos of facets whose reflectance is a Chebyshev polynomial, (ORDERS, NODES + 1).
 
@@ -151,12 +183,13 @@ def facet_moments(alpha: float) -> Array:
     """
     mu = np.maximum(np.linspace(0.0, 1.0, NODES + 1) ** 2, 1e-12)
     moments = np.zeros((ORDERS, NODES + 1))
+    none = _edge(alpha, mu, 1.0)
+    all_round = np.minimum(_edge(alpha, mu, -1.0), none)
     for first in range(0, NODES + 1, 32):
         some = slice(first, first + 32)
-        all_round, none = _edge(alpha, mu[some], -1.0), _edge(alpha, mu[some], 1.0)
-        all_round = np.minimum(all_round, none)
-        moments[:, some] = _part(alpha, mu[some], np.zeros_like(none), all_round, False)
-        moments[:, some] += _part(alpha, mu[some], all_round, none, True)
+        moments[:, some] = _part(alpha, mu[some], np.zeros_like(none[some]), all_round[some], False)
+        moments[:, some] += _part(alpha, mu[some], all_round[some], none[some], True)
+    moments.setflags(write=False)
     return moments
 
 
@@ -205,14 +238,14 @@ def _edge_azimuth(alpha: float, mu: Array, v: Array) -> Array:
 
 def _part(alpha: float, mu: Array, low: Array, high: Array, cut: bool) -> Array:
     """Return the integrals over v from `low` to `high`, and over the azimuths above the edge where it cuts them."""
-    x, w = np.polynomial.legendre.leggauss(ACROSS)
+    x, w = gauss_legendre(ACROSS)
     p = 0.5 * (x + 1.0)
     # Points crowd at both ends, where square roots and the shadow near the horizon are.
     place, weight = p**3 * (10.0 - 15.0 * p + 6.0 * p * p), 15.0 * (p * (1.0 - p)) ** 2 * w
     mu, low, high = mu[:, None], low[:, None], high[:, None]
     v, v_weight = low + (high - low) * place, (high - low) * weight
     limit = _edge_azimuth(alpha, mu, v) if cut else np.full_like(v, np.pi)
-    x, w = np.polynomial.legendre.leggauss(ROUND)
+    x, w = gauss_legendre(ROUND)
     p = 0.5 * (x + 1.0)
     phi = limit[..., None] * (1.0 - (1.0 - p) ** 3)
     phi_weight = limit[..., None] * (1.5 * (1.0 - p) ** 2 * w / np.pi)

@@ -11,12 +11,14 @@ gains nothing either. Its density of facets is off by at most RATIO²/2, 1.04 %,
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.optics.gloss import gloss_parameters, interface_reflectance
+from lfmesh.optics.quadrature import gauss_legendre
 from lfmesh.optics.rgb_spectra import primary_reflectances
 
 Array = NDArray[np.float64]
@@ -98,24 +100,33 @@ class GltfRange:
         return tuple(GltfMaterial(self.base, metallic, math.sqrt(a)) for a in alphas for metallic in self.metallic)
 
 
-def gltf_parameters(material: GltfMaterial, wavelengths_nm: tuple[float, ...], surroundings: Array) -> Array:
-    """Return the parameters of both parts as kernels take them, first the dielectric's, (2 ROWS, wavelengths).
+def gltf_parameters(
+    materials: Sequence[GltfMaterial], wavelengths_nm: tuple[float, ...], surroundings: Array
+) -> list[Array]:
+    """Return the parameters of both parts of materials as kernels take them, each (2 ROWS, wavelengths).
+
+    Those of the dielectric come first.
 
     Parameters
     ----------
-    material : GltfMaterial
+    materials : sequence of GltfMaterial
     wavelengths_nm : (wavelengths,) tuple of float
-    surroundings : (wavelengths,) float64
-        Refractive index of what the material stands in; that part which is a metal has its colour in any.
+    surroundings : (materials, wavelengths) float64
+        Refractive index of what each material stands in; that part which is a metal has its colour in any.
     """
-    colour = np.clip([primary_reflectances(w) @ material.base for w in wavelengths_nm], 0.0, 1.0)
-    dielectric = np.asarray(DIELECTRIC_INDEX / surroundings, np.complex128)
-    return np.concatenate(
-        [
-            gloss_parameters(colour, dielectric, material.alpha),
-            gloss_parameters(colour, metal_of_reflectance(colour), material.alpha),
-        ]
-    )
+    if not materials:
+        return []
+    primaries = [primary_reflectances(w) for w in wavelengths_nm]
+    colours = np.clip([[each @ material.base for each in primaries] for material in materials], 0.0, 1.0)
+    dielectrics = np.asarray(DIELECTRIC_INDEX / surroundings, np.complex128)
+    return [
+        np.concatenate(
+            [gloss_parameters(colour, dielectric, material.alpha), gloss_parameters(colour, metal, material.alpha)]
+        )
+        for material, colour, dielectric, metal in zip(
+            materials, colours, dielectrics, metal_of_reflectance(colours), strict=True
+        )
+    ]
 
 
 def metal_of_reflectance(reflectance: Array) -> NDArray[np.complex128]:
@@ -127,17 +138,17 @@ def metal_of_reflectance(reflectance: Array) -> NDArray[np.complex128]:
 
     Parameters
     ----------
-    reflectance : (n,) float64
+    reflectance : float64, any shape
         0..1; 1 is a perfect mirror.
     """
     r = np.clip(reflectance, 1e-6, 1.0 - 1e-9)
-    x, w = np.polynomial.legendre.leggauss(64)
+    x, w = gauss_legendre(64)
     cosine = 0.5 * (x + 1.0)
     low, high = np.zeros_like(r), np.ones_like(r)
     for _ in range(HALVINGS):
         tint = 0.5 * (low + high)
         n = _with_tint(r, tint)
-        mean = interface_reflectance(n.real[:, None], n.imag[:, None], cosine) @ (w * cosine)
+        mean = interface_reflectance(n.real[..., None], n.imag[..., None], cosine) @ (w * cosine)
         above = mean > r + (1.0 - r) / 21.0
         low, high = np.where(above, low, tint), np.where(above, tint, high)
     return _with_tint(r, 0.5 * (low + high))

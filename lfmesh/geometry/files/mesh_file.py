@@ -5,7 +5,9 @@ and its pieces; `cad_file` makes meshes of STEP and 3MF files before. The differ
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,13 @@ from lfmesh.geometry.files.companion import check_companion
 from lfmesh.geometry.files.gltf_buffers import names_of
 from lfmesh.geometry.files.gltf_left_out import left_out
 from lfmesh.geometry.files.gltf_looks import check_material
-from lfmesh.geometry.files.gltf_nodes import check_document, node_called, nodes_of, not_read, primitives_of
+from lfmesh.geometry.files.gltf_nodes import Node, check_document, node_called, nodes_of, not_read, primitives_of
 from lfmesh.geometry.files.gltf_primitives import load_primitives
 from lfmesh.geometry.files.pictures import companion_name
 from lfmesh.geometry.files.piece import Notes, Piece
 from lfmesh.geometry.surfaces.optical_face import Told
 from lfmesh.regular_file import read_bytes, why_no_file
+from lfmesh.scene.inputs import file_stamp
 
 MM_PER_UNIT = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "foot": 304.8}
 """Units of length a target may name."""
@@ -35,6 +38,9 @@ FARTHEST_MM = 1e15
 
 MOST_ENTRIES = 10**9
 """Of one accessor of a glTF file: more than memory holds, and more than a mesh needs."""
+
+DOCUMENTS = 4
+"""glTF files whose JSON is cached, the latest ones asked for."""
 
 GLB_VERSION = 2
 """Of the container of glTF 2.0 (section 4.4.2)."""
@@ -151,7 +157,7 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
     document = gltf_document(path) if ending in UNIT_OF_FORMAT else None
     try:
         if document is not None:
-            return _placed_nodes(path, document, node, alpha, notes)
+            return _placed_nodes(path, document, _nodes(path, file_stamp(path)), node, alpha, notes)
         if ending == ".stl":
             pieces = stl_file.read(path, notes)
         elif ending == ".off":
@@ -173,7 +179,8 @@ def _read_cad(
     if ending == ".3mf":
         return cad_file.pieces_of_3mf(path, node, alpha, notes)
     with cad_file.step_as_glb(path, tolerance_mm) as glb:
-        return _placed_nodes(glb, cad_file.named_by_body(gltf_document(glb)), node, alpha, notes)
+        document = cad_file.named_by_body(gltf_document(glb))
+        return _placed_nodes(glb, document, nodes_of(glb, document), node, alpha, notes)
 
 
 def surfaces_of_step(path: Path, node: str | int | None, tolerance_mm: float | None) -> list[Told]:
@@ -200,10 +207,9 @@ def surfaces_of_step(path: Path, node: str | int | None, tolerance_mm: float | N
 
 
 def _placed_nodes(
-    path: Path, document: dict[str, Any], key: str | int | None, alpha: bool, notes: Notes
-) -> list[Piece]:  # fmt: skip
+    path: Path, document: dict[str, Any], nodes: Sequence[Node], key: str | int | None, alpha: bool, notes: Notes
+) -> list[Piece]:
     """Return the pieces of a glTF file, or of one of its nodes, mm."""
-    nodes = nodes_of(path, document)
     taken = nodes if key is None else [node_called(path, nodes, key)]
     parts = {node.number: primitives_of(path, document, node) for node in taken}
     for node in taken:
@@ -244,6 +250,14 @@ def gltf_document(path: Path) -> dict[str, Any]:
     MeshError
         It is broken, names files that are not there, or requires an extension that would go unread.
     """
+    document = _document(path, file_stamp(path))
+    _check_companions(path, document)
+    return document
+
+
+@lru_cache(maxsize=DOCUMENTS)
+def _document(path: Path, _: tuple[object, ...]) -> dict[str, Any]:
+    """Return the JSON of a file, which nobody changes, read once for each stamp: every part of it asks for it."""
     ending = path.suffix.lower()
     content = read_bytes(path)
     try:
@@ -264,9 +278,14 @@ def gltf_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _check_gltf(path: Path, document: dict[str, Any]) -> None:
-    """Raise on buffers that are not there, files that lie elsewhere, tables larger than memory, and wrong materials."""
-    check_document(path, document)
+@lru_cache(maxsize=DOCUMENTS)
+def _nodes(path: Path, stamp: tuple[object, ...]) -> tuple[Node, ...]:
+    """Return the nodes of a glTF file's scene, found once for each stamp."""
+    return tuple(nodes_of(path, _document(path, stamp)))
+
+
+def _check_companions(path: Path, document: dict[str, Any]) -> None:
+    """Raise on buffers that are not there, and on files that lie elsewhere."""
     for key, kind in (("buffers", "buffer"), ("images", "picture")):
         for entry in _objects(document, key):
             uri = entry.get("uri")
@@ -276,6 +295,11 @@ def _check_gltf(path: Path, document: dict[str, Any]) -> None:
             check_companion(path, name, kind)
             if companion_name(path, names_of(uri), kind) is None and kind == "buffer":
                 raise MeshError(f"{path}: its {kind} {name} is not there; put it beside the mesh")
+
+
+def _check_gltf(path: Path, document: dict[str, Any]) -> None:
+    """Raise on tables larger than memory, and on wrong materials."""
+    check_document(path, document)
     for accessor in _objects(document, "accessors"):
         count = accessor.get("count")
         if not isinstance(count, int) or not 0 <= count <= MOST_ENTRIES:

@@ -7,6 +7,7 @@ trimesh takes half a second to load, so every module does that only where it is 
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,13 +31,28 @@ FACET = np.dtype(
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Mesh:
-    """Vertices (n, 3) float64 mm, faces (m, 3), corner_normals (m, 3, 3) of what the mesh stands for, where known."""
+    """Vertices (n, 3) float64 mm, faces (m, 3), corner_normals (m, 3, 3) of what the mesh stands for, where known.
+
+    Its arrays are not written to once it is made: what follows from them is computed once, see `facet_normals`.
+    """
 
     vertices: Array
     faces: Index
     corner_normals: Array | None = field(default=None)
+
+    @cached_property
+    def _normals_and_areas(self) -> tuple[Array, Array]:
+        first, second, third = (self.vertices[self.faces[:, k]] for k in range(3))
+        (ux, uy, uz), (vx, vy, vz) = (second - first).T, (third - first).T
+        cross = np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+        length = np.sqrt(cross[:, 0] ** 2 + cross[:, 1] ** 2 + cross[:, 2] ** 2)
+        normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
+        areas = 0.5 * length
+        for values in (normals, areas):
+            values.setflags(write=False)
+        return normals, areas
 
     def moved(self, through: Array) -> "Mesh":
         """Return the mesh seen through a frame; a reflecting frame turns the winding, so outward stays outward."""
@@ -93,12 +109,8 @@ def boxes_meet(one: Mesh, other: Mesh, within: float) -> bool:
 
 
 def facet_normals(mesh: Mesh) -> tuple[Array, Array]:
-    """Return (m, 3) unit normals and (m,) areas in mm²; a facet without area has a zero normal."""
-    corner = mesh.vertices[mesh.faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    length = np.linalg.norm(cross, axis=1)
-    normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
-    return normals, 0.5 * length
+    """Return (m, 3) unit normals and (m,) areas in mm², both read-only; a facet without area has a zero normal."""
+    return mesh._normals_and_areas
 
 
 def facet_corner_normals(mesh: Mesh) -> Array:

@@ -31,8 +31,8 @@ def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int
         Body of each facet.
     """
     corners, owners = [], []
-    for body in np.unique(bodies):
-        own = np.flatnonzero(bodies == body)
+    order = np.argsort(bodies, kind="stable")
+    for own in np.split(order, np.flatnonzero(np.diff(bodies[order])) + 1):
         facets = mesh.vertices[mesh.faces[own]]
         if len(own) >= MANY:
             facets, within = _divided(facets)

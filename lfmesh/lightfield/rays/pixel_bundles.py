@@ -16,6 +16,7 @@ from lfmesh.geometry.array.lenslets import Lenslets, faces_at, type_of
 from lfmesh.lightfield.rays.chief_rays import Plate
 from lfmesh.lightfield.rays.pixel_slopes import ahead, pixel_slopes
 from lfmesh.lightfield.rays.view_rays import image_path_engine
+from lfmesh.optics.quadrature import gauss_legendre
 from lfmesh.transport.packets.packet import CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, WORLD_FRAME
 from lfmesh.transport.sequences.ray_tables import etendue_factors, faces_of, follow_sequence
 from lfmesh.transport.sequences.sequences import Itinerary
@@ -77,12 +78,12 @@ def cell_points(lattice: Lattice) -> tuple[Array, Array]:
     """Return Gauss points of a lattice's cell about its centre, (n, 2) mm, and the area that each stands for, mm²."""
     half = 0.5 * lattice.pitch
     if not lattice.hexagonal:
-        nodes, weights = np.polynomial.legendre.leggauss(ON_LENSLET)
+        nodes, weights = gauss_legendre(ON_LENSLET)
         x, y = np.meshgrid(half * nodes, half * nodes)
         return np.column_stack([x.ravel(), y.ravel()]), (half * half * np.outer(weights, weights)).ravel()
     # Three strips along x, in each of which the width goes linearly: the middle one as wide as the pitch.
-    along, of_strip = np.polynomial.legendre.leggauss(ON_LENSLET // 2)
-    across, of_row = np.polynomial.legendre.leggauss(ON_LENSLET)
+    along, of_strip = gauss_legendre(ON_LENSLET // 2)
+    across, of_row = gauss_legendre(ON_LENSLET)
     tip = lattice.circumradius
     points, areas = [], []
     for low, high in ((-1.0, -0.5), (-0.5, 0.5), (0.5, 1.0)):
@@ -96,7 +97,7 @@ def cell_points(lattice: Lattice) -> tuple[Array, Array]:
 def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array) -> Bundles:
     scene, moves = world.scene, world.tables.frames
     sensor, lenslets = scene.camera.sensor, plate.lenslets
-    nodes, shares = np.polynomial.legendre.leggauss(ON_PIXEL)
+    nodes, shares = gauss_legendre(ON_PIXEL)
     x, y = np.meshgrid(0.5 * nodes, 0.5 * nodes)
     on_pixel, pixel_share = np.column_stack([x.ravel(), y.ravel()]), 0.25 * np.outer(shares, shares).ravel()
     on_cell, cell_area = cell_points(lenslets.lattice)

@@ -24,12 +24,11 @@ class Hosts(NamedTuple):
     rank: Numbers  # (targets,) see `ObjectTables.rank`
     medium: Numbers  # (targets,) number of the medium; OPAQUE for other targets
     media: Media
-    corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each target
+    corners: list[Array]  # (m, 3, 3) mm, world frame, of the facets of each body; none of other targets
 
-    @property
-    def boxes_mm(self) -> list[tuple[Array, Array]]:
-        """Lowest and highest corner of each target, world frame."""
-        return [(facets.min(axis=(0, 1)), facets.max(axis=(0, 1))) for facets in self.corners]
+    def box_mm(self, body: int) -> tuple[Array, Array]:
+        """Return the lowest and the highest corner of a body, world frame."""
+        return self.corners[body].min(axis=(0, 1)), self.corners[body].max(axis=(0, 1))
 
     def index_of(self, body: int | None) -> Array:
         """Return the refractive index of a body, None for what bodies stand in, at each wavelength."""
@@ -65,12 +64,8 @@ class Hosts(NamedTuple):
     def near(self, surface: Array) -> list[int]:
         """Return the bodies whose boxes meet that of a surface, given by the corners (n, 3, 3) of its facets."""
         low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
-        boxes = self.boxes_mm
-        return [
-            body
-            for body in np.flatnonzero(self.rank).tolist()
-            if (boxes[body][0] <= high).all() and (boxes[body][1] >= low).all()
-        ]
+        boxes = [(body, *self.box_mm(body)) for body in np.flatnonzero(self.rank).tolist()]
+        return [body for body, lowest, highest in boxes if (lowest <= high).all() and (highest >= low).all()]
 
     def touching_mm(self, surface: Array, bodies: list[int]) -> float:
         """Return the distance within which a surface touches some bodies, mm."""
@@ -119,5 +114,9 @@ def hosts_of(scene: Scene, targets: list[TargetMesh], ranks: Numbers, medium: Nu
     media : Media
     """
     names = [target.name or f"targets[{i}]" for i, target in enumerate(scene.targets)]
-    corners = [target.mesh.vertices[target.mesh.faces] for target in targets]
-    return Hosts(names, np.where(medium == OPAQUE, 0, ranks), medium, media, corners)
+    bodies = np.where(medium == OPAQUE, 0, ranks)
+    corners = [
+        target.mesh.vertices[target.mesh.faces] if rank else np.zeros((0, 3, 3))
+        for target, rank in zip(targets, bodies, strict=True)
+    ]
+    return Hosts(names, bodies, medium, media, corners)

@@ -100,7 +100,11 @@ def refuse_targets_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
     barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     for i, target in enumerate(targets):
-        corners = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)[target.mesh.faces]
+        vertices = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
+        lowest, highest = vertices.min(axis=0), vertices.max(axis=0)
+        if (lowest >= [barrel, barrel, end]).any() or (highest <= [-barrel, -barrel, front]).any():
+            continue
+        corners = vertices[target.mesh.faces]
         low, high = corners.min(axis=1), corners.max(axis=1)
         near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
         near &= (low[:, 2] < end) & (high[:, 2] > front)

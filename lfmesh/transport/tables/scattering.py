@@ -5,7 +5,7 @@ A new model has its parameters in the scene's `Material`, its kind and its row h
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +75,14 @@ def scattering_tables(
         _model_of(each, share, wavelengths_nm, outer)
         for each, share, outer in zip(materials, reflectances, around, strict=False)
     ]
-    blends: dict[tuple[Any, ...], Array] = {}
-    for each, outer in zip(from_files, around[len(materials) :], strict=True):
-        # Of all metallics, which is no parameter.
-        key = each.base, each.alpha, outer.tobytes()
-        if key not in blends:
-            blends[key] = gltf_parameters(each, wavelengths_nm, outer)
-        made.append((BLEND, blends[key]))
+    # Of all metallics, which is no parameter.
+    outer = around[len(materials) :]
+    keys = [(each.base, each.alpha, index.tobytes()) for each, index in zip(from_files, outer, strict=True)]
+    chosen = {key: i for i, key in reversed(list(enumerate(keys)))}
+    which = list(chosen.values())
+    distinct = gltf_parameters([from_files[i] for i in which], wavelengths_nm, outer[which])
+    blends = dict(zip(chosen, distinct, strict=True))
+    made += [(BLEND, blends[key]) for key in keys]
     hot = [i for i, each in enumerate(materials) if each.temperature_k is not None]
     one_sided = [i for i in hot if materials[i].sides == "front"]
     black = len(made)

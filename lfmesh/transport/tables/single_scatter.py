@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lfmesh.kernels.decorators import kernel
 from lfmesh.kernels.search import piece_with
 from lfmesh.optics.phase import PhaseTables, evaluate_phase
+from lfmesh.optics.quadrature import gauss_legendre
 from lfmesh.transport.tables.tables import NOTHING_NEAR_LAMPS, SingleScatter
 from lfmesh.transport.tables.volumes import NOT_IN_GRID, Volumes, corners_of
 
@@ -62,7 +63,7 @@ def single_scatter_tables(volumes: Volumes, lights: NDArray[np.void], size: floa
         return NOTHING_NEAR_LAMPS
     angles = _angles()
     middle, half = 0.5 * (angles[1:] + angles[:-1]), 0.5 * np.diff(angles)
-    nodes, weights = np.polynomial.legendre.leggauss(8)
+    nodes, weights = gauss_legendre(8)
     found = np.zeros((scattering.shape[1], len(middle)))
     _mean_phase(volumes.phases, scattering, np.cos(middle[:, None] + half[:, None] * nodes), 0.5 * weights, found)
     phase = EVEN * 0.25 / np.pi + (1.0 - EVEN) * found

@@ -353,7 +353,7 @@ def _set_bounds(scene: Scene, medium: Medium, row: np.void) -> Array | None:
 
 def _fill(row: np.void, hosts: Hosts, body: int, moves: Array) -> None:
     """Let a medium reach over a box round a body: it is where packets are in that body."""
-    low, high = hosts.boxes_mm[body]
+    low, high = hosts.box_mm(body)
     middle = frame.frame((0.0, 0.0, 0.0), tuple((0.5 * (low + high)).tolist()))
     row["to_own"] = frame.compose(frame.inverse(middle), moves[OBJECT_FRAME, WORLD_FRAME])
     row["bounds"], row["size"] = BOX, 0.5 * BEYOND_BODY * (high - low)

@@ -1,5 +1,7 @@
 """Meshes: orientation survives motion and reflection, joining keeps facets, the table holds the planes."""
 
+from dataclasses import FrozenInstanceError, replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -62,3 +64,29 @@ def test_a_facet_without_area_has_a_zero_normal_and_no_nan():
     normal, area = facet_normals(Mesh(np.array([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]]), np.array([[0, 1, 2]])))
     assert not normal.any()
     assert area[0] == 0.0
+
+
+def test_normals_and_areas_are_computed_once_and_cannot_be_changed(box):
+    normals, areas = facet_normals(box)
+    assert facet_normals(box)[0] is normals
+    for values in (normals, areas):
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 0.0
+    with pytest.raises(FrozenInstanceError):
+        box.faces = box.faces[:, ::-1]
+
+
+def test_normals_follow_vertices_and_faces_of_each_mesh(box):
+    facet_normals(box)
+    changed = [
+        replace(box, vertices=2.0 * box.vertices),
+        replace(box, faces=box.faces[:, ::-1]),
+        box.moved(frame((10, 20, 30), (1, 2, 3))),
+    ]
+    for mesh in changed:
+        corner = mesh.vertices[mesh.faces]
+        cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        length = np.linalg.norm(cross, axis=1)
+        assert np.array_equal(facet_normals(mesh)[0], cross / length[:, None])
+        assert np.array_equal(facet_normals(mesh)[1], 0.5 * length)
+        assert mesh is not box

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -178,12 +179,34 @@ def in_order(found: Iterable[PictureWarning]) -> tuple[PictureWarning, ...]:
     return tuple(sorted(dict.fromkeys(found), key=lambda each: kinds.index(type(each)) if type(each) in kinds else -1))
 
 
+_listening: ContextVar[tuple[list[Warning], ...]] = ContextVar("listening", default=())
+
+
+@contextmanager
+def heard() -> Iterator[list[Warning]]:
+    """Note what `warn_caller` warns of inside, which is shown as ever.
+
+    Yields
+    ------
+    list of Warning
+        Grows with every warning.
+    """
+    found: list[Warning] = []
+    token = _listening.set((*_listening.get(), found))
+    try:
+        yield found
+    finally:
+        _listening.reset(token)
+
+
 def warn_caller(found: Iterable[Warning]) -> None:
     """Warn of each, at the line outside this package from which it was called."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
         level, frame = level + 1, frame.f_back
     for each in found:
+        for notes in _listening.get():
+            notes.append(each)
         warnings.warn(each, stacklevel=level)
 
 

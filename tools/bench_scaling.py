@@ -1,4 +1,4 @@
-"""Growth of time and memory with samples, pixels, lenslets, target triangles and threads.
+"""Growth of time and memory with samples, pixels, lenslets, target triangles, threads, and things in the scene.
 
     tools/bench scaling                               both engines, every series
     tools/bench scaling --series lenslets --json figures.json
@@ -7,6 +7,8 @@ The scene is a lamp-lit ball through the lens and microlenses of emitting_plane.
 Sizes are timed in turns; each one's peak memory is that of a process of its own. Under each series stands the exponent
 that fits its times, time ∝ size^exponent, with its standard error. A render has a fixed cost of some hundredths of a
 second, mostly memory touched for the first time, so the sequential engine takes more samples throughout.
+
+`--series parts` and `facets` measure scenes of many things, see `bench_things`.
 
 Threads are held against a control: as many processes of one thread each, which render the same scene at the same time.
 They share the processor as the threads do, and nothing else; what the threads fall short of them is lfmesh's own loss.
@@ -41,6 +43,9 @@ from bench_report import (
     say,
     whole,
 )
+from bench_things import COLUMNS as THING_COLUMNS
+from bench_things import EXPONENT_COLUMNS as THING_EXPONENT_COLUMNS
+from bench_things import THINGS, exponent_of, measure_things
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
@@ -308,22 +313,36 @@ def draw(rows: Sequence[ScalingRow], ways: Sequence[dict[str, Any]], figure: Any
                 axes.legend(frameon=False)
 
 
+def measure_many(thing: str, quick: bool, folder: str) -> list[dict[str, Any]]:
+    """Measure a scene with each number of things, each in a process of its own."""
+    rows = []
+    for number in THINGS[thing].quick if quick else THINGS[thing].sizes:
+        say(f"{thing}, {number:,}")
+        case = {"thing": thing, "number": number, "folder": folder}
+        rows.append({"thing": thing, "size": number} | ask_child(__file__, case))
+    return rows
+
+
 def main() -> None:
-    own = parser("scaling", "Time and memory against samples, pixels, lenslets, triangles and threads.")
-    own.add_argument("--series", choices=(*SERIES, THREADS), action="append", help="only this one; may be given again")
+    own = parser("scaling", "Time and memory against samples, pixels, lenslets, triangles, threads and many things.")
+    own.add_argument(
+        "--series", choices=(*SERIES, THREADS, *THINGS), action="append", help="only this one; may be given again"
+    )
     own.add_argument("--engine", choices=ENGINES, action="append", help="only this one; may be given again")
     own.add_argument("--side", type=whole, help="pixels a side, where they are not what grows; default 160")
     own.add_argument("--rounds", type=whole, help=f"each size once a round; default {ROUNDS}")
     given = own.parse_args()
     if given.case:
-        if "series" in given.case:
+        if "thing" in given.case:
+            print(json.dumps(measure_things(**given.case)))
+        elif "series" in given.case:
             print(json.dumps(measure_memory(**given.case)))
         else:
             render_when_told(**given.case)
         return
     side = given.side or (40 if given.quick else 160)
     rounds = given.rounds or (QUICK_ROUNDS if given.quick else ROUNDS)
-    wanted = given.series or (*SERIES, THREADS)
+    wanted = given.series or (*SERIES, THREADS, *THINGS)
     engines = given.engine or ENGINES
     rows: list[ScalingRow] = []
     exponents = []
@@ -335,9 +354,16 @@ def main() -> None:
                 found = measure(series, engine, side, rounds, given.quick, Path(folder))
                 rows += found
                 exponents.append(exponent(found))
+        things = {name: measure_many(name, given.quick, folder) for name in THINGS if name in wanted}
     if rows:
         report.tables["scaling"] = Table("Time and memory", COLUMNS, [asdict(row) for row in rows])
         report.tables["exponents"] = Table("Fitted over each series", EXPONENT_COLUMNS, exponents)
+    if things:
+        report.tables["things"] = Table(
+            "Many things", THING_COLUMNS, [row for found in things.values() for row in found]
+        )
+        growth = [exponent_of(name, found) for name, found in things.items()]
+        report.tables["growth"] = Table("Fitted over the largest numbers", THING_EXPONENT_COLUMNS, growth)
     ways: list[dict[str, Any]] = []
     if THREADS in wanted:
         for engine in engines:

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from lfmesh.errors import ClosedGapWarning, CutBodiesWarning, LfmeshError, PictureWarning, SceneError, warn_caller
+from lfmesh.errors import (
+    ClosedGapWarning,
+    CutBodiesWarning,
+    LfmeshError,
+    PictureWarning,
+    SceneError,
+    heard,
+    warn_caller,
+)
 from lfmesh.geometry import frame
 from lfmesh.geometry.array.array_mesh import mla_mesh
 from lfmesh.geometry.lens.element_poses import pose_of
@@ -24,6 +32,7 @@ from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.transport.aims.aim_table import all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aims.ghost_aim import ghost_tables
+from lfmesh.transport.built import Key, keep, key_of, known, let_go, refuse_other
 from lfmesh.transport.checks.aim_proof import AimProof, proven_aim
 from lfmesh.transport.collisions import refuse_collisions, slab_of_tables
 from lfmesh.transport.packets.book import Book
@@ -110,6 +119,12 @@ class World(Shown):
         self._how = how
         """Keywords of `build` by which it was built from its scene."""
         self.warnings: tuple[PictureWarning, ...] = ()
+        self._key: Key | None = None
+        """From what it was built, see `built.key_of`; None where that changed meanwhile."""
+        self._said: tuple[Warning, ...] = ()
+        """All warnings of `build`."""
+        self._untouched: World | None = None
+        """Copy that renders take while this world lives, whatever its owner does to it."""
 
     def __repr__(self) -> str:
         bodies = len(self.scene.targets), len(self.scene.lights)
@@ -335,7 +350,8 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     Parameters
     ----------
     scene : Scene
-        Open distances are solved and files read first.
+        Open distances are solved and files read first. `lf.render(scene, world=world)` takes the world; so does
+        `lf.render(scene)`, while scene and files stay as they are.
     rings : int, optional
         Number of rings of triangles on each lens surface, in place of the scene's tessellation.
     aimed : bool
@@ -357,6 +373,47 @@ def build(scene: Scene, *, rings: int | None = None, aimed: bool = True) -> Worl
     SceneError, MeshError, FileError
         The scene cannot be built: rims that cross, a mesh or texture that cannot be used, a target inside the camera.
     """
+    key = key_of(scene)
+    let_go(key)
+    with heard() as said:
+        world = _built(scene, rings, aimed)
+    if key_of(scene) == key:
+        world._key, world._said = key, tuple(said)
+        if rings is None and aimed:
+            untouched = copy(world)
+            untouched.kept = {}
+            keep(key, untouched)
+            world._untouched = untouched
+    return world
+
+
+def world_of(scene: Scene, given: World | None = None) -> World:
+    """Return a built world of a scene: the one that is given, or one that this process has built, or a new one.
+
+    Parameters
+    ----------
+    scene : Scene
+    given : World, optional
+
+    Raises
+    ------
+    LfmeshError
+        The world that is given was built from another scene, or the scene cannot be built.
+    """
+    if given is not None:
+        refuse_other(given, given._key, scene)
+        world = given
+    elif (found := known(key_of(scene))) is not None:
+        warn_caller(found._said)
+        world = found
+    else:
+        return build(scene)
+    seed = scene.transport.seed
+    return world if world.scene.transport.seed == seed else world.reseeded(seed)
+
+
+def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
+    """Build a scene; see `build`."""
     camera = solved_camera(scene)
     scene, report = camera.scene, camera.report
     form = scene.camera.mla.form if scene.camera.mla is not None else None

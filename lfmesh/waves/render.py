@@ -9,6 +9,7 @@ from lfmesh.scene import Scene
 from lfmesh.transport.render import render as transport
 from lfmesh.transport.render.image import Image
 from lfmesh.transport.render.progress import Progress
+from lfmesh.transport.world import World
 from lfmesh.waves.particles import particle_film
 
 
@@ -18,6 +19,7 @@ def render(
     *,
     saved: Mapping[str, NDArray[Any]] | None = None,
     keep: transport.Keeper | None = None,
+    world: World | None = None,
 ) -> Image:
     """Trace a scene's raw sensor image; with diffraction, particles are added by their point spreads.
 
@@ -32,6 +34,9 @@ def render(
         continues from there, and its image is bitwise that of an uninterrupted one.
     keep : Keeper, optional
         Called with the state after every replicate.
+    world : World, optional
+        The scene's, from `lf.build`, of the same scene but for its seed. Omitted, the scene is built, unless this
+        process has its world already.
 
     Returns
     -------
@@ -49,6 +54,6 @@ def render(
     KeyboardInterrupt
         Interrupted before the first replicate was finished.
     LfmeshError
-        The scene cannot be built, `saved` is of another one, or particles cannot be pictured by waves.
+        The scene cannot be built, `saved` or `world` is of another one, or particles cannot be pictured by waves.
     """
-    return transport.render(scene, progress, saved=saved, keep=keep, untraced=particle_film)
+    return transport.render(scene, progress, saved=saved, keep=keep, untraced=particle_film, world=world)

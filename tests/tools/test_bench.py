@@ -22,7 +22,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 CASES = {
     "lens": ["--quick", "--rays", "2000", "--rounds", "1"],
     "scaling": [
-        *["--quick", "--series", "triangles", "--series", "threads", "--engine", "sequential"],
+        *["--quick", "--series", "triangles", "--series", "threads", "--series", "parts", "--engine", "sequential"],
         *["--side", "16", "--rounds", "1"],
     ],
     "render": ["--quick", str(ROOT / "assets/scenes/emitting_plane.toml"), "--engine", "sequential"],
@@ -41,7 +41,13 @@ the suite.
 """
 TABLES = {
     "lens": {"lens": "COLUMNS"},
-    "scaling": {"scaling": "COLUMNS", "exponents": "EXPONENT_COLUMNS", "threads": "THREAD_COLUMNS"},
+    "scaling": {
+        "scaling": "COLUMNS",
+        "exponents": "EXPONENT_COLUMNS",
+        "threads": "THREAD_COLUMNS",
+        "things": "THING_COLUMNS",
+        "growth": "THING_EXPONENT_COLUMNS",
+    },
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS", "ways": "WAY_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
     "against": {"against": "COLUMNS"},

@@ -27,7 +27,7 @@ from lfmesh.transport.render.tally import RenderState, StageSum, Tally
 from lfmesh.transport.render.tracer import Tracer
 from lfmesh.transport.tables.interfaces import coating_errors
 from lfmesh.transport.threads import Threads
-from lfmesh.transport.world import World, build
+from lfmesh.transport.world import World, world_of
 
 Array = NDArray[np.float64]
 
@@ -56,6 +56,7 @@ def render(
     saved: Mapping[str, NDArray[Any]] | None = None,
     keep: Keeper | None = None,
     untraced: Untraced | None = None,
+    world: World | None = None,
 ) -> Image:
     """Trace a scene's raw sensor image.
 
@@ -72,6 +73,8 @@ def render(
         Called with the state after every replicate.
     untraced : callable, optional
         See `Untraced`; needed by particles with diffraction.
+    world : World, optional
+        The scene's, from `lf.build`. Omitted, the scene is built, unless this process has its world already.
 
     Returns
     -------
@@ -89,11 +92,11 @@ def render(
     KeyboardInterrupt
         Interrupted before the first replicate was finished.
     LfmeshError
-        The scene cannot be built, or `saved` is of another one.
+        The scene cannot be built, or `saved` or `world` is of another one.
     """
     with watched(progress) as report:
         with compiled_ahead(scene, report) as ahead:
-            world = build(scene)
+            world = world_of(scene, world)
             ahead.join(world)
         renderer = Renderer(world, progress=report, light=untraced_light(world, untraced, report))
         return warned(renderer, lambda: renderer.image(saved, keep))

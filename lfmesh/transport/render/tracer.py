@@ -12,6 +12,8 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.transport.aims.kept import Kept, digest_of
+from lfmesh.transport.built import key_of
 from lfmesh.transport.checks.blind_check import CHUNK as BLIND_CHUNK
 from lfmesh.transport.checks.blind_check import BlindSamples, first_of_runs
 from lfmesh.transport.checks.ghost_check import compare_ghosts
@@ -43,6 +45,8 @@ parts' shares of the samples are found; replicates have others."""
 
 Waiting = deque[Future[ChunkTally]]
 """Future results of chunks given to the pool, in order."""
+
+_orders: Kept[OrderCheck | None] = Kept()
 
 NO_FILM = Film.empty(0, 1)
 """For packets that are not traced from pixels."""
@@ -244,10 +248,19 @@ class Tracer:
     def _check_order(self) -> OrderCheck | None:
         """Compare some packets at the lens, and some ghosts, with the meshes; None if there are none.
 
-        Once for a world: which surfaces come in which order is no matter of the seed.
+        Once for a camera: which surfaces come in which order is no matter of the seed, nor of what stands before it.
+        Light of lamps reaches the camera by what stands there, so that the forward method asks for each scene.
         """
-        order, ghosts = self._compared_in_order(), self._compared_ghosts()
-        return ghosts if order is None else order.joined(ghosts)
+
+        def compared() -> OrderCheck | None:
+            order, ghosts = self._compared_in_order(), self._compared_ghosts()
+            return ghosts if order is None else order.joined(ghosts)
+
+        tables = self.world.tables
+        camera = tables.lens, tables.mla, tables.sensor, tables.cover, tables.polarised
+        before = None if self.adjoint else key_of(self.world.scene)
+        options = tuple((part.options, part.from_lamps) for part in self.parts)
+        return _orders.of(digest_of(camera, before, options, self.world.lines.middle), compared)
 
     def _compared_ghosts(self) -> OrderCheck | None:
         """Compare some ghosts with the meshes; None if they are not estimated by themselves."""

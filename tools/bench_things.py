@@ -1,0 +1,144 @@
+"""Scenes of many things, for `tools/bench scaling`: time and memory from the scene to its image, in a fresh process.
+
+A row is a function from a number of things, and the folder where meshes lie, to what changes in the scene of the small
+camera (16 × 16 lenslets, 160 × 160 pixels, 8 samples); it stands in `THINGS` with its sizes. Kernels are loaded before
+the clock starts. The same scene is then rendered again, which builds nothing.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from bench_report import peak_mib
+
+import lfmesh as lf
+from lfmesh.assets import asset_path
+from lfmesh.scene import Scene
+
+AWAY_MM = 500.0
+ACROSS_MM = 100.0
+"""Width of the square that parts stand in."""
+
+ROUGHNESSES = (0.2, 0.3, 0.4, 0.5)
+
+COLUMNS = {
+    "thing": ("many", ""),
+    "size": ("number", ",d"),
+    "seconds": ("build + render s", ".2f"),
+    "again_seconds": ("again s", ".2f"),
+    "processor_s": ("of processor", ".2f"),
+    "peak_mib": ("peak MiB", ".0f"),
+}
+EXPONENT_COLUMNS = {"thing": ("build + render against", ""), "exponent": ("exponent", ".3f"), "error": ("±", ".3f")}
+
+
+@dataclass(frozen=True)
+class Things:
+    """One kind of thing that a scene can have many of.
+
+    Attributes
+    ----------
+    sizes, quick : tuple of int
+    changes : callable
+        From a number, and the folder where meshes lie, to what changes in the scene.
+    """
+
+    sizes: tuple[int, ...]
+    quick: tuple[int, ...]
+    changes: Callable[[int, Path], dict[str, Any]]
+
+
+def parts(number: int, folder: Path) -> dict[str, Any]:
+    """Put glossy parts of a GLB file side by side, every one with a colour of its own."""
+    file = folder / f"parts_{number}.glb"
+    if not file.exists():
+        _write_parts(number, file)
+    return {"targets": [{"file": str(file), "node": f"part {i}"} for i in range(number)]}
+
+
+def _write_parts(number: int, file: Path) -> None:
+    draw = np.random.default_rng(64)
+    side = int(np.ceil(np.sqrt(number)))
+    step = 1e-3 * ACROSS_MM / side
+    scene = trimesh.Scene()
+    for i in range(number):
+        ball = i % 2 == 0
+        mesh = trimesh.creation.icosphere(2, 0.4 * step) if ball else trimesh.creation.box(extents=[0.6 * step] * 3)
+        mesh.visual = trimesh.visual.TextureVisuals(
+            material=trimesh.visual.material.PBRMaterial(
+                name=f"material {i}",
+                baseColorFactor=np.append(draw.integers(30, 255, 3), 255).astype(np.uint8),
+                metallicFactor=float(draw.uniform()),
+                roughnessFactor=ROUGHNESSES[i % len(ROUGHNESSES)],
+            )
+        )
+        place = trimesh.transformations.random_rotation_matrix(draw.uniform(size=3))
+        place[:3, 3] = *((np.array([i % side, i // side]) - 0.5 * (side - 1)) * step), -1e-3 * AWAY_MM
+        scene.add_geometry(mesh, node_name=f"part {i}", geom_name=f"mesh {i}", transform=place)
+    scene.export(file)
+
+
+def facets(number: int, folder: Path) -> dict[str, Any]:
+    """Divide the surface of a ball into at least so many facets."""
+    rings = int(np.ceil(np.sqrt(number / 2)))
+    file = folder / f"facets_{number}.stl"
+    if not file.exists():
+        trimesh.creation.uv_sphere(40.0, count=(rings + 1, rings)).export(file)
+    return {"targets": [{"file": str(file), "units": "mm", "position_mm": [0.0, 0.0, -AWAY_MM]}]}
+
+
+THINGS = {
+    "parts": Things((1, 10, 100, 500, 2_000), (1, 10), parts),
+    "facets": Things((100_000, 300_000, 1_000_000, 2_000_000, 4_000_000), (1_000, 10_000), facets),
+}
+
+
+def scene_of(thing: str, number: int, folder: Path) -> Scene:
+    """Return the scene of the small camera with a number of things."""
+    return lf.load(asset_path("scenes/emitting_plane.toml")).changed(
+        {
+            "camera.mla.count": [16, 16],
+            "camera.mla.pitch_mm": 0.5,
+            "camera.mla.focal_length_mm": 2.0,
+            "camera.mla.thickness_mm": 1.2,
+            "camera.mla.distance_mm": None,
+            "camera.sensor.distance_mm": None,
+            "camera.sensor.pixels": [160, 160],
+            "camera.sensor.pixel_mm": 0.05,
+            "lights": [{"kind": "point", "position_mm": [-200.0, 300.0, -200.0], "power_w": 1.0}],
+            "transport.samples": 8,
+            "transport.replicates": 2,
+        }
+        | THINGS[thing].changes(number, folder)
+    )
+
+
+def measure_things(thing: str, number: int, folder: str) -> dict[str, float]:
+    """Render in this process, twice; return the seconds of both, those of the processor, and the peak memory."""
+    scene = scene_of(thing, number, Path(folder))
+    lf.render(scene_of(thing, THINGS[thing].quick[0], Path(folder)).changed({"camera.sensor.pixels": [8, 8]}))
+    began, processor = time.perf_counter(), time.process_time()
+    # Held, as a large one is kept by nobody else.
+    world = lf.build(scene)
+    lf.render(scene)
+    seconds, processor = time.perf_counter() - began, time.process_time() - processor
+    began = time.perf_counter()
+    lf.render(scene, world=world)
+    again = time.perf_counter() - began
+    return {"seconds": seconds, "again_seconds": again, "processor_s": processor, "peak_mib": peak_mib()}
+
+
+def exponent_of(thing: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Fit time ∝ number^exponent through the three largest numbers, where fixed costs are least."""
+    largest = sorted(rows, key=lambda row: row["size"])[-3:]
+    x, y = np.log([row["size"] for row in largest]), np.log([row["seconds"] for row in largest])
+    slope = float(np.polyfit(x, y, 1)[0])
+    error = None
+    if len(largest) > 2:
+        rest = y - np.polyval(np.polyfit(x, y, 1), x)
+        error = float(np.sqrt((rest @ rest) / (len(x) - 2) / ((x - x.mean()) ** 2).sum()))
+    return {"thing": thing, "exponent": slope, "error": error}

@@ -83,11 +83,16 @@ def _write_parts(number: int, file: Path) -> None:
 
 
 def facets(number: int, folder: Path) -> dict[str, Any]:
-    """Divide the surface of a ball into at least so many facets."""
-    rings = int(np.ceil(np.sqrt(number / 2)))
+    """Divide a surface with some relief, as a scanner finds it, into at least so many facets."""
     file = folder / f"facets_{number}.stl"
     if not file.exists():
-        trimesh.creation.uv_sphere(40.0, count=(rings + 1, rings)).export(file)
+        cells = int(np.ceil(np.sqrt(number / 2)))
+        x, y = np.meshgrid(*[np.linspace(-0.5, 0.5, cells + 1) * ACROSS_MM] * 2, indexing="ij")
+        points = np.stack([x, y, np.sin(0.3 * x) * np.cos(0.2 * y)], axis=-1).reshape(-1, 3)
+        corner = np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)
+        a, b, c, d = (corner + step for step in (0, cells + 1, cells + 2, 1))
+        faces = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+        trimesh.Trimesh(points, faces, process=False).export(file)
     return {"targets": [{"file": str(file), "units": "mm", "position_mm": [0.0, 0.0, -AWAY_MM]}]}
 
 

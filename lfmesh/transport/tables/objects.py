@@ -101,8 +101,8 @@ def refuse_targets_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     for i, target in enumerate(targets):
         vertices = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
-        lowest, highest = vertices.min(axis=0), vertices.max(axis=0)
-        if (lowest >= [barrel, barrel, end]).any() or (highest <= [-barrel, -barrel, front]).any():
+        beside = (vertices.min(axis=0) >= [barrel, barrel, end]) | (vertices.max(axis=0) <= [-barrel, -barrel, front])
+        if beside.any():
             continue
         corners = vertices[target.mesh.faces]
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -456,14 +456,12 @@ def _lamps(objects: ObjectTables) -> list[Entry]:
 def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     """Return the sources of emitting targets, one for each facet."""
     entries = []
-    areas = facet_normals(mesh)[1]
     emission = mean_emissions(objects)
     most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
     largest = objects.radiance.max(axis=1, initial=0.0)
     for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
-        sides = 1.0 if objects.one_sided[body] else 2.0
-        area = np.pi * areas[facet] * MM2
+        area, sides = np.pi * facet_normals(mesh)[1][facet] * MM2, 1.0 if objects.one_sided[body] else 2.0
         entries.append((-1, int(facet), most[body] * area, largest[body] * area * sides))
     return entries
 

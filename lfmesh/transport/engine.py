@@ -22,6 +22,7 @@ from lfmesh.geometry import frame as frame_moves
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.lights.combine import ask_lights
+from lfmesh.transport.lights.many_lamps import ASKED, MOST_NODES
 from lfmesh.transport.packets.packet import (
     BACK_CELLS,
     BACK_CELLS_MESH,
@@ -54,6 +55,7 @@ from lfmesh.transport.packets.packet import (
     Flow,
     Options,
 )
+from lfmesh.transport.packets.stacks import CHILDREN, Stacks
 from lfmesh.transport.paths.automaton import GHOSTS
 from lfmesh.transport.regions.cover import through_cover
 from lfmesh.transport.regions.lens import admit_to_lens, shade_lens
@@ -67,6 +69,7 @@ from lfmesh.transport.sequences.bundle import BLOCK, empty_bundle
 from lfmesh.transport.sequences.follower import image_route_of
 from lfmesh.transport.sequences.ghosts import GhostRoom, follow_ghosts, ghost_room
 from lfmesh.transport.sequences.image_path import follow_image_path
+from lfmesh.transport.tables.lamp_tree import MOST_ASKED
 from lfmesh.transport.tables.media import clear
 from lfmesh.transport.tables.tables import Tables
 from lfmesh.transport.threads import stop_if_unwanted
@@ -117,9 +120,9 @@ class Workspace:
         self.chunk = chunk
         polarised = self.tables.polarised is not None
         packet, ended = (POLARISED, POLARISED_END) if polarised else (PACKET, END)
-        self.stacks = np.zeros((STATIONS + 1, 2 * chunk), packet)
-        self.rows = np.arange(STATIONS + 1)
         self.tops = np.zeros(TOPS, np.int64)
+        self.stacks = Stacks(packet, self.tops)
+        self.asked = np.zeros(MOST_NODES, ASKED)
         self.origins = np.zeros((chunk, 3), np.float32)
         self.directions = np.zeros((chunk, 3), np.float32)
         self.deposits = np.zeros(0, DEPOSIT)
@@ -175,13 +178,14 @@ class Workspace:
         self.queries = 0
         self.options = self.options._replace(pixels=pixels)
         # A pixel with more samples than a chunk is still started in one piece.
-        self.reserve(max(self.chunk, packets))
+        self.stacks.make_room(max(self.chunk, packets))
+        self._reserve(max(self.chunk, packets))
 
     def flow(self) -> Flow:
         """Return the tables that kernels write to."""
         return Flow(
-            stacks=self.stacks,
-            rows=self.rows,
+            stacks=self.stacks.memory,
+            begins=self.stacks.begins,
             tops=self.tops,
             book=self.book,
             counts=self.counts,
@@ -192,6 +196,7 @@ class Workspace:
             ended=self.ended,
             nodes=self.nodes,
             polarised=self.tables.polarised,
+            asked=self.asked,
         )
 
     def ends(self) -> NDArray[np.void]:
@@ -205,7 +210,7 @@ class Workspace:
     def record_starts(self) -> None:
         """Record a vertex at the start of every waiting packet that has none yet."""
         for station in range(STATIONS):
-            packets = self.stacks[self.rows[station], : self.tops[station]]
+            packets = self.stacks.waiting(station)
             for frame in np.unique(packets["frame"]):
                 fresh = np.flatnonzero((packets["frame"] == frame) & (packets["node"] == NO_SURFACE))
                 top = int(self.tops[NODES])
@@ -232,17 +237,16 @@ class Workspace:
         handled, most = 0, MOST_EVENTS_EACH * max(1, int(self.tops[:STATIONS].sum()))
         while self.tops[:STATIONS].any():
             station = int(np.argmax(self.tops[:STATIONS]))
-            handled += min(int(self.tops[station]), self.chunk)
+            handled += self.advance(station)
             if handled > most:
                 raise LfmeshError(
                     f"packets have more than {MOST_EVENTS_EACH:,} events each with all their children: give "
                     f"weight_cutoff a larger value than {self.options.thinning.cutoff:g}, or max_events a smaller one "
                     f"than {self.options.max_events}"
                 )
-            self.advance(station)
 
-    def advance(self, station: int) -> None:
-        """Process the next wave of a station: the top of its stack, at most a chunk.
+    def advance(self, station: int) -> int:
+        """Process the next wave of a station: the top of its stack, at most a chunk; return the number of its packets.
 
         Raises
         ------
@@ -254,10 +258,10 @@ class Workspace:
         frames, lens, mla = tables.frames, tables.lens, tables.mla
         lens_surfaces = len(lens.surfaces)
         origins, directions = self.origins, self.directions
-        count = min(int(self.tops[station]), self.chunk)
-        self.reserve(count)
+        taken = count = self.stacks.fitted(min(int(self.tops[station]), self.chunk), self._children)
+        self._reserve(count)
         flow = self.flow()
-        wave = self._take(station, count)
+        wave = self.stacks.take(station, count)
         if options.paths == GHOSTS and station in (LENS, PLATE, SENSOR):
             room = self.kept(GhostRoom, lambda: ghost_room(self.chunk, len(tables.ghosts.lengths)))
             for some in self._by_colour(wave):
@@ -303,6 +307,7 @@ class Workspace:
             onto_reflecting_sensor(wave, tables.sensor, mla.present, lens_surfaces, frames, options, flow)
         else:
             onto_sensor(wave, tables.sensor, frames, options, flow)
+        return taken
 
     def _object_space(self, flow: Flow) -> ObjectSpace:
         tables = self.tables
@@ -317,26 +322,9 @@ class Workspace:
             wave = wave[np.argsort(colours, kind="stable")]
         return np.split(wave, np.flatnonzero(np.diff(wave["colour"])) + 1)
 
-    def move_waiting(self, station: int, to: int) -> None:
-        """Let the packets that wait at one station wait at another, where none does."""
-        rows, tops = self.rows, self.tops
-        rows[station], rows[to] = rows[to], rows[station]
-        tops[to], tops[station] = tops[station], 0
-
     def _sample(self, wave: NDArray[np.void]) -> None:
         if self.sampled is not None:
             self.sampled.append(wave.copy())
-
-    def _take(self, station: int, count: int) -> NDArray[np.void]:
-        """Take packets off the top of a station's stack; the wave is valid until the next one is taken."""
-        top, own, spare = self.tops[station], self.rows[station], self.rows[STATIONS]
-        self.tops[station] = top - count
-        if count == top:
-            # The whole stack becomes the wave without a copy; the row of the last wave becomes the station's stack.
-            self.rows[station], self.rows[STATIONS] = spare, own
-            return self.stacks[own, :count]
-        self.stacks[spare, :count] = self.stacks[own, top - count : top]
-        return self.stacks[spare, :count]
 
     def _find(self, station: int, count: int) -> NDArray[np.int32]:
         began = time.perf_counter()
@@ -345,21 +333,18 @@ class Workspace:
         self.queries += count
         return found
 
-    def reserve(self, packets: int) -> None:
-        """Make room for all that a wave of packets may add: children, deposits, ends, vertices."""
-        # A packet has two children at an interface; at a target one for each light, an aimed and a scattered one.
-        lights = len(self.world.tables.objects.lights)
-        children = lights + 2
-        if self.tables.objects.volumes is not None:
-            # On its way a medium may scatter it too, and ask each light from two points.
-            children += 2 * lights + 2
-        need = int(self.tops[:STATIONS].max()) + children * packets
-        if need > self.stacks.shape[1]:
-            larger = np.zeros((STATIONS + 1, max(need, 2 * self.stacks.shape[1])), self.stacks.dtype)
-            # Only waiting packets are copied: memory that is never written to is not allocated by the system.
-            for row, top in zip(self.rows[:STATIONS], self.tops[:STATIONS], strict=True):
-                larger[row, :top] = self.stacks[row, :top]
-            self.stacks = larger
+    @property
+    def _children(self) -> int:
+        """Largest number of packets that one adds to the stack of object space."""
+        # At an interface there are two; at a target one for each lamp that it asks, an aimed and a scattered one.
+        asked = min(len(self.tables.objects.lamps.rows), MOST_ASKED)
+        if self.tables.objects.volumes is None:
+            return asked + CHILDREN
+        # On its way a medium may scatter it too, and ask lamps from two points.
+        return 3 * asked + 2 * CHILDREN
+
+    def _reserve(self, packets: int) -> None:
+        """Make room for what a wave of packets may add to the tables: deposits, ends, vertices."""
         if not self.options.adjoint and not self.options.tracing:
             self.deposits = _grown(self.deposits, int(self.tops[DEPOSITS]) + packets)
         if self.options.tracing or self.options.record:

@@ -85,8 +85,11 @@ def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Arr
     _refuse_crowds(parts, names, touching_mm(list(meshes.values())))
     _refuse_covered_faces(scene, targets, bodies)
     _refuse_camera_inside(parts, names, front)
+    boxes = {i: _box(own) for i, own in parts.items()}
     for number, light in enumerate(scene.lights):
-        _refuse_lamp_inside(parts, names, number, light)
+        near = {i: parts[i] for i, box in boxes.items() if _reaches(box, light.region)}
+        if near:
+            _refuse_lamp_inside(near, names, number, light)
     ranks[order] = np.arange(1, len(bodies) + 1)
     return ranks
 
@@ -415,6 +418,14 @@ def _refuse_camera_inside(parts: Shells, names: dict[int, str], front: Array) ->
             f"{names[body]}: the camera's first surface stands inside this glass; the camera must stand in air: "
             "move the body away, or give it a hollow round the camera, a surface that faces inwards"
         )
+
+
+def _reaches(box: tuple[Array, Array], region: Region | None) -> bool:
+    """Tell whether a lamp may reach into a box, given by its lowest and highest coordinates."""
+    if region is None:
+        return False
+    (low, high), middle, size = box, region.centre_mm, region.size_mm
+    return bool((middle + size >= low).all() and (middle - size <= high).all())
 
 
 def _refuse_lamp_inside(parts: Shells, names: dict[int, str], number: int, light: Light) -> None:

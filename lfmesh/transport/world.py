@@ -51,6 +51,7 @@ from lfmesh.transport.packets.packet import (
 from lfmesh.transport.refused_glass import closed_gaps, cut_bodies, refuse_untraceable_glass
 from lfmesh.transport.regions.embree import Finder
 from lfmesh.transport.regions.glass_round import places_round
+from lfmesh.transport.regions.seen_lamps import with_seen_lamps
 from lfmesh.transport.sequences.ghosts import GhostTables
 from lfmesh.transport.tables.cover import apparent_frames, cover_tables
 from lfmesh.transport.tables.frames import frame_table
@@ -483,6 +484,10 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
         tables = tables._replace(cover=cover, apparent=seen_moves)
     finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, objects.facets["body"]))}
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
+    if scene.transport.method == "forward":
+        tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
+    if scene.transport.method == "forward":
+        tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
     world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)

@@ -698,7 +698,7 @@ def _in_object_space(work: Workspace, part: Part) -> Segments:
     elsewhere = np.arange(STATIONS) != OBJECTS
     while (work.tops[:STATIONS] * elsewhere).any():
         work.advance(int(np.argmax(work.tops[:STATIONS] * elsewhere)))
-    packets = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
+    packets = work.stacks.waiting(OBJECTS)
     counts = STANDING[part.options.paths] == COUNTS
     if not work.world.targets:
         segments = _pieces(packets, work, packets["frame"], counts)
@@ -748,12 +748,12 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
     A packet's `node` holds the number of its piece. A packet that asks Embree again starts where it started before; a
     child starts where its parent's piece ends.
     """
-    found = _pieces(work.stacks[0, :0], work, np.zeros(0, np.int8), counts)
+    found = _pieces(work.stacks.waiting(OBJECTS)[:0], work, np.zeros(0, np.int8), counts)
     # Starts of the pieces in the object frame, as the packets hold them.
     starts = np.zeros((0, 3))
     known = 0
     while top := int(work.tops[OBJECTS]):
-        fresh = work.stacks[work.rows[OBJECTS], known:top]
+        fresh = work.stacks.waiting(OBJECTS)[known:]
         unused = np.empty((len(fresh), 3), np.float32)
         admit_to_objects(fresh, unused, unused.copy(), work.tables.frames)
         p = np.stack([fresh[axis] for axis in ("x", "y", "z")], axis=-1)
@@ -768,8 +768,7 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
         own = _pieces(children, work, children["frame"], counts)
         found = Segments(*(np.concatenate(pair) for pair in zip(found, own, strict=True)))
         starts = np.concatenate([starts, p[is_child]])
-        known = top - min(top, work.chunk)
-        work.advance(OBJECTS)
+        known = top - work.advance(OBJECTS)
         # What comes back to the lens is followed no further; the grid lies before the lens.
         work.tops[LENS] = 0
     ended = work.ended[: work.tops[ENDED]]

@@ -155,7 +155,8 @@ class PointLight(_Shines):
     @property
     def axes(self) -> Array:
         """Axes of the profile, (3, 3) float64."""
-        return np.asarray(super().axes @ rotation(self.rotation_deg).T)
+        axes = super().axes
+        return np.asarray(axes @ rotation(self.rotation_deg).T) if any(self.rotation_deg) else axes
 
     @property
     def ies(self) -> str | None:

@@ -33,9 +33,9 @@ def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
     if count == 0:
         return None
     ghosts = work.tables.ghosts
-    packets = work.stacks[work.rows[station], :count].copy()
+    packets = work.stacks.waiting(station).copy()
     packets["source"] = np.arange(count)
-    work.stacks[work.rows[station], :count] = packets
+    work.stacks.queue(station, packets)
     work.advance(station)
     room = work.kept(GhostRoom, lambda: ghost_room(work.chunk, len(ghosts.lengths)))
     drawn = np.flatnonzero(room.sequence[:count] >= 0)
@@ -47,7 +47,7 @@ def compare_ghosts(world: World, work: Workspace) -> OrderCheck | None:
     for name, row in zip(("x", "y", "z", "dx", "dy", "dz", "weight"), room.rays, strict=False):
         packets[name][anew] = row[drawn[anew]]
     packets["frame"][anew] = CAMERA_FRAME
-    found = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
+    found = work.stacks.waiting(OBJECTS)
     move = work.tables.frames[OBJECT_FRAME, CAMERA_FRAME]
     of_block = np.searchsorted(drawn, found["source"])
     p, d = frame.points(move, _vectors(found, "")), frame.directions(move, _vectors(found, "d"))
@@ -81,19 +81,18 @@ def _through_meshes(
     mesh = Workspace(world, options, max(len(packets), 1), work.tables._replace(ghosts=None))
     mesh.begin(packets=len(packets))
     packets["source"] = np.arange(len(packets))
-    mesh.stacks[mesh.rows[station], : len(packets)] = packets
-    mesh.tops[station] = len(packets)
+    mesh.stacks.queue(station, packets)
     turns = _reflections(ghosts)[sequence]
     inside = np.array([each for each in range(STATIONS) if each != OBJECTS])
     while mesh.tops[inside].any():
         for each in inside:
-            waiting = mesh.stacks[mesh.rows[each], : mesh.tops[each]]
+            waiting = mesh.stacks.waiting(each)
             kept = waiting[_on_sequence(waiting, turns)]
             waiting[: len(kept)] = kept
             mesh.tops[each] = len(kept)
             if len(kept):
                 mesh.advance(int(each))
-    out = mesh.stacks[mesh.rows[OBJECTS], : mesh.tops[OBJECTS]]
+    out = mesh.stacks.waiting(OBJECTS)
     out = out[_on_sequence(out, turns) & (out["events"] == ghosts.lengths[sequence[out["source"]]])]
     return out["source"].astype(np.int64), out
 

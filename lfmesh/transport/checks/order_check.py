@@ -176,12 +176,11 @@ def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.vo
         (BACK_CELLS, BACK_CELLS_MESH, packets[in_back]),
     ):
         work.begin(packets=len(given))
-        work.stacks[work.rows[station], : len(given)] = given
-        work.tops[station] = len(given)
+        work.stacks.queue(station, given)
         if len(given) > 0:
             # What is queued here again has met its surface, or a side of its cell.
             work.advance(station)
-        undecided.append(work.stacks[work.rows[by_mesh], : work.tops[by_mesh]]["source"].copy())
+        undecided.append(work.stacks.waiting(by_mesh)["source"].copy())
         while work.tops[by_mesh] > 0:
             work.advance(by_mesh)
         found += [_taken(work, each) for each in (LENS, CELLS, BACK_CELLS, PLATE, OBJECTS, SENSOR)]
@@ -197,7 +196,7 @@ def _outcomes(work: Workspace, packets: NDArray[np.void]) -> tuple[NDArray[np.vo
 
 def _taken(work: Workspace, station: int) -> NDArray[np.void]:
     """Take the packets off a station's stack, as outcomes."""
-    children = work.stacks[work.rows[station], : work.tops[station]]
+    children = work.stacks.waiting(station)
     rows = np.zeros(len(children), _OUTCOME)
     rows["position"] = np.stack([children[axis] for axis in "xyz"], axis=-1)
     # The space tells the refracted from the reflected child, and in the array the cell tells where a packet goes on.

@@ -32,6 +32,7 @@ from lfmesh.transport.lights.emitting_facets import radiance as radiance_of_face
 from lfmesh.transport.lights.emitting_facets import sample as sample_facets
 from lfmesh.transport.lights.lamps import sample as sample_lamp
 from lfmesh.transport.lights.lamps_on_line import density_by_angle, distance_by_angle, lamps_on_line, passes_lamp
+from lfmesh.transport.lights.many_lamps import NO_NORMAL, lamps_to_ask
 from lfmesh.transport.lights.media_emitters import sample as sample_media
 from lfmesh.transport.lights.shadow import Way, send
 from lfmesh.transport.lights.single_scatter import density as density_past_lamp
@@ -96,7 +97,7 @@ def has_asked(packet: Any) -> bool:
 
 @inlined
 def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
-    """Send a shadow packet to every lamp that can reach a point of a target; tell whether there is any.
+    """Send shadow packets to the lamps that a point of a target asks; tell whether any of them can reach it.
 
     Parameters
     ----------
@@ -106,9 +107,10 @@ def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
     point : Point
     """
     objects = space.objects
-    facet, any_lamp = objects.facets[point.prim], False
-    for number in range(len(objects.lights)):
-        way = sample_lamp(space.options, objects, packet, number, (point.x, point.y, point.z), False)
+    facet, any_lamp, asked = objects.facets[point.prim], False, space.flow.asked
+    place, normal = (point.x, point.y, point.z), (point.nx, point.ny, point.nz)
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, normal, asked)):
+        way = sample_lamp(space.options, objects, packet, asked[k].lamp, place, False)
         ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         if cosine <= 0.0 or way.value <= 0.0:
@@ -116,7 +118,8 @@ def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
         any_lamp = True
         brdf = evaluate(objects.scattering, point, packet.colour, (packet.dx, packet.dy, packet.dz), (ux, uy, uz))
         clear = clear_of(facet, point.x, point.y, point.z, ux, uy, uz)
-        shadow = send(space.flow, packet, way, packet.weight * brdf * way.value * cosine, packet.key, clear)
+        weight = packet.weight * brdf * way.value * cosine * asked[k].share
+        shadow = send(space.flow, packet, way, weight, packet.key, clear)
         shadow.facet = point.prim
     return any_lamp
 
@@ -125,7 +128,7 @@ def ask_lamps(space: ObjectSpace, packet: Any, point: Point) -> bool:
 def ask_lamps_on_line(
     space: ObjectSpace, packet: Any, weight: float, line: Line, passage: Passage, point: ScatteringPoint, key: np.uint64
 ) -> None:  # fmt: skip
-    """Send a shadow packet to every lamp from a random point of a packet's way through media.
+    """Send shadow packets to lamps from a random point of a packet's way through media.
 
     The point is that which was drawn by what is scattered there. On a line past a near lamp, whose 1 / r² would be
     unbounded there, a second one is drawn by the light that arrives, and each counts its share of the two densities.
@@ -144,19 +147,19 @@ def ask_lamps_on_line(
         Of the random numbers.
     """
     objects, colour, ray = space.objects, line.colour, line.ray
-    lights, spectra, first, last = objects.lights, objects.light_spectra, passage.first, passage.last
+    lamps, first, last = objects.lamps, passage.first, passage.last
     t, share, scattered, medium = point
     whole = 0.0
-    if passes_lamp(lights, spectra, colour, ray, first, last, NEAR * passage.scattered / passage.densest):
-        whole = lamps_on_line(lights, spectra, colour, ray, first, last)
+    if passes_lamp(lamps, colour, ray, first, last, NEAR * passage.scattered / passage.densest):
+        whole = lamps_on_line(lamps, colour, ray, first, last)
     points = 2 if whole > 0.0 else 1
     for number in range(points):
         if number == 1:
-            t = distance_by_angle(lights, spectra, colour, ray, first, last, whole * uniform(key, BY_LAMP))
+            t = distance_by_angle(lamps, colour, ray, first, last, whole * uniform(key, BY_LAMP))
             scattered, medium = scattered_at(objects.volumes, line, t, space.flow.book, key)
         if points == 2 and scattered > 0.0:
             own = scattered / passage.scattered
-            by_lamp = density_by_angle(lights, spectra, colour, ray, t) / whole
+            by_lamp = density_by_angle(lamps, colour, ray, t) / whole
             share = (scattered if number == 1 else share * own) / (own + by_lamp)
         if scattered > 0.0:
             _ask_lamps_in_medium(space, packet, weight * share, medium, along(ray, t))
@@ -166,7 +169,7 @@ def ask_lamps_on_line(
 def _ask_lamps_in_medium(
     space: ObjectSpace, packet: Any, weight: float, medium: int, place: tuple[float, float, float]
 ) -> None:  # fmt: skip
-    """Send a shadow packet to every lamp from a point of a medium.
+    """Send shadow packets to the lamps that a point of a medium asks.
 
     Parameters
     ----------
@@ -180,16 +183,17 @@ def _ask_lamps_in_medium(
         The point.
     """
     objects, volumes = space.objects, space.objects.volumes
-    phase = volumes.phases.rows[medium, packet.colour]
-    for lamp in range(len(objects.lights)):
+    phase, asked = volumes.phases.rows[medium, packet.colour], space.flow.asked
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, place, NO_NORMAL, asked)):
+        lamp = asked[k].lamp
         way = sample_lamp(space.options, objects, packet, lamp, place, True)
         ray = way.ray
         scattered = evaluate_phase(volumes.phases, phase, packet.dx * ray.dx + packet.dy * ray.dy + packet.dz * ray.dz)
         if way.value * scattered > 0.0:
-            lit = weight * way.value * scattered
+            lit = weight * way.value * scattered * asked[k].share
             if len(volumes.near_lamps.angles) > 0 and has_asked(packet) and way.reach < np.inf:
-                asked = density_past_lamp(volumes.near_lamps, objects, packet, lamp, along(ray, way.reach))
-                lit *= share_of_scattered(packet, asked)
+                by_scatter = density_past_lamp(volumes.near_lamps, objects, packet, lamp, along(ray, way.reach))
+                lit *= share_of_scattered(packet, by_scatter)
             shadow = send(space.flow, packet, way, lit, packet.key, 0.0)
             shadow.facet = NO_SURFACE
 

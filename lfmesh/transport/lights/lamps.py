@@ -40,12 +40,12 @@ def sample(
     nearby : bool
         The point may be as near to the lamp as may be: it is in a medium.
     """
-    light, (x, y, z) = objects.lights[number], place
+    light, (x, y, z) = objects.lamps.rows[number], place
     u, v = 0.0, 0.0
     if light.size > 0.0:
         u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * number)
-    ux, uy, uz, reach, irradiance = illuminate(objects.profiles, light, place, u, v, nearby)
-    irradiance *= objects.light_spectra[number, packet.colour]
+    ux, uy, uz, reach, irradiance = illuminate(objects.lamps.profiles, light, place, u, v, nearby)
+    irradiance *= objects.lamps.spectra[number, packet.colour]
     return Way(TO_LAMP, number, Ray(x, y, z, ux, uy, uz), reach, irradiance, 1.0)
 
 

@@ -25,10 +25,12 @@ from lfmesh.transport.events.scattering_point import scattered_at, scattering_po
 from lfmesh.transport.events.volume import Line, Passage
 from lfmesh.transport.lights.lamps import LIGHT_DIMENSIONS, illuminate_from
 from lfmesh.transport.lights.lamps_on_line import NARROWEST, lit_part
+from lfmesh.transport.lights.many_lamps import BELOW_ONE, NO_NORMAL, brightness_past, chance_below, drawn_below
 from lfmesh.transport.lights.places import point_of_light
 from lfmesh.transport.lights.shadow import Way, send
 from lfmesh.transport.packets.packet import NO_SURFACE, PAST_LAMP, TO_LAMP, Flow, Options
 from lfmesh.transport.packets.random import uniform
+from lfmesh.transport.tables.lights import Lamps
 from lfmesh.transport.tables.single_scatter import DENSE, angle_beyond, drawn_angle, light_beyond, phase_at
 from lfmesh.transport.tables.tables import ObjectTables, SingleScatter
 from lfmesh.transport.tables.volumes import Volumes
@@ -73,19 +75,19 @@ def sample(
     place, colour = (packet.x, packet.y, packet.z), packet.colour
     number, drawn, ray = NO_SURFACE, 0.0, ray_of(packet)
     if bodies_round(packet) == 0:
-        number = _lamp_drawn(near_lamps, objects, colour, place, key)
+        number = _lamp_drawn(near_lamps, objects.lamps, colour, place, key)
     if number >= 0:
-        px, py, pz = point_of_light(objects.lights[number], uniform(key, LAMP_U), uniform(key, LAMP_V))
+        px, py, pz = point_of_light(objects.lamps.rows[number], uniform(key, LAMP_U), uniform(key, LAMP_V))
         px, py, pz = px - place[0], py - place[1], pz - place[2]
         far = np.sqrt(px * px + py * py + pz * pz)
-        u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * len(objects.lights))
+        u, v = draw_two(options, packet, LIGHT_U + LIGHT_DIMENSIONS * len(objects.lamps.rows))
         angle = drawn_angle(near_lamps, colour, u)
         sine = np.sin(angle)
         if far > 0.0 and sine > 0.0:
             height = 2.0 * np.sin(0.5 * angle) ** 2
             ux, uy, uz = near(px / far, py / far, pz / far, height, 2.0 * np.pi * v)
             ray = Ray(place[0], place[1], place[2], ux, uy, uz)
-            chance = _chance(near_lamps, objects, number, colour, place)
+            chance = _chance(near_lamps, objects.lamps, number, colour, place)
             drawn = chance * _per_solid_angle(near_lamps, colour, angle, sine)
     return Way(PAST_LAMP, number, ray, np.inf, 1.0, drawn)
 
@@ -107,7 +109,7 @@ def density(
     of_lamp : (3,) float, mm
         Point of the lamp that the light comes from.
     """
-    chance = _chance(near_lamps, objects, number, packet.colour, (packet.x, packet.y, packet.z))
+    chance = _chance(near_lamps, objects.lamps, number, packet.colour, (packet.x, packet.y, packet.z))
     if chance <= 0.0:
         return 0.0
     s, h, far = _past(of_lamp, ray_of(packet))
@@ -139,7 +141,7 @@ def gather(
         Of the random numbers of its way.
     """
     volumes, colour, ray = objects.volumes, line.colour, line.ray
-    light = objects.lights[packet.goal]
+    light = objects.lamps.rows[packet.goal]
     place = point_of_light(light, uniform(packet.key, LAMP_U), uniform(packet.key, LAMP_V))
     s, h, _ = _past(place, ray)
     first, last = lit_part(light, ray, passage.first, passage.last)
@@ -159,23 +161,14 @@ def gather(
     drawn = 0.5 * scattered / passage.scattered
     drawn += 0.5 * phase_at(near_lamps, colour, np.arctan2(h, -off)) / on_line * h / (h * h + off * off)
     x, y, z = along(ray, t)
-    ux, uy, uz, reach, irradiance = illuminate_from(objects.profiles, light, place, x, y, z)
+    ux, uy, uz, reach, irradiance = illuminate_from(objects.lamps.profiles, light, place, x, y, z)
     cosine = ray.dx * ux + ray.dy * uy + ray.dz * uz
     phase = evaluate_phase(volumes.phases, volumes.phases.rows[medium, colour], cosine)
-    lit = packet.weight * scattered / drawn * phase * irradiance * objects.light_spectra[packet.goal, colour]
+    lit = packet.weight * scattered / drawn * phase * irradiance * objects.lamps.spectra[packet.goal, colour]
     if lit > 0.0:
         way = Way(TO_LAMP, packet.goal, Ray(x, y, z, ux, uy, uz), reach, irradiance, 1.0)
         shadow = send(flow, packet, way, lit, packet.key, 0.0)
         shadow.facet = NO_SURFACE
-
-
-@inlined
-def _brightness(objects: ObjectTables, number: int, colour: int, far: float) -> float:
-    """Return what a lamp is drawn in proportion to, for a point at a distance: the brightness of the light round it."""
-    light: Any = objects.lights[number]
-    if not light.placed or far <= 0.0:
-        return 0.0
-    return light.power * objects.light_spectra[number, colour] / far
 
 
 @inlined
@@ -186,11 +179,12 @@ def _distance(light: Any, place: tuple[float, float, float]) -> float:
 
 
 @kernel
-def _all_brightness(objects: ObjectTables, colour: int, place: tuple[float, float, float]) -> float:
+def _all_brightness(lamps: Lamps, colour: int, place: tuple[float, float, float]) -> float:
     """Return the sum of what lamps are drawn in proportion to at a point; 0: none has light round it there."""
-    whole = 0.0
-    for number in range(len(objects.lights)):
-        whole += _brightness(objects, number, colour, _distance(objects.lights[number], place))
+    whole, root = 0.0, 0
+    while root < len(lamps.nodes):
+        whole += brightness_past(lamps, root, colour, place)
+        root = lamps.nodes[root].skip
     return whole
 
 
@@ -205,29 +199,39 @@ def _chance_sent(near_lamps: SingleScatter, colour: int, far: float) -> float:
 
 @kernel
 def _chance(
-    near_lamps: SingleScatter, objects: ObjectTables, number: int, colour: int, place: tuple[float, float, float]
+    near_lamps: SingleScatter, lamps: Lamps, number: int, colour: int, place: tuple[float, float, float]
 ) -> float:  # fmt: skip
     """Return the chance with which a point sends a packet past a lamp."""
-    whole, far = _all_brightness(objects, colour, place), _distance(objects.lights[number], place)
+    whole, far = _all_brightness(lamps, colour, place), _distance(lamps.rows[number], place)
     if whole <= 0.0:
         return 0.0
-    return _brightness(objects, number, colour, far) / whole * _chance_sent(near_lamps, colour, far)
+    root = 0
+    while lamps.nodes[root].skip <= lamps.leaf[number]:
+        root = lamps.nodes[root].skip
+    of_root = brightness_past(lamps, root, colour, place) / whole * _chance_sent(near_lamps, colour, far)
+    return of_root * chance_below(lamps, root, number, colour, place)
 
 
 @kernel
 def _lamp_drawn(
-    near_lamps: SingleScatter, objects: ObjectTables, colour: int, place: tuple[float, float, float], key: np.uint64
+    near_lamps: SingleScatter, lamps: Lamps, colour: int, place: tuple[float, float, float], key: np.uint64
 ) -> int:  # fmt: skip
     """Return the lamp past which a point sends a packet, drawn by `_chance`; −1: none."""
-    choice, drawn = _all_brightness(objects, colour, place) * uniform(key, LAMP), -1
-    for number in range(len(objects.lights)):
-        own = _brightness(objects, number, colour, _distance(objects.lights[number], place))
+    choice, drawn, rest, root = _all_brightness(lamps, colour, place) * uniform(key, LAMP), -1, 0.0, 0
+    while root < len(lamps.nodes):
+        own = brightness_past(lamps, root, colour, place)
         if own > 0.0 and choice >= 0.0:
-            drawn = number
+            # What is left of the number is a random number of its own.
+            drawn, rest = root, min(choice / own, BELOW_ONE)
         choice -= own
-    if drawn < 0 or uniform(key, SENT) >= _chance_sent(near_lamps, colour, _distance(objects.lights[drawn], place)):
+        root = lamps.nodes[root].skip
+    if drawn < 0:
         return -1
-    return drawn
+    drawn, chance = drawn_below(lamps, drawn, colour, place, NO_NORMAL, rest, True)
+    number = lamps.nodes[drawn].lamp
+    if chance <= 0.0 or uniform(key, SENT) >= _chance_sent(near_lamps, colour, _distance(lamps.rows[number], place)):
+        return -1
+    return number
 
 
 @inlined

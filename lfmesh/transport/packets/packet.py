@@ -265,8 +265,8 @@ NODE = np.dtype(
 class Flow(NamedTuple):
     """Tables that the kernels of one chunk write to."""
 
-    stacks: NDArray[np.void]  # (stations + 1, capacity) PACKET
-    rows: NDArray[np.int64]  # (stations + 1,) row of `stacks` that each station uses; the last holds the wave
+    stacks: NDArray[np.void]  # (capacity of all,) PACKET
+    begins: NDArray[np.int64]  # (stations or more,) where the stack of each station begins
     tops: NDArray[np.int64]
     book: NDArray[np.float64]
     counts: NDArray[np.int64]
@@ -278,6 +278,7 @@ class Flow(NamedTuple):
     nodes: NDArray[np.void]  # recording: every vertex
     # PolarisationTables where packets are POLARISED, else None: code for the other case is not even compiled.
     polarised: Any = None
+    asked: Any = None  # working memory, see `lights.many_lamps.ASKED`; None where no kernel asks lamps
 
 
 # Thinning.split
@@ -399,13 +400,13 @@ def put(
     """
     moves = parent.moves + 1
     station = station if moves < MOST_MOVES else STUCK
-    row, top = flow.rows[station], flow.tops[station]
+    top = flow.tops[station]
     # Copied field by field, and all read before anything is written: a copy of the whole record, half of which is
     # overwritten, compiles to sixty moves of odd sizes.
     start, source, node, kind = parent.start, parent.source, parent.node, parent.kind
     column, cell_row, facet, last = parent.column, parent.row, parent.facet, parent.last
     colour, space, events, medium, path = parent.colour, parent.space, parent.events, parent.medium, parent.path
-    packet = flow.stacks[row, top]
+    packet = flow.stacks[flow.begins[station] + top]
     packet.x, packet.y, packet.z = x, y, z
     packet.dx, packet.dy, packet.dz = dx, dy, dz
     packet.weight, packet.start = weight, start

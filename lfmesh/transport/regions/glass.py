@@ -26,6 +26,7 @@ from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import IN_OBJECTS, shares_by_state
 from lfmesh.transport.events.travel import arrive
 from lfmesh.transport.lights.lamps import sample as sample_lamp
+from lfmesh.transport.lights.many_lamps import NO_NORMAL, lamps_to_ask
 from lfmesh.transport.lights.shadow import send
 from lfmesh.transport.packets.book import LOST_CONTRADICTION, SAMPLING_ADDED, SAMPLING_REMOVED
 from lfmesh.transport.packets.packet import (
@@ -249,9 +250,10 @@ def _along_facet(facet: Any, face: RoughFace) -> tuple[float, float, float]:
 
 @kernel
 def _ask_lamps_at_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any, face: RoughFace) -> None:
-    """Send a shadow packet to every lamp that a rough facet of glass sees through air, on either of its sides."""
-    objects, x, y, z = space.objects, face.x, face.y, face.z
-    for lamp in range(len(objects.lights)):
+    """Send shadow packets to lamps that a rough facet of glass sees through air, on either of its sides."""
+    objects, x, y, z, asked = space.objects, face.x, face.y, face.z, space.flow.asked
+    for k in range(lamps_to_ask(space.options, objects.lamps, packet, (x, y, z), NO_NORMAL, asked)):
+        lamp = asked[k].lamp
         way = sample_lamp(space.options, objects, packet, lamp, (x, y, z), False)
         ux, uy, uz = way.ray.dx, way.ray.dy, way.ray.dz
         if way.value <= 0.0:
@@ -259,7 +261,8 @@ def _ask_lamps_at_glass(interfaces: Interfaces, space: ObjectSpace, packet: Any,
         density = _density_into_air(interfaces, objects, packet, face, (ux, uy, uz), lamp)
         if density > 0.0:
             clear = clear_of(objects.facets[face.prim], x, y, z, ux, uy, uz)
-            shadow = send(space.flow, packet, way, packet.weight * way.value * density, packet.key, clear)
+            weight = packet.weight * way.value * density * asked[k].share
+            shadow = send(space.flow, packet, way, weight, packet.key, clear)
             shadow.facet, shadow.medium = face.prim, AIR
             set_bodies(shadow, 0)
 

@@ -196,7 +196,7 @@ def cross_media(space: ObjectSpace, packet: Any, reach: float) -> None:
     if packet.kind == CAMERA and packet.last == LEFT_LENS and not (options.adjoint or options.tracing):
         packet.weight = windowed(flow.book, packet.weight, RETURNED * packet.start, key, RETURN)
     if packet.weight > 0.0 and not too_deep(options, flow, frames, packet):
-        if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lights) > 0:
+        if options.adjoint and estimated and bodies_round(packet) == 0 and len(objects.lamps.rows) > 0:
             ask_lamps_on_line(space, packet, weight, line, passage, point, key)
         place = along(line.ray, point.t)
         if options.adjoint and estimated:

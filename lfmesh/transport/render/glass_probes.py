@@ -169,7 +169,7 @@ def _before_lens(world: World, count: int, colour: int, draw: np.random.Generato
             if not others.any():
                 break
             work.advance(int(np.argmax(others)))
-        started.append(work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]].copy())
+        started.append(work.stacks.waiting(OBJECTS).copy())
     packets = np.concatenate(started)
     weight = packets["weight"]
     if not weight.sum() > 0.0:
@@ -186,11 +186,10 @@ def _traced(world: World, packets: NDArray[np.void], regions: list[Region], draw
     options = options_of(world, tracing=True, record=True, split=split, cutoff=0.0)
     work = Workspace(world, options, max(1, len(packets)), world.tables._replace(objects=clear))
     work.begin(None, len(packets))
-    waiting = work.stacks[work.rows[OBJECTS], : len(packets)]
-    waiting[:] = packets
+    work.stacks.queue(OBJECTS, packets)
+    waiting = work.stacks.waiting(OBJECTS)
     waiting["source"], waiting["key"] = np.arange(len(packets)), draw.integers(1 << 62, size=len(packets))
     waiting["weight"], waiting["start"], waiting["events"], waiting["node"] = 1.0, 1.0, 0, NO_SURFACE
-    work.tops[OBJECTS] = len(packets)
     work.record_starts()
     while work.tops[OBJECTS]:
         work.advance(OBJECTS)

@@ -166,7 +166,7 @@ def _parts_of(world: World, *, aimed: bool, ghosts: bool) -> tuple[Part, ...]:
     if aimed and not options.adjoint:
         refuse_unaimed(world)
     particles = particle_parts(world, through)
-    if particles and not (len(tables.objects.lights) or tables.objects.radiance.any() or world.scene.media):
+    if particles and not (len(tables.objects.lamps.rows) or tables.objects.radiance.any() or world.scene.media):
         # Nothing else shines, so no packet need start anywhere else.
         return particles
     lamps = lamp_parts(world, through) if options.adjoint else ()

@@ -283,7 +283,7 @@ class Tracer:
         work, draw = self._sampled(part)
         work.sampled = []
         work.run()
-        packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.dtype)])
+        packets = np.concatenate([*work.sampled, np.zeros(0, work.stacks.record)])
         some = draw.choice(len(packets), min(SAMPLE, len(packets)), replace=False)
         return compare(self.world, part.options, part.tables, packets[np.sort(some)])
 

@@ -52,11 +52,11 @@ def emitted(
         return x - back * ax, y - back * ay, z - back * az, ax, ay, az, 1.0
     x, y, z = point_of_light(light, start(key, PLACE_U), start(key, PLACE_V))
     if light.gain * _cone_share(x - mx, y - my, z - mz, radius) > 1.0:
-        dx, dy, dz = drawn_by_intensity(objects.profiles, light, start(key, WAY_U), start(key, WAY_V))
+        dx, dy, dz = drawn_by_intensity(objects.lamps.profiles, light, start(key, WAY_U), start(key, WAY_V))
         return x, y, z, dx, dy, dz, 1.0
     dx, dy, dz, share = _into_cone(x - mx, y - my, z - mz, radius, key)
     # The density of the light over that of uniform directions.
-    share *= light.gain * (intensity(objects.profiles, light, dx, dy, dz) / light.peak)
+    share *= light.gain * (intensity(objects.lamps.profiles, light, dx, dy, dz) / light.peak)
     return x, y, z, dx, dy, dz, share
 
 

@@ -128,7 +128,7 @@ def launch_forward(
             _from_medium(objects.volumes, space, packet, FIRST_VOLUME - source.facet, weight / source.power)
         elif source.light >= 0:
             packet.path = FROM_LAMP
-            weight *= objects.light_spectra[source.light, colour]
+            weight *= objects.lamps.spectra[source.light, colour]
             _from_lamp(objects, space.flow, packet, source.light, weight)
         else:
             _from_facet(space, packet, source.facet, weight)
@@ -137,7 +137,7 @@ def launch_forward(
 @kernel
 def _from_lamp(objects: ObjectTables, flow: Flow, packet: Any, number: int, weight: float) -> None:
     """Start a packet of a light towards the sphere that is aimed at; book the power in other directions as escaped."""
-    x, y, z, dx, dy, dz, share = emitted(objects, objects.lights[number], packet.key)
+    x, y, z, dx, dy, dz, share = emitted(objects, objects.lamps.rows[number], packet.key)
     towards = weight * share
     flow.book[EMITTED] += weight
     flow.book[ESCAPED] += weight - towards

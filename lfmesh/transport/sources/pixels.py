@@ -138,14 +138,14 @@ class PixelSource(Source):
             self._launch(work, entries, colour)
         if work.tables.cover is not None:
             # Without a cover a pixel's light meets the array first, or the lens.
-            work.move_waiting(PLATE if work.tables.mla.present else LENS, SENSOR)
+            work.stacks.move(PLATE if work.tables.mla.present else LENS, SENSOR)
 
     def _launch(self, work: Workspace, entries: Entries, colour: int) -> None:
         """Start samples at one wavelength."""
         tables, options = work.tables, work.options
         room = work.kept(
             StartRoom,
-            lambda: start_room(tables.aim.lenslets, work.stacks.dtype, diffracts=tables.mla.apertures is not None),
+            lambda: start_room(tables.aim.lenslets, work.stacks.record, diffracts=tables.mla.apertures is not None),
         )
         seen = tables.frames if tables.apparent is None else tables.apparent
         on_image_path = options.faces == BY_ORDER and options.adjoint and options.paths != GHOSTS

@@ -81,11 +81,11 @@ class RaySource(Source):
             self.weight[some], self.away, reach, tables.lens.medium, self.key, work.flow(), work.template,
         )  # fmt: skip
         if self.inside is not None:
-            started = work.stacks[work.rows[OBJECTS], waiting[OBJECTS] : work.tops[OBJECTS]]
+            started = work.stacks.waiting(OBJECTS)[waiting[OBJECTS] :]
             start_inside(started, self.inside[started["source"]], work.tables.objects)
         if work.tables.polarised is not None:
             for station in np.flatnonzero(work.tops[:STATIONS] > waiting):
-                self._polarise(work.stacks[work.rows[station], waiting[station] : work.tops[station]], work)
+                self._polarise(work.stacks.waiting(int(station))[waiting[station] :], work)
 
     def _polarise(self, started: Records, work: Workspace) -> None:
         """Give rays that have been queued their states of polarisation."""

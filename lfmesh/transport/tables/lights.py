@@ -4,6 +4,7 @@ The law of a lamp's intensity is a number that only `transport/lights/intensity.
 it shines from one that only `transport/lights/places.py` reads.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from lfmesh.optics.light_profile import LightProfile, read_profile
 from lfmesh.optics.scattering import tangents
 from lfmesh.scene import Light, Scene
 from lfmesh.scene.light.region import Region
+from lfmesh.transport.tables.lamp_tree import lamp_tree
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.spectra import spread
 
@@ -39,6 +41,7 @@ LIGHT = np.dtype(
         ("outer", "f8"),  # 1 − cos of the angle from the axis beyond which nothing shines; 2: all round
         ("profile", "i8"),  # PROFILED: number of the profile
         ("placed", "?"),  # it is somewhere; else it is parallel light
+        ("fades", "?"),  # its intensity falls as the cosine of the angle from the axis
     ]
 )
 
@@ -62,8 +65,20 @@ class Profiles(NamedTuple):
     until: Array  # as `intensity`: up to which random number a cell is drawn, see `drawn_from_profile`
 
 
-def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[np.void], Array, Profiles]:
-    """Return the lights in the object frame, their relative power by wavelength, and their profiles.
+@by_address
+class Lamps(NamedTuple):
+    """The lights of a scene, and the tree by which points choose those that they ask (see `tables.lamp_tree`)."""
+
+    rows: NDArray[np.void]  # (lamps,) LIGHT, with the largest power at any wavelength
+    spectra: Array  # (lamps, wavelengths) power at each wavelength relative to that
+    profiles: Profiles
+    nodes: NDArray[np.void]  # (nodes,) LAMP_NODE
+    power: Array  # (nodes, wavelengths) W; of parallel light W/m²
+    leaf: NDArray[np.int64]  # (lamps,) node of each
+
+
+def light_tables(scene: Scene, to_object: Array, lines: Lines) -> Lamps:
+    """Return the lights in the object frame.
 
     Parameters
     ----------
@@ -71,14 +86,6 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
     to_object : (3, 4) float64
         Move from the world frame into the object frame.
     lines : Lines
-
-    Returns
-    -------
-    table : (lights,) LIGHT
-        With the largest power at any wavelength.
-    spectra : (lights, wavelengths) float64
-        Power at each wavelength relative to that.
-    profiles : Profiles
 
     Raises
     ------
@@ -89,6 +96,7 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
     spectra = np.ones((len(lights), len(lines.wavelengths_nm)))
     table = np.zeros(len(lights), LIGHT)
     profiles: list[LightProfile] = []
+    read: dict[Path, int] = {}
     for number, (row, light, spectrum) in enumerate(zip(table, lights, spectra, strict=True)):
         power = spread(scene, light.strength, light.spectrum, lines, f"lights[{number}].spectrum")
         row["power"] = power.max()
@@ -97,9 +105,14 @@ def light_tables(scene: Scene, to_object: Array, lines: Lines) -> tuple[NDArray[
         row["across"], row["direction"] = (x, y), z / np.linalg.norm(z)
         _set_region(row, light.region, to_object)
         if light.ies is not None:
-            profiles.append(read_profile(scene.resolve(light.ies)))
+            path = scene.resolve(light.ies)
+            if path not in read:
+                read[path] = len(profiles)
+                profiles.append(read_profile(path))
+            row["profile"] = read[path]
         _set_emission(row, light, profiles)
-    return table, spectra, _profile_tables(profiles)
+    tree = lamp_tree(table, table["power"][:, None] * spectra)
+    return Lamps(table, spectra, _profile_tables(profiles), *tree)
 
 
 def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
@@ -120,18 +133,17 @@ def _set_region(row: Any, region: Region | None, to_object: Array) -> None:
 
 
 def _set_emission(row: Any, light: Light, profiles: list[LightProfile]) -> None:
-    """Fill in how a lamp spreads its light over the directions; its own profile is the last."""
+    """Fill in how a lamp spreads its light over the directions; the number of its profile is known."""
     row["emission"] = LAWS[light.emission]
     row["outer"] = _height(light.spread_deg)
     solid_angle = 4.0 * np.pi  # that the whole power would fill at the largest intensity
     if light.emission == "profile":
-        profile = profiles[-1]
-        row["profile"] = len(profiles) - 1
+        profile = profiles[row["profile"]]
         lit = np.flatnonzero(profile.intensity.any(axis=0))
         row["outer"] = _height(np.rad2deg(profile.vertical[min(lit[-1] + 1, len(profile.vertical) - 1)]))
         solid_angle = 1.0 / profile.intensity.max()
     elif light.emission == "lambert":
-        solid_angle = np.pi
+        solid_angle, row["fades"] = np.pi, True
     elif light.emission == "sine":
         solid_angle = np.pi**2
     elif light.emission == "cone":

@@ -208,7 +208,6 @@ def object_tables(
     hosts = hosts_of(scene, targets, ranks, medium, media)
     models = facet_models(scene, targets, hosts, wavelengths_nm, reflectances)
     largest = radiance.max(axis=1, keepdims=True, initial=0.0)
-    lights, light_spectra, profiles = light_tables(scene, to_object, lines)
     tree = patch_tree(patches, facets["corners"], facets["body"], _of_smooth_patches(scene, facets["body"], level))
     glass = GlassTables(
         interfaces,
@@ -256,9 +255,7 @@ def object_tables(
         alpha=np.concatenate([np.zeros(0, np.float32), *alphas]),
         target_slot=book.targets,
         lost_slot=np.append(book.lost_in_targets, LOST_OUTSIDE),
-        lights=lights,
-        light_spectra=light_spectra,
-        profiles=profiles,
+        lamps=light_tables(scene, to_object, lines),
         emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,
@@ -357,9 +354,9 @@ def with_volumes(
     volumes, media = volume_tables(scene, moves, lines, book.media, hosts)
     if volumes is None:
         return tables
-    volumes = volumes._replace(near_lamps=single_scatter_tables(volumes, tables.lights, tables.outer_radius))
+    volumes = volumes._replace(near_lamps=single_scatter_tables(volumes, tables.lamps.rows, tables.outer_radius))
     reach, endless = reach_of(volumes)
-    if endless and not tables.lights["placed"].all():
+    if endless and not tables.lamps.rows["placed"].all():
         raise SceneError(
             "media: a directional light comes from afar, and nothing of it through a medium without bounds; give "
             "the medium bounds, or another light"
@@ -399,7 +396,7 @@ def aimed_at_glass(objects: ObjectTables) -> ObjectTables | None:
     used = objects.model[np.append(~glass, False)[objects.facets["body"]]]
     black = objects.scattering.models["black"][used].all() and not rough.any()
     in_fog = objects.volumes is not None and objects.volumes.scatters
-    if not len(objects.lights) or not facets.any() or (black and not in_fog):
+    if not len(objects.lamps.rows) or not facets.any() or (black and not in_fog):
         return None
     return _aimed_at(objects, objects.facets["corners"][facets].reshape(-1, 3))
 
@@ -416,7 +413,7 @@ def aimed_at_camera(objects: ObjectTables, lens: LensTables, frames: Array) -> O
     frames : (6, 6, 3, 4) float64
         See `frame_table`.
     """
-    if not len(objects.lights):
+    if not len(objects.lamps.rows):
         return None
     front = lens.facets["corners"][lens.facets["body"] == 0].reshape(-1, 3)
     move = frames[CAMERA_FRAME, OBJECT_FRAME]
@@ -450,7 +447,7 @@ Entry = tuple[int, int, float, float]
 def _lamps(objects: ObjectTables) -> list[Entry]:
     """Return the sources of the lights: power towards the sphere that is aimed at, and whole power."""
     middle, radius = objects.lit_middle, objects.lit_radius
-    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lights)]
+    return [(i, -1, *power_towards(light, middle, radius)) for i, light in enumerate(objects.lamps.rows)]
 
 
 def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:

@@ -9,7 +9,7 @@ from lfmesh.geometry.array.lenslets import Lenslets
 from lfmesh.geometry.meshes.patch_tree import PatchTree
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined
-from lfmesh.transport.tables.lights import Profiles
+from lfmesh.transport.tables.lights import Lamps
 from lfmesh.transport.tables.scattering import ScatteringTables
 from lfmesh.transport.tables.varied_gloss import VariedGloss
 
@@ -240,9 +240,7 @@ class ObjectTables(NamedTuple):
     alpha: NDArray[np.float32]  # (values,) opacity at the texels of such targets
     target_slot: NDArray[np.int64]  # (targets,) book slot
     lost_slot: NDArray[np.int64]  # (targets + 1,) book slot of energy lost at each target; the last: in open space
-    lights: Records  # LIGHT
-    light_spectra: Array  # (lights, wavelengths) power relative to that of `lights`
-    profiles: Profiles  # of lights
+    lamps: Lamps  # and parallel light
     emitters: Emitters
     sources: Records  # SOURCE: where the forward method starts packets
     radius: float  # mm, of a sphere about the origin that holds the targets

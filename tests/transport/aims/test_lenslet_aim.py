@@ -87,7 +87,7 @@ class Starts:
             PixelSource(np.array([pixel]), self.samples, run_key(key), Nodes.single(1), stratified=False).launch(
                 work, range(1)
             )
-        packets = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
+        packets = work.stacks.waiting(PLATE)
         area = tables.sensor.pixel**2 * MM2
         return np.column_stack([packets["dx"], packets["dy"]]), packets["weight"] / area / times
 

@@ -181,7 +181,8 @@ def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, pa
     packets["node"], packets["source"] = 11, np.arange(count)
     packets["key"] = [descendant(1, 77, number) for number in range(count)]
     flow = Flow(
-        stacks=np.zeros((STATIONS + 1, 2 * count), PACKET), rows=np.arange(STATIONS + 1), tops=np.zeros(TOPS, np.int64),
+        stacks=np.zeros(2 * count * STATIONS, PACKET), begins=2 * count * np.arange(STATIONS),
+        tops=np.zeros(TOPS, np.int64),
         book=np.zeros(len(FIXED)), counts=np.zeros(COUNTERS, np.int64), film=np.zeros((0, 1)),
         hits=np.zeros((0, 1), np.uint32), counted=np.zeros(0, np.uint8), deposits=np.zeros(0, DEPOSIT),
         ended=np.zeros(0, END), nodes=np.zeros(2 * count, NODE),
@@ -194,7 +195,7 @@ def children(count=1, reflectance=0.3, transmittance=0.7, frame=CAMERA_FRAME, pa
     still[:, :, range(3), range(3)] = 1.0
     split_all(packets, still, with_thinning(settings, **thinning), flow, reflectance, transmittance)
     assert flow.counts[EVENTS] == count
-    return Children(flow.stacks[LENS, : flow.tops[LENS]].copy(), flow)
+    return Children(flow.stacks[flow.begins[LENS] :][: flow.tops[LENS]].copy(), flow)
 
 
 def test_both_children_go_on_with_their_shares():

@@ -94,7 +94,7 @@ def asked(objects: ObjectTables, places: Array, key: np.uint64, told: Array) -> 
         own = derived(key, i)
         u, v = uniform(own, 5), uniform(own, 6)
         place = places[i, 0], places[i, 1], 0.0
-        _, _, uz, _, irradiance = illuminate(objects.profiles, objects.lights[0], place, u, v, False)
+        _, _, uz, _, irradiance = illuminate(objects.lamps.profiles, objects.lamps.rows[0], place, u, v, False)
         told[i] = irradiance * abs(uz)
 
 
@@ -102,7 +102,7 @@ def asked(objects: ObjectTables, places: Array, key: np.uint64, told: Array) -> 
 def sent(objects: ObjectTables, key: np.uint64, rays: Array) -> None:
     """Write packets: start, direction, share of their power."""
     for i in range(len(rays)):
-        rays[i] = emitted(objects, objects.lights[0], derived(key, i))
+        rays[i] = emitted(objects, objects.lamps.rows[0], derived(key, i))
 
 
 def quarters(x: Array, y: Array, power: Array) -> Array:
@@ -120,7 +120,7 @@ def test_packets_bring_what_points_are_told(name: str, folder: Path) -> None:
     asked(objects, places, run_key(1), told)
     sent(objects, run_key(2), rays)
     by_points = quarters(*places.T, told * (2.0 * SIDE) ** 2 * 1e-6)
-    light = objects.lights[0]
+    light = objects.lamps.rows[0]
     watts = light["power"] * (np.pi * objects.lit_radius**2 * 1e-6 if not light["placed"] else 1.0)
     p, d, share = rays[:, :3], rays[:, 3:6], rays[:, 6]
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0, rtol=1e-14)
@@ -136,7 +136,7 @@ def test_packets_bring_what_points_are_told(name: str, folder: Path) -> None:
 def shining(objects: ObjectTables, ways: Array, found: Array) -> None:
     """Write the intensity of the first light in directions (n, 3), W/sr."""
     for i in range(len(ways)):
-        found[i] = intensity(objects.profiles, objects.lights[0], ways[i, 0], ways[i, 1], ways[i, 2])
+        found[i] = intensity(objects.lamps.profiles, objects.lamps.rows[0], ways[i, 0], ways[i, 1], ways[i, 2])
 
 
 def all_round(edges: Array, axis: Array) -> tuple[Array, Array]:
@@ -156,7 +156,7 @@ def all_round(edges: Array, axis: Array) -> tuple[Array, Array]:
 def test_the_intensity_of_a_spot_or_profile_adds_up_to_its_power(name: str, folder: Path) -> None:
     light = LIGHTS[name]
     objects = tables_of(light, folder)
-    down = objects.lights[0]["direction"]
+    down = objects.lamps.rows[0]["direction"]
     edges = {"quarter.ies": [0, 20, 50, 70, 80, 90], "narrow.ies": [0, 5, 12, 30, 180]}.get(light.get("profile", ""))
     if edges is None:
         outer = light["half_angle_deg"]
@@ -211,7 +211,7 @@ def told_near(objects: ObjectTables, places: Array, numbers: Array, told: Array)
     for i in range(len(places)):
         place = places[i, 0], places[i, 1], places[i, 2]
         ux, uy, uz, _, irradiance = illuminate(
-            objects.profiles, objects.lights[0], place, numbers[i, 0], numbers[i, 1], True
+            objects.lamps.profiles, objects.lamps.rows[0], place, numbers[i, 0], numbers[i, 1], True
         )
         told[i] = ux, uy, uz, irradiance
 

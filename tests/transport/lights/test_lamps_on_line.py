@@ -19,7 +19,7 @@ from lfmesh.transport.lights.lamps_on_line import (
     passes_lamp,
 )
 from lfmesh.transport.packets.random import descendant
-from lfmesh.transport.tables.lights import light_tables
+from lfmesh.transport.tables.lights import Lamps, light_tables
 from lfmesh.transport.tables.lines import Lines
 from tests.cameras import camera_without_array
 from tests.transport.events.test_volume import line, slab, volumes_of
@@ -27,11 +27,10 @@ from tests.transport.events.test_volume import line, slab, volumes_of
 UP = (0.0, 0.6, 0.8)
 
 
-def lamps(*lights: dict[str, Any]) -> Any:
-    """Return the table of lamps, in the world frame, and their spectra."""
+def lamps(*lights: dict[str, Any]) -> Lamps:
+    """Return the tables of lamps, in the world frame."""
     scene = lf.Scene(camera=camera_without_array(), lights=lights)  # type: ignore[arg-type]
-    table, spectra, _ = light_tables(scene, np.eye(3, 4), Lines.of(scene))
-    return table, spectra
+    return light_tables(scene, np.eye(3, 4), Lines.of(scene))
 
 
 def point(place: list[float], power: float = 1.0) -> dict[str, Any]:
@@ -65,23 +64,23 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
     random = np.random.default_rng(7)
     for _ in range(6):
         places, powers = random.normal(0.0, 20.0, (6, 3)).tolist(), random.uniform(0.1, 3.0, 5)
-        table, spectra = lamps(
+        table = lamps(
             point(places[0], powers[0]), disk(places[1], powers[1]), SUN, tube(places[2], places[3], powers[2]),
             panel(places[4], 12.0, powers[3]), point(places[5], powers[4]),
         )  # fmt: skip
         d = random.normal(size=3)
         way = Ray(*random.normal(0.0, 5.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
-        whole = lamps_on_line(table, spectra, 0, way, 3.0, last)
-        points = [distance_by_angle(table, spectra, 0, way, 3.0, last, whole * u) for u in random.random(3000)]
+        whole = lamps_on_line(table, 0, way, 3.0, last)
+        points = [distance_by_angle(table, 0, way, 3.0, last, whole * u) for u in random.random(3000)]
         assert min(points) >= 3.0
         assert max(points) <= last
 
-        def density(t: float, table: Any = table, spectra: Any = spectra, way: Any = way) -> float:
-            return float(density_by_angle(table, spectra, 0, way, t))
+        def density(t: float, table: Any = table, way: Any = way) -> float:
+            return float(density_by_angle(table, 0, way, t))
 
         # The light of flat lamps begins or ends where the line crosses their planes, that of spines two sizes away.
-        ends = [*lit_part(table[1], way, 3.0, last), *lit_part(table[4], way, 3.0, last)]
-        for lamp in table[3:5]:
+        ends = [*lit_part(table.rows[1], way, 3.0, last), *lit_part(table.rows[4], way, 3.0, last)]
+        for lamp in table.rows[3:5]:
             off = lamp["position"] - way[:3]
             s = float(off @ way[3:])
             half = np.sqrt(max(4.0 * lamp["size"] ** 2 - off @ off + s * s, 0.0))
@@ -96,39 +95,39 @@ def test_distances_follow_the_light_that_arrives_on_a_line(last: float) -> None:
 
 
 def test_a_lamp_is_near_where_the_part_of_the_line_is_near_it() -> None:
-    table, spectra = lamps(point([3.0, 0.0, 10.0]), SUN)
+    table = lamps(point([3.0, 0.0, 10.0]), SUN)
     way = Ray(0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    assert passes_lamp(table, spectra, 0, way, 0.0, np.inf, 3.1)
-    assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
-    assert not passes_lamp(table, spectra, 0, way, 0.0, 6.0, 4.9)
-    assert passes_lamp(table, spectra, 0, way, 14.0, np.inf, 5.1)
+    assert passes_lamp(table, 0, way, 0.0, np.inf, 3.1)
+    assert not passes_lamp(table, 0, way, 0.0, np.inf, 2.9)
+    assert not passes_lamp(table, 0, way, 0.0, 6.0, 4.9)
+    assert passes_lamp(table, 0, way, 14.0, np.inf, 5.1)
 
 
 def test_disks_and_narrow_spots_light_their_own_side_only() -> None:
     at, axis = [0.0, 0.0, 10.0], (0.0, 0.0, 1.0)
-    table, _ = lamps(point(at), disk(at, 1.0, axis), spot(at, 60.0, axis), spot(at, 120.0, axis))
+    table = lamps(point(at), disk(at, 1.0, axis), spot(at, 60.0, axis), spot(at, 120.0, axis))
     up, down = (Ray(3.0, 0.0, 0.0, 0.6, 0.0, dz) for dz in (0.8, -0.8))
-    assert [lit_part(light, up, 1.0, 90.0)[0] for light in table] == [1.0, 12.5, 12.5, 1.0]
-    assert all(lit_part(light, up, 1.0, 90.0)[1] == 90.0 for light in table)
-    assert [np.subtract(*lit_part(light, down, 1.0, 90.0)) < 0.0 for light in table] == [True, False, False, True]
-    flat = [lit_part(table[1], Ray(0.0, 0.0, z, 1.0, 0.0, 0.0), 1.0, 90.0) for z in (9.0, 10.0, 11.0)]
+    assert [lit_part(light, up, 1.0, 90.0)[0] for light in table.rows] == [1.0, 12.5, 12.5, 1.0]
+    assert all(lit_part(light, up, 1.0, 90.0)[1] == 90.0 for light in table.rows)
+    assert [np.subtract(*lit_part(light, down, 1.0, 90.0)) < 0.0 for light in table.rows] == [True, False, False, True]
+    flat = [lit_part(table.rows[1], Ray(0.0, 0.0, z, 1.0, 0.0, 0.0), 1.0, 90.0) for z in (9.0, 10.0, 11.0)]
     assert [first < last for first, last in flat] == [False, False, True]
 
 
 def test_a_long_lamp_is_near_where_the_line_is_near_its_spine() -> None:
-    table, spectra = lamps(tube([3.0, -90.0, 10.0], [3.0, 110.0, 10.0]))
+    table = lamps(tube([3.0, -90.0, 10.0], [3.0, 110.0, 10.0]))
     for y in (-88.0, 0.0, 108.0):
         way = Ray(0.0, y, 0.0, 0.0, 0.0, 1.0)
-        assert passes_lamp(table, spectra, 0, way, 0.0, np.inf, 3.1)
-        assert not passes_lamp(table, spectra, 0, way, 0.0, np.inf, 2.9)
-        assert not passes_lamp(table, spectra, 0, way, 0.0, 5.0, 5.7)
-    assert not passes_lamp(table, spectra, 0, Ray(0.0, 113.0, 0.0, 0.0, 0.0, 1.0), 0.0, np.inf, 4.1)
+        assert passes_lamp(table, 0, way, 0.0, np.inf, 3.1)
+        assert not passes_lamp(table, 0, way, 0.0, np.inf, 2.9)
+        assert not passes_lamp(table, 0, way, 0.0, 5.0, 5.7)
+    assert not passes_lamp(table, 0, Ray(0.0, 113.0, 0.0, 0.0, 0.0, 1.0), 0.0, np.inf, 4.1)
 
 
 def test_the_density_stays_in_proportion_to_the_light_of_a_tube() -> None:
     """On lines as near to the tube as may be: its light, in closed form, is at most 4 times the density."""
     random = np.random.default_rng(5)
-    table, spectra = lamps(tube([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]))
+    table = lamps(tube([0.0, 0.0, -20.0], [0.0, 0.0, 20.0]))
     z = np.array([0.0, 0.0, 1.0])
     for off in np.geomspace(1e-9, 5.0, 12):
         d = random.normal(size=3)
@@ -140,15 +139,75 @@ def test_the_density_stays_in_proportion_to_the_light_of_a_tube() -> None:
             place = start + t * d
             h, s = np.hypot(place[0], place[1]), place[2]
             sines = (20.0 - s) / np.hypot(20.0 - s, h) + (20.0 + s) / np.hypot(20.0 + s, h)
-            assert table[0]["peak"] / (40.0 * h) * sines <= 4.0 * density_by_angle(table, spectra, 0, way, t)
+            assert table.rows[0]["peak"] / (40.0 * h) * sines <= 4.0 * density_by_angle(table, 0, way, t)
+
+
+def crowd(count: int, random: np.random.Generator) -> Lamps:
+    """Return many lamps that shine all round or to one side, in two clusters."""
+    places = random.normal(0.0, 4.0, (count, 3)) + 60.0 * random.integers(0, 2, (count, 1))
+    powers = random.uniform(0.1, 3.0, count)
+    return lamps(*(
+        point(place, power) if number % 2 else disk(place, power)
+        for number, (place, power) in enumerate(zip(places.tolist(), powers.tolist(), strict=True))
+    ))  # fmt: skip
+
+
+def test_many_lamps_count_about_as_each_of_them() -> None:
+    """Those of a node as one: their sum differs from that of lamps one by one by bounded factors where they shine."""
+    random = np.random.default_rng(4)
+    table = crowd(60, random)
+    for _ in range(20):
+        d = random.normal(size=3)
+        way = Ray(*random.normal(20.0, 30.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
+        for t in random.uniform(-100.0, 100.0, 20):
+            to = np.array(way[:3]) + t * np.array(way[3:]) - table.rows["position"]
+            lit = (table.rows["outer"] > 1.0) | (np.einsum("ij,ij->i", to, table.rows["direction"]) > 0.0)
+            single = (table.rows["peak"] / ((to**2).sum(axis=1) + table.rows["size"] ** 2))[lit].sum()
+            assert 0.2 * single < density_by_angle(table, 0, way, t)
+
+
+def test_distances_follow_the_light_of_many_lamps() -> None:
+    """Kolmogorov's test over random lines, 6 at a level of 0.001 together."""
+    random = np.random.default_rng(11)
+    table = crowd(60, random)
+    for _ in range(6):
+        d = random.normal(size=3)
+        way = Ray(*random.normal(20.0, 20.0, 3).tolist(), *(d / np.linalg.norm(d)).tolist())
+        whole = lamps_on_line(table, 0, way, 3.0, 90.0)
+        points = [distance_by_angle(table, 0, way, 3.0, 90.0, whole * u) for u in random.random(3000)]
+        grid = np.linspace(3.0, 90.0, 20_001)
+        cdf = np.cumsum([density_by_angle(table, 0, way, t) for t in 0.5 * (grid[1:] + grid[:-1])]) * (
+            grid[1] - grid[0]
+        )
+        np.testing.assert_allclose(cdf[-1], whole, rtol=1e-2)
+        assert kstest(points, lambda t, g=grid, c=cdf: np.interp(t, g, [0.0, *c / c[-1]])).pvalue > 0.001 / 6
+
+
+def test_a_line_comes_near_one_of_many_lamps_where_it_comes_near_any() -> None:
+    random = np.random.default_rng(9)
+    table = crowd(60, random)
+    found = []
+    for _ in range(300):
+        start = random.normal(20.0, 30.0, 3)
+        d = random.choice(table.rows["position"]) + random.normal(0.0, 3.0, 3) - start
+        way = Ray(*start.tolist(), *(d / np.linalg.norm(d)).tolist())
+        last, within = random.uniform(5.0, 90.0), random.uniform(0.1, 4.0)
+        single = [
+            passes_lamp(table._replace(nodes=table.nodes[leaf : leaf + 1], power=table.power[leaf : leaf + 1]), 0, way,
+                        1.0, last, within)
+            for leaf in table.leaf
+        ]  # fmt: skip
+        assert passes_lamp(table, 0, way, 1.0, last, within) == any(single)
+        found.append(any(single))
+    assert 0.1 < np.mean(found) < 0.9
 
 
 @pytest.mark.parametrize("start", [[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0]])
 def test_a_lamp_on_the_line_itself_gives_finite_distances(start: list[float]) -> None:
-    table, spectra = lamps(point([0.0, 0.0, 20.0]), point(start))
+    table = lamps(point([0.0, 0.0, 20.0]), point(start))
     way = Ray(*start, 0.0, 0.0, 1.0)
-    whole = lamps_on_line(table, spectra, 0, way, 0.0, np.inf)
-    points = [distance_by_angle(table, spectra, 0, way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
+    whole = lamps_on_line(table, 0, way, 0.0, np.inf)
+    points = [distance_by_angle(table, 0, way, 0.0, np.inf, whole * u) for u in (0.0, 0.3, 0.5, 0.9, 1.0)]
     assert np.isfinite(whole)
     assert whole > 0.0
     assert np.isfinite(points[:-1]).all()

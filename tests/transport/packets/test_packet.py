@@ -40,12 +40,12 @@ def test_a_child_inherits_all_that_it_is_not_given():
     for number, name in enumerate(PACKET.names):
         parents[name] = number + 2
     flow = Flow(
-        np.zeros((STATIONS + 1, 4), PACKET), np.arange(STATIONS + 1), np.zeros(TOPS, np.int64), np.zeros(1),
+        np.zeros(4 * STATIONS, PACKET), 4 * np.arange(STATIONS), np.zeros(TOPS, np.int64), np.zeros(1),
         np.zeros(1, np.int64), np.zeros((0, 1)), np.zeros((0, 1), np.uint32), np.zeros(0, np.uint8),
         np.zeros(0, DEPOSIT), np.zeros(0, END), np.zeros(0, NODE),
     )  # fmt: skip
     put_child(flow, parents)
-    child = flow.stacks[PLATE, 0]
+    child = flow.stacks[flow.begins[PLATE]]
     given = GIVEN | {"moves": parents["moves"][0] + 1}
     for name in PACKET.names:
         assert child[name] == given.get(name, parents[name][0]), name
@@ -61,7 +61,7 @@ def test_packets_have_a_state_only_where_the_scene_asks_for_it(polarisation, rec
     scene = lf.Scene(camera=camera_without_array(), transport={"polarisation": polarisation})
     world = lf.build(scene, aimed=False)
     work = Workspace(world, options_of(world), 1)
-    assert (work.stacks.dtype, work.ended.dtype) == records
+    assert (work.stacks.record, work.ended.dtype) == records
     assert work.template.dtype == records[0]
     assert (work.flow().polarised is not None) == polarisation
     assert PACKET.itemsize == 2 * CACHE_LINE

@@ -303,7 +303,7 @@ def test_every_sample_may_leave_its_pixel_in_a_new_direction() -> None:
     work, samples = Workspace(world, part.options, 1 << 12, part.tables), 64
     work.begin(Film.empty(36, 1), 36 * samples)
     PixelSource(np.arange(36), samples, np.uint64(1)).launch(work, range(36))
-    waiting = work.stacks[work.rows[PLATE], : work.tops[PLATE]]
+    waiting = work.stacks.waiting(PLATE)
     assert sorted(waiting["source"] & PIXEL_MASK) == sorted([*range(36)] * samples)
     assert 0.0 < np.mean(waiting["weight"] == 0.0) < 1.0
     assert (waiting["start"] > 0.0).all()

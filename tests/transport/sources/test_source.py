@@ -68,7 +68,7 @@ def started(work: Workspace, source: Source, part: range) -> tuple[list[bytes], 
     work.begin(packets=len(part) * source.each)
     source.launch(work, part)
     fields = [name for name in PACKET.names or () if name not in ("source", "density")]
-    waiting = [work.stacks[work.rows[s], : work.tops[s]][fields] for s in range(STATIONS)]
+    waiting = [work.stacks.waiting(s)[fields] for s in range(STATIONS)]
     return sorted(row.tobytes() for row in repack_fields(np.concatenate(waiting))), float(work.book[EMITTED])
 
 
@@ -108,7 +108,7 @@ def test_a_ray_carries_its_weight_and_meets_nothing_near_its_start(world: lf.Wor
     work = workspace(world, "rays")
     work.begin(packets=len(source))
     source.launch(work, range(10, 30))
-    packets = work.stacks[work.rows[OBJECTS], : work.tops[OBJECTS]]
+    packets = work.stacks.waiting(OBJECTS)
     np.testing.assert_array_equal(packets["source"], np.arange(10, 30))
     for field, expected in (("weight", source.weight[10:30]), ("start", source.weight[10:30])):
         np.testing.assert_array_equal(packets[field], expected)
@@ -137,7 +137,7 @@ def test_no_ray_through_the_array_is_rouletted_by_more_than_a_lenslets_weight() 
     work = Workspace(world, options_of(world)._replace(faces=BY_MESH), tables=tables)
     work.begin(packets=1600 * samples)
     source.launch(work, range(1600))
-    packets = np.concatenate([work.stacks[work.rows[s], : work.tops[s]] for s in range(STATIONS)])
+    packets = np.concatenate([work.stacks.waiting(s) for s in range(STATIONS)])
     weight, start = packets["weight"], packets["start"]
     # Of the lenslet straight ahead, over the share of the main rays, m² sr.
     mla, distance = world.scene.camera.mla, world.scene.camera.sensor.distance_mm

@@ -102,7 +102,7 @@ def test_each_light_alone_launches_from_where_it_stands(lit):
         assert rays.any_vertex(rays.event == lf.Event.SCATTERED).any()
         # A point light's packets go into the cone round the targets' sphere, and share what it sends there.
         objects = lit.tables.objects
-        distance = np.linalg.norm(objects.lights[number]["position"])
+        distance = np.linalg.norm(objects.lamps.rows[number]["position"])
         seen = 0.5 * (1.0 - np.sqrt(1.0 - (objects.radius / distance) ** 2))
         np.testing.assert_allclose(rays.power[rays.offsets[:-1]], lamp.power_w * seen / 150, rtol=1e-9)
 

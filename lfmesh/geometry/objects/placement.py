@@ -28,6 +28,9 @@ from lfmesh.scene.quantities import SMALLEST
 LARGE_MM = 1000.0
 """Size from which on a body of a mesh file that does not fit into the field is suspected of a wrong unit."""
 
+MOST_NAMED = 8
+"""Largest number of lamps that are named as lighting a target."""
+
 MOST_SEEN = 4.0
 """Widths of the field that such a body is larger than."""
 
@@ -79,7 +82,7 @@ class Placement:
             f"{axis} {low:.5g} to {high:.5g}" for axis, low, high in zip("xyz", self.low, self.high, strict=True)
         )
         texture = f", texture {self.picture[0]} × {self.picture[1]}" if self.picture else ""
-        lamps = [] if self.lit_by is None else [f"  lit by               {', '.join(self.lit_by) or 'no lamp'}"]
+        lamps = [] if self.lit_by is None else [f"  lit by               {_named(self.lit_by) or 'no lamp'}"]
         return [
             f"{self.name}: {self.facets} facets{texture}",
             *([f"  its file holds       {self.contents}"] if self.contents else []),
@@ -89,6 +92,12 @@ class Placement:
             *lamps,
             *(f"Note: {self.name} {text}" for text in self.warnings),
         ]
+
+
+def _named(lamps: tuple[str, ...]) -> str:
+    """Return the names of lamps, and the number of the rest where there are many."""
+    more = len(lamps) - MOST_NAMED
+    return ", ".join(lamps[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def placements(scene: Scene) -> list[Placement]:

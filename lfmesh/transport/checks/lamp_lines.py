@@ -1,6 +1,7 @@
 """Lines of a check on lamps: their angular profiles, their spectra, and the share of their light in the bands."""
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +29,11 @@ def lamp_lines(scene: Scene, targets: list[TargetMesh]) -> list[str]:
         A profile or spectrum cannot be used.
     """
     lines = []
+    read = cache(read_profile)
     for number, light in enumerate(scene.lights):
         where = f"lights[{number}]"
         if light.ies is not None:
-            profile = read_profile(scene.resolve(light.ies))
+            profile = read(scene.resolve(light.ies))
             lines.append(f"{where} profile: {light.ies}, {_in_words(profile, light.strength)}")
             if targets and not _shines_on(profile, light, targets):
                 lines.append(

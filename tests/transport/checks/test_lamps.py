@@ -43,6 +43,23 @@ def test_a_lamp_that_a_real_camera_would_see_is_named(given: lf.Scene, told: boo
     assert (lf.MissedLightWarning in kinds(given)) == told
 
 
+def test_each_of_some_lamps_in_the_field_is_named_and_of_many_a_few() -> None:
+    random = np.random.default_rng(3)
+    places = random.uniform([-8.0, -8.0, -90.0], [8.0, 8.0, 20.0], (10, 3)).tolist()
+    lamps = [{"kind": "point", "position_mm": place, "power_w": 1.0} for place in places]
+
+    def named(lights: list[dict[str, Any]]) -> list[str]:
+        found = foreseen(lf.build(scene(targets=[WALL], lights=lights)))
+        return [str(each) for each in found if isinstance(each, lf.MissedLightWarning) and "lights[" in str(each)]
+
+    alone = [number for number, lamp in enumerate(lamps) if named([lamp])]
+    assert 2 <= len(alone) <= 8
+    assert [int(text[7 : text.index("]")]) for text in named(lamps)] == alone
+    many = [{"kind": "point", "position_mm": [0.0, 0.0, -50.0 - i], "power_w": 1.0} for i in range(30)]
+    assert len(named(many)) == 9
+    assert "perhaps more of the 30 lights" in named(many)[-1]
+
+
 def test_a_lamp_in_the_plane_of_facets_is_named_without_a_warning_of_numbers() -> None:
     box = {"shape": {"kind": "box", "size_mm": (1.0, 1.0, 1.0)}, "position_mm": (0.0, 0.0, -120.0)}
     with warnings.catch_warnings():

@@ -68,14 +68,14 @@ def read_bytes(path: Path) -> bytes:
         return file.read()
 
 
-def read_text(path: Path, encoding: str = "utf-8", errors: str | None = None) -> str:
+def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None) -> str:
     """Return the text of a regular file; errors as of `open_regular`, and those of its decoding.
 
     Parameters
     ----------
     path : Path
     encoding, errors : str, optional
-        As `open` takes them.
+        As `open` takes them. A byte order mark before UTF-8 is no text.
     """
     with open_text(path, encoding, errors) as file:
         return file.read()

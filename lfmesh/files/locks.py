@@ -42,7 +42,16 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
 
 
 def opened_and_locked(path: Path, flags: int, *, wait: bool) -> tuple[int, bool | None]:
-    """Open a path and lock it; return its handle and whether the lock is ours, None where there are no locks."""
+    """Open a path and lock it; return its handle and whether the lock is ours, None where there are no locks.
+
+    Parameters
+    ----------
+    path : Path
+    flags : int
+        As `os.open` takes them.
+    wait : bool
+        Wait until another process releases the lock.
+    """
     handle = os.open(path, flags, 0o666)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

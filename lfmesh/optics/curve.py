@@ -142,7 +142,7 @@ def read_curve(path: Path, column: str, most: float = math.inf) -> Curve:
         It cannot be read, or a number is missing or not valid.
     """
     try:
-        text = read_text(path, "utf-8-sig")
+        text = read_text(path)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -67,7 +67,7 @@ def read_profile(path: Path) -> LightProfile:
         It cannot be read; a number is missing, too many, or out of its range; its photometry is of another type.
     """
     try:
-        lines = read_text(path, "utf-8-sig", "replace").splitlines()
+        lines = read_text(path, errors="replace").splitlines()
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     tilt = next((i for i, line in enumerate(lines) if line.strip().upper().startswith("TILT=")), None)

@@ -77,7 +77,7 @@ def read_reflectance(path: Path) -> ReflectanceTable:
         It cannot be read; a number is missing or out of its range; angles are missing.
     """
     try:
-        text = read_text(path, "utf-8-sig")
+        text = read_text(path)
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -6,6 +6,7 @@ that a reader that passes over a part of a file is found out.
 
 import json
 import struct
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,7 @@ def _materials(path: Path, library: str, defined: dict[str, str]) -> None:
 
 def _of_stl(path: Path) -> Contents:
     content = read_bytes(path)
-    if content[:5].lower() == b"solid" and b"endfacet" in content.lower():
+    if content.removeprefix(BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"endfacet" in content.lower():
         return Contents(content.lower().count(b"endfacet"))
     return Contents(int.from_bytes(content[80:84], "little"))
 

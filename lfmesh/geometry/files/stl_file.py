@@ -1,6 +1,7 @@
 """STL files, binary and text: facets without anything else."""
 
 import re
+from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def read(path: Path, notes: Notes) -> list[Piece]:
     content = read_bytes(path)
     corners = _binary(path, content, notes)
     if corners is None:
-        corners = _text(content)
+        corners = _text(content.removeprefix(BOM_UTF8))
     if corners is None:
         return []
     return [Piece(Mesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)))]
@@ -49,7 +50,7 @@ def _binary(path: Path, content: bytes, notes: Notes) -> Array | None:
         return None
     count = int.from_bytes(content[80:84], "little")
     whole = len(content) == HEADER + RECORD * count
-    if not whole and (content.lstrip()[:5].lower() == b"solid" and b"vertex" in content.lower()):
+    if not whole and (content.removeprefix(BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"vertex" in content.lower()):
         return None
     if not whole and len(content) < HEADER + RECORD * count:
         held = (len(content) - HEADER) // RECORD

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import LensFileWarning, MeshError
+from lfmesh.geometry.files.contents import counted
 from lfmesh.geometry.files.mesh_file import load_mesh
 
 CORNERS = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [0, 2, 1], [2, 2, 1]], float)
@@ -114,3 +115,18 @@ def test_a_binary_stl_may_begin_with_the_word_solid(tmp_path):
     (tmp_path / "short.stl").write_bytes(b"binary".ljust(80) + struct.pack("<I", 9) + facet)
     with pytest.raises(MeshError, match="its header counts 9 facets, and there is room for 1"):
         load_mesh(tmp_path / "short.stl", "mm")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("part.obj", "v 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nv 9 9 9\nf 1 2 3 4\n"),
+        ("part.off", "OFF\n4 1 0\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n4 0 1 2 3\n"),
+        ("part.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 2 0 0\nvertex 2 2 0\nendloop\n"
+         "endfacet\nendsolid a\n"),
+    ],
+)  # fmt: skip
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path, name, text):
+    (piece,) = loaded(tmp_path / name, text.encode("utf-8-sig"))
+    assert areas(piece).sum() == pytest.approx(2.0)
+    assert counted(tmp_path / name).facets == len(piece.mesh.faces)

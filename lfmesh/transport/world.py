@@ -35,6 +35,7 @@ from lfmesh.transport.aims.ghost_aim import ghost_tables
 from lfmesh.transport.built import Key, keep, key_of, known, let_go, refuse_other
 from lfmesh.transport.checks.aim_proof import AimProof, proven_aim
 from lfmesh.transport.collisions import refuse_collisions, slab_of_tables
+from lfmesh.transport.inside_camera import refuse_objects_inside
 from lfmesh.transport.packets.book import Book
 from lfmesh.transport.packets.packet import (
     BACK_FRAME,
@@ -59,7 +60,7 @@ from lfmesh.transport.tables.interfaces import InterfaceTables, coatings_in_book
 from lfmesh.transport.tables.lens import lens_tables, mla_tables, with_diffracting_stop, with_diffraction
 from lfmesh.transport.tables.lines import Lines
 from lfmesh.transport.tables.media import MediumList, clear
-from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables, refuse_targets_inside
+from lfmesh.transport.tables.objects import housing_mesh, middle_of, object_tables
 from lfmesh.transport.tables.particles import ParticleTables, corners_round, particle_tables, refuse_particles_behind
 from lfmesh.transport.tables.polarisation import polarisation_tables
 from lfmesh.transport.tables.surroundings import Surroundings, surroundings_of
@@ -438,7 +439,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     refuse_collisions(scene, slab_of_tables(mla), lambda: shape)
     seen_moves = apparent_frames(scene, moves)
     housing = housing_mesh(scene, shape)
-    refuse_targets_inside(scene, targets, housing, moves)
+    refuse_objects_inside(scene, targets, housing, moves)
     ranks = refuse_untraceable_glass(
         scene, targets, frame.points(moves[CAMERA_FRAME, WORLD_FRAME], shape.caps[0].vertices)
     )

@@ -26,14 +26,14 @@ def array(**changes):
     return lf.MicrolensArray(distance_mm=40.0, **(settings | changes))
 
 
-def world_of(lens="double_gauss_50mm", targets=(), pose=None, mla=None, **transport):
+def world_of(lens="double_gauss_50mm", targets=(), pose=None, mla=None, lights=(), **transport):
     camera = lf.Camera(
         lens=load_lens(asset_path(f"lenses/{lens}.toml")),
         mla=mla,
         sensor=lf.Sensor(pixels=(60, 40), pixel_mm=0.1, distance_mm=3.0),
         pose=pose or lf.Pose(),
     )
-    return lf.build(lf.Scene(camera=camera, targets=targets, transport=lf.Transport(**transport)))
+    return lf.build(lf.Scene(camera=camera, targets=targets, lights=lights, transport=lf.Transport(**transport)))
 
 
 def assert_solid(mesh):
@@ -197,6 +197,37 @@ def test_a_target_inside_the_camera_is_refused(target):
     ) as refusal:
         world_of(mla=array(), targets=(far, target))
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "lamp",
+    [
+        lf.PointLight(position_mm=(0.0, 0.0, 20.0), power_w=1.0),
+        lf.LineLight(start_mm=(0.0, 0.0, -300.0), end_mm=(0.0, 0.0, 20.0), power_w=1.0),
+        lf.LineLight(start_mm=(-90.0, 0.0, 10.0), end_mm=(90.0, 0.0, 10.0), power_w=1.0),
+        lf.RectangleLight(
+            position_mm=(0.0, 0.0, 20.0), direction=(0.0, 0.0, -1.0), width_mm=200.0, height_mm=200.0, power_w=1.0
+        ),
+        lf.DiskLight(position_mm=(50.0, 0.0, 10.0), direction=(0.0, 0.0, -1.0), radius_mm=45.0, power_w=1.0),
+    ],
+    ids=["point", "line along the axis", "line through the barrel", "rectangle round the axis", "disk at its edge"],
+)
+def test_a_lamp_inside_the_camera_is_refused(lamp):
+    with pytest.raises(lf.SceneError, match=r"lights\[0\].* reaches into the camera.*move it in front of z = "):
+        world_of(lights=(lamp,))
+
+
+@pytest.mark.parametrize(
+    "lamp",
+    [
+        lf.PointLight(position_mm=(0.0, 0.0, -1.0), power_w=1.0),
+        lf.PointLight(position_mm=(60.0, 0.0, 10.0), power_w=1.0),
+        lf.DiskLight(position_mm=(60.0, 0.0, 10.0), direction=(0.0, 0.0, -1.0), radius_mm=10.0, power_w=1.0),
+    ],
+    ids=["before the lens", "beside the barrel", "disk beside the barrel"],
+)
+def test_a_lamp_before_or_beside_the_camera_is_allowed(lamp):
+    assert world_of(lights=(lamp,)).scene.lights == (lamp,)
 
 
 def test_a_target_beside_the_barrel_is_allowed():

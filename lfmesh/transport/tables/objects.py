@@ -4,12 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry import frame
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.meshes.patch_tree import patch_tree
-from lfmesh.geometry.objects.targets import TargetMesh, named_target
+from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.objects.texture import Texture, is_grey
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import mesh_sag, on_circles, revolved
@@ -75,73 +74,6 @@ def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     profile = [[rim, front], [barrel, front], [barrel, back], [body, back], [body, end], [0.0, end]]
     mesh = revolved(np.array(profile), shape.azimuths)
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
-
-
-def refuse_targets_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh, moves: Array) -> None:
-    """Refuse a target that reaches into the camera.
-
-    Parameters
-    ----------
-    scene : Scene
-    targets : list of TargetMesh
-        World frame.
-    housing : Mesh
-        Camera frame.
-    moves : (6, 6, 3, 4) float64
-        See `frame_table`.
-
-    Raises
-    ------
-    SceneError
-        The message names the target and the place.
-    """
-    radius = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1])
-    front, end = housing.vertices[:, 2].min(), housing.vertices[:, 2].max()
-    rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
-    barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
-    for i, target in enumerate(targets):
-        vertices = frame.points(moves[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
-        beside = (vertices.min(axis=0) >= [barrel, barrel, end]) | (vertices.max(axis=0) <= [-barrel, -barrel, front])
-        if beside.any():
-            continue
-        corners = vertices[target.mesh.faces]
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        near = (low[:, :2] < barrel).all(axis=1) & (high[:, :2] > -barrel).all(axis=1)
-        near &= (low[:, 2] < end) & (high[:, 2] > front)
-        for facet in corners[near]:
-            within = _between(facet, front, end)
-            if len(within) and _distance_to_axis(within) < barrel:
-                name = f"targets[{i}]" if scene.targets[i].refractor is None else named_target(scene, i)
-                raise SceneError(
-                    f"{name} reaches into the camera, at z = {within[:, 2].mean():.6g} mm in the camera frame; "
-                    f"move it in front of z = {front:.6g} mm or beside the barrel (radius {barrel:.6g} mm)"
-                )
-
-
-def _between(polygon: Array, front: float, end: float) -> Array:
-    """Return the part of a convex polygon (n, 3) between two planes perpendicular to the axis."""
-    for sign, plane in ((1.0, front), (-1.0, end)):
-        height = sign * (polygon[:, 2] - plane)
-        kept = []
-        for p, q, a, b in zip(polygon, np.roll(polygon, -1, axis=0), height, np.roll(height, -1), strict=True):
-            if a >= 0.0:
-                kept.append(p)
-            if (a >= 0.0) != (b >= 0.0):
-                kept.append(p + a / (a - b) * (q - p))
-        polygon = np.array(kept).reshape(-1, 3)
-    return polygon
-
-
-def _distance_to_axis(polygon: Array) -> float:
-    """Return the distance of a convex polygon (n, 3) from the axis."""
-    p = polygon[:, :2]
-    edge = np.roll(p, -1, axis=0) - p
-    turn = p[:, 0] * edge[:, 1] - p[:, 1] * edge[:, 0]
-    if turn.sum() != 0.0 and ((turn >= 0.0).all() or (turn <= 0.0).all()):
-        return 0.0
-    square = np.maximum((edge**2).sum(axis=1), np.finfo(np.float64).tiny)
-    share = np.clip(-(p * edge).sum(axis=1) / square, 0.0, 1.0)
-    return float(np.hypot(*(p + share[:, None] * edge).T).min())
 
 
 def object_tables(

@@ -25,7 +25,16 @@ from lfmesh.geometry.meshes.crossings import near_pairs
 from lfmesh.geometry.meshes.levels import FLAT, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_corner_normals
 from lfmesh.geometry.meshes.patch import patch_points, patches
-from lfmesh.geometry.meshes.patch_tree import control_points
+from lfmesh.geometry.meshes.patch_tree import (
+    CORNERS,
+    ENDS,
+    QUARTERS,
+    WHOLE,
+    cell_control_points,
+    cell_tangents,
+    control_points,
+    normal_control_vectors,
+)
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
 from lfmesh.scene import Scene, Target
 from lfmesh.scene.literals import plain
@@ -33,20 +42,6 @@ from lfmesh.transport.events.facets import FLOAT32_GRAIN
 from lfmesh.transport.tables.contacts import touching_mm
 
 Index = NDArray[np.int64]
-
-WHOLE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
-"""Corners of a patch by their parameters (η, ζ)."""
-
-CORNERS, ENDS = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
-"""Pairs of corners that the control points of a quadratic patch belong to."""
-
-QUARTERS = np.array([
-    [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
-    [[1, 1, 0], [0, 2, 0], [0, 1, 1]],
-    [[1, 0, 1], [0, 1, 1], [0, 0, 2]],
-    [[1, 1, 0], [0, 1, 1], [1, 0, 1]],
-]) / 2.0  # fmt: skip
-"""Corners of the four triangles that the middles of its edges divide a triangle into, by weights of its corners."""
 
 FINEST = 1.0 / 16.0
 """Size of cells that are divided no further, over the smaller of the two facets."""
@@ -212,22 +207,12 @@ def _bounds(face: _Face, facets: Index, corners: Array) -> _Bounds:
         Parameters of the cells' corners.
     """
     of_patch = face.coefficients[facets]
+    control = cell_control_points(of_patch, corners)
     one, other = corners[:, CORNERS], corners[:, ENDS]
-    # The polar form of the patch: between the corners of a cell it gives the control points of that cell.
     eta, zeta = 0.5 * (one[..., 0] + other[..., 0]), 0.5 * (one[..., 1] + other[..., 1])
-    mixed = 0.5 * (one[..., 0] * other[..., 1] + one[..., 1] * other[..., 0])
-    basis = np.stack([np.ones_like(eta), eta, zeta, mixed, one[..., 0] * other[..., 0], one[..., 1] * other[..., 1]])
-    control = np.einsum("bkp,kbi->kpi", basis, of_patch)
     a, b, c = np.moveaxis(face.corners[facets], 1, 0)
     on_facet = a[:, None] + eta[..., None] * (b - a)[:, None] + zeta[..., None] * (c - b)[:, None]
-    by_eta = (
-        of_patch[:, None, 1] + 2.0 * corners[..., :1] * of_patch[:, None, 4] + corners[..., 1:] * of_patch[:, None, 3]
-    )
-    by_zeta = (
-        of_patch[:, None, 2] + 2.0 * corners[..., 1:] * of_patch[:, None, 5] + corners[..., :1] * of_patch[:, None, 3]
-    )
-    # The normal, before it is made a unit vector, is quadratic too, with these control vectors.
-    normals = 0.5 * (np.cross(by_eta[:, CORNERS], by_zeta[:, ENDS]) + np.cross(by_eta[:, ENDS], by_zeta[:, CORNERS]))
+    normals = normal_control_vectors(*cell_tangents(of_patch, corners))
     axis = normals.mean(axis=1)
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(np.float64).tiny)
     along = np.einsum("kpi,ki->kp", normals, axis)

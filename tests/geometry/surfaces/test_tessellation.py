@@ -234,3 +234,18 @@ def test_bends_bound_the_second_derivatives_in_all_directions_and_not_by_much(na
         assert 1.06 * least < of["least_bend"] < least
     else:
         assert of["least_bend"] > -1e-9
+
+
+def test_bends_of_surfaces_of_revolution_are_bounded_between_all_samples_too():
+    """High powers that cancel but for a narrow zone: closed forms at 200,001 radii lie within, and closely."""
+    of = surface(30.0, -0.7, (1e-5, -4e-7, 5e-9, -2e-11), odd_mm=(2e-4,))
+    set_bends(of, 10.0)
+    r = np.linspace(0.0, float(of["domain"]), 200_001)
+    root = np.sqrt(1.0 - 0.3 * (r / 30.0) ** 2)
+    powers = {4: 1e-5, 6: -4e-7, 8: 5e-9, 10: -2e-11, 3: 2e-4}
+    across = 1.0 / 30.0 / root + sum(n * a * r ** (n - 2) for n, a in powers.items())
+    along = 1.0 / 30.0 / root**3 + sum(n * (n - 1) * a * r ** (n - 2) for n, a in powers.items())
+    least, most = min(along.min(), across.min()), max(along.max(), across.max())
+    spread = 0.02 * (most - least)
+    assert least - spread < of["least_bend"] <= least
+    assert most <= of["most_bend"] < most + spread

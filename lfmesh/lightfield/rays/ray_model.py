@@ -132,7 +132,7 @@ class RayModel:
             raise LfmeshError("camera.lens is afocal: it has no focal length to tell distances by")
         array_z = (facts.lenslets_z_mm or 0.0) + mla.pose.shift_mm[2]
         pupil_to_array = array_z - _exit_pupil_z_mm(known)
-        if pupil_to_array == 0.0:
+        if abs(pupil_to_array) <= ROUNDING * abs(array_z):
             raise LfmeshError(
                 f"camera.mla.distance_mm = {mla.distance_mm:g}: the exit pupil lies on the array, so that no "
                 "lenslet forms an image of it; move the array or the stop"
@@ -202,7 +202,7 @@ class RayModel:
         Raises
         ------
         LfmeshError
-            The object has no real image.
+            The object has no real image, or lies in the front principal plane of a lens with aberrations.
         """
         # With a negative focal length, a relay's, objects on either side of it may have one.
         if not (distance_mm > self.nearest_mm or (self.efl_mm < 0.0 and distance_mm < self.nearest_mm)):
@@ -210,8 +210,15 @@ class RayModel:
                 f"distance_mm = {distance_mm:g}: must lie before the front focal point, {self.nearest_mm:.6g} mm in "
                 "front of the first vertex"
             )
-        vergence = 1.0 / (distance_mm + self.front_principal_z_mm)
-        image = self._image_mm(vergence) + self.focus_shift_mm + self.focus_shift_mm2 * vergence
+        from_principal = distance_mm + self.front_principal_z_mm
+        vergence = 1.0 / from_principal if from_principal else math.inf
+        paraxial = 1.0 / (1.0 / self.efl_mm - self.object_index * vergence)
+        if math.isinf(vergence) and self.focus_shift_mm2:
+            raise LfmeshError(
+                f"distance_mm = {distance_mm:g}: lies in the front principal plane of the lens, where the effect of "
+                "aberrations on its image is unknown; give another distance"
+            )
+        image = paraxial + self.focus_shift_mm + (self.focus_shift_mm2 * vergence if self.focus_shift_mm2 else 0.0)
         return self.rear_principal_z_mm + image - self.array_z_mm
 
     def shift_mm(self, distance_mm: float) -> float:
@@ -276,12 +283,9 @@ class RayModel:
         float
         """
         enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
+        # Object over image distance in a form that is finite in the principal plane and for an image at infinity.
         from_principal = distance_mm + self.front_principal_z_mm
-        return enlarged * from_principal / (self.object_index * self._image_mm(1.0 / from_principal))
-
-    def _image_mm(self, vergence: float) -> float:
-        """Return the distance of a paraxial image from the rear principal plane; vergence: 1/object distance, 1/mm."""
-        return 1.0 / (1.0 / self.efl_mm - self.object_index * vergence)
+        return enlarged * (from_principal / (self.object_index * self.efl_mm) - 1.0)
 
 
 @dataclass(frozen=True)

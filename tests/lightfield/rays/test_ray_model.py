@@ -150,6 +150,31 @@ def test_infinity_has_a_shift(model: RayModel) -> None:
     assert np.isinf(model.distance_mm(model.shift_mm(math.inf))) or model.distance_mm(model.shift_mm(math.inf)) > 1e12
 
 
+def test_an_object_in_the_front_principal_plane_has_the_shift_of_its_neighbours(model: RayModel) -> None:
+    """A lens of negative focal length images it; by first-order optics into the rear principal plane."""
+    negative = replace(model, efl_mm=-60.0, front_principal_z_mm=-80.0)
+    near = [negative.shift_mm(80.0 + step) for step in (-1e-5, 1e-5)]
+    assert negative.image_excess_mm(80.0) == negative.rear_principal_z_mm - negative.array_z_mm
+    assert negative.shift_mm(80.0) == pytest.approx(np.mean(near), rel=1e-6)
+    scales = [negative.object_scale(80.0 + step) for step in (-1e-5, 1e-5)]
+    assert negative.object_scale(80.0) == pytest.approx(np.mean(scales), rel=1e-6)
+
+
+def test_an_object_in_the_front_principal_plane_of_a_lens_with_aberrations_is_refused(real: RayModel) -> None:
+    negative = replace(real, efl_mm=-60.0, front_principal_z_mm=-80.0, focus_shift_mm2=-0.1)
+    with pytest.raises(lf.LfmeshError, match="lies in the front principal plane"):
+        negative.shift_mm(80.0)
+
+
+def test_an_array_in_the_exit_pupil_is_refused() -> None:
+    """The stop is the last surface, and its own exit pupil; sums of distances are rounded."""
+    scene = relay(20.0)
+    assert scene.camera.mla is not None
+    shift = [0.0, 0.0, -(scene.camera.mla.distance_mm or 0.0)]
+    with pytest.raises(lf.LfmeshError, match="the exit pupil lies on the array"):
+        RayModel.of(scene.changed({"camera.mla.pose.shift_mm": shift}))
+
+
 def test_a_conventional_camera_has_no_model(camera: Callable[..., Scene]) -> None:
     with pytest.raises(lf.LfmeshError, match="records no light field"):
         RayModel.of(camera().changed({"camera.mla": None}))

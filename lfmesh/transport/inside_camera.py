@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
@@ -62,12 +63,12 @@ def _name(scene: Scene, number: int) -> str:
     return f"targets[{number}]" if scene.targets[number].refractor is None else named_target(scene, number)
 
 
-def _lamps(scene: Scene) -> Iterator[tuple[str, Array, Array]]:
+def _lamps(scene: Scene) -> Iterator[tuple[str, Array, NDArray[np.int64]]]:
     """Yield the lamps that have a place: name, corners in the world frame and polygons of them."""
     for i, light in enumerate(scene.lights):
         if light.region is not None:
             corners = _outline(light.region)
-            yield f"lights[{i}].{light.place_in_words}", corners, np.arange(len(corners))[None]
+            yield f"lights[{i}].{light.place_in_words}", corners, np.arange(len(corners), dtype=np.int64)[None]
 
 
 def _outline(region: Region) -> Array:

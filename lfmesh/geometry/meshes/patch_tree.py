@@ -285,7 +285,7 @@ def _bends(shape: Array, cells: Array, edges: Array) -> tuple[Array, Array, NDAr
         See `CURVED`.
     """
     least, most = np.full(len(shape), np.inf), np.full(len(shape), -np.inf)
-    usable = np.isfinite(cells).all(axis=(1, 2)) & np.isfinite(shape).all(axis=(1, 2))
+    usable = np.asarray(np.isfinite(cells).all(axis=(1, 2)) & np.isfinite(shape).all(axis=(1, 2)))
     owner = np.flatnonzero(usable)
     cells = cells[owner]
     for division in range(DIVISIONS + 1):

@@ -185,8 +185,8 @@ def _bends_of_revolution(surface: Any, domain: float) -> tuple[float, float]:
             power = first + 2 * n
             across.append(power * a * r ** (power - 2))
             along.append((power - 1) * across[-1])
-    least = [sum(np.minimum(term[1:], term[:-1]) for term in each).min() for each in (along, across)]
-    most = [sum(np.maximum(term[1:], term[:-1]) for term in each).max() for each in (along, across)]
+    least = [np.sum([np.minimum(term[1:], term[:-1]) for term in each], axis=0).min() for each in (along, across)]
+    most = [np.sum([np.maximum(term[1:], term[:-1]) for term in each], axis=0).max() for each in (along, across)]
     rounding = len(along) * np.finfo(np.float64).eps * sum(np.abs(term).max() for term in along + across)
     return float(min(least) - rounding), float(max(most) + rounding)
 

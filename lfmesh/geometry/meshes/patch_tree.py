@@ -331,7 +331,7 @@ def _bends_of_cells(shape: Array, cells: Array) -> tuple[Array, Array, NDArray[n
     """
     by_eta, by_zeta = cell_tangents(shape, cells)
     normal = normal_control_vectors(by_eta, by_zeta)
-    bounded = (normal[..., 2] > 0.0).all(axis=1)
+    bounded = np.asarray((normal[..., 2] > 0.0).all(axis=1))
     _, _, _, mixed, eta2, zeta2 = np.moveaxis(shape, 1, 0)
     second = np.stack([np.stack([2.0 * eta2, mixed], axis=2), np.stack([mixed, 2.0 * zeta2], axis=2)], axis=3)
     along_eta, along_zeta = (0.5 * (each[:, CORNERS] + each[:, ENDS]) for each in (by_eta, by_zeta))

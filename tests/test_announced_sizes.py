@@ -76,6 +76,18 @@ def test_a_matrix_with_an_array_that_does_not_fit_is_not_unpacked(name: str, tmp
         lf.open_projection_matrix(path)
 
 
+@pytest.mark.parametrize("wrong", [{"warnings": np.array(b"[")}, {"dropped": np.zeros(3)}], ids=["warnings", "a row"])
+def test_a_matrix_that_is_wrong_elsewhere_is_refused_before_its_rows_are_unpacked(wrong, tmp_path: Path) -> None:
+    rows = PACKED // 8
+    packed_rows = {"indptr": (rows + 1,), "row_stderr": (rows,), "dropped": (rows,), "pixels": (rows,)}
+    sizes = {"shape": np.array([rows, 8]), "sensor_pixels": np.array([rows, 1])}
+    others = {key: value for key, value in (MATRIX | sizes | wrong).items() if key not in packed_rows or key in wrong}
+    large = {key: shape for key, shape in packed_rows.items() if key not in wrong}
+    path = packed(tmp_path / "m.npz", large, others)
+    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is no projection matrix, or damaged"):
+        lf.open_projection_matrix(path)
+
+
 def test_a_sealed_file_that_is_packed_is_not_unpacked(tmp_path: Path) -> None:
     """No writer of lfmesh packs: checkpoints, shares and units of studies are as large as their arrays."""
     path = packed(tmp_path / "c.npz", {"facts": (PACKED // 8,)}, {})

@@ -43,6 +43,9 @@ PER_ROW = {"row_error": "row_stderr", "dropped": "dropped"}
 PER_ENTRY = {"value": "data", "column": "indices", "error": "stderr"}
 """Arrays of a block, and what they are called in the file."""
 
+BY_ROW = "row_stderr", "dropped", "pixels"
+"""Arrays with a number for each row of the matrix."""
+
 SMALL_BYTES, BYTES_A_NUMBER = 1 << 24, 16
 """Largest array of a matrix that is neither of its rows nor of its entries; largest number of those that are."""
 
@@ -186,11 +189,10 @@ def _matrix(
             raise ValueError(f"{name} is too large")
         return read(name)
 
-    def fitting(name: str, count: int) -> Any:
+    def refuse_misfit(name: str, count: int) -> None:
         shape, size = announced(name)
         if shape[:1] != (count,) or size > count * BYTES_A_NUMBER:
             raise ValueError(f"{name} has the shape {shape}, not one number for each of {count}")
-        return read(name)
 
     rows, voxels = (int(n) for n in small("shape"))
     counts = tuple(int(n) for n in small("grid_shape"))
@@ -199,16 +201,18 @@ def _matrix(
         raise ValueError(f"{rows} rows for {across} × {down} pixels")
     place = [small(name) for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")]
     grid = VoxelBox((counts[0], counts[1], counts[2]), *place)
-    ends = fitting("indptr", rows + 1)
-    entries = int(ends[-1])
-    data, indices, stderr = (fitting(name, entries) for name in PER_ENTRY.values())
-    return ProjectionMatrix(
-        csr_array((data, indices, ends), shape=(rows, voxels)), stderr, fitting("row_stderr", rows),
-        fitting("dropped", rows), fitting("pixels", rows), grid, float(small("threshold")),
-        float(small("wavelength_nm")),
-        tuple(map(PictureWarning.from_dict, json.loads(bytes(small("warnings") if "warnings" in names else b"[]")))),
-        (across, down),
-    )  # fmt: skip
+    numbers = float(small("threshold")), float(small("wavelength_nm"))
+    told = json.loads(bytes(small("warnings") if "warnings" in names else b"[]"))
+    warnings = tuple(map(PictureWarning.from_dict, told))
+    # What is large is read last, after all else has been found right.
+    for name, count in {"indptr": rows + 1, **dict.fromkeys(BY_ROW, rows)}.items():
+        refuse_misfit(name, count)
+    ends = read("indptr")
+    for name in PER_ENTRY.values():
+        refuse_misfit(name, int(ends[-1]))
+    data, indices, stderr = map(read, PER_ENTRY.values())
+    matrix = csr_array((data, indices, ends), shape=(rows, voxels))
+    return ProjectionMatrix(matrix, stderr, *map(read, BY_ROW), grid, *numbers, warnings, (across, down))
 
 
 def _check_ending(path: Path) -> None:

@@ -150,18 +150,18 @@ def test_a_unit_that_cannot_be_read_is_named_and_computed_again(tmp_path: Path, 
 def test_a_point_that_cannot_be_traced_is_named_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The array turned until it cuts into the sensor passes as a scene, and fails when it is built."""
+    """A target that reaches into the camera passes as a scene, and fails when it is built."""
     small_scene().in_folder(tmp_path)
     (tmp_path / "scene.toml").write_text(small_scene().dump_toml())
     (tmp_path / "study.toml").write_text(
-        'scene = "scene.toml"\nmetrics = ["light"]\n[[axes]]\npath = "camera.mla.pose.shift_mm[2]"\n'
-        "values = [0.01, -400.0]\n"
+        'scene = "scene.toml"\nmetrics = ["light"]\n[[axes]]\npath = "targets[0].position_mm[2]"\n'
+        "values = [-61.0, 1.0]\n"
     )
     out = tmp_path / "out"
     assert main(["study", str(tmp_path / "study.toml"), "-o", str(out), "--workers", "0"]) == 1
     printed = capsys.readouterr()
     assert "2 of 3 points are done" in printed.out
-    assert "camera.mla.pose.shift_mm[2] = -400 mm" in printed.err
+    assert "targets[0].position_mm[2] = 1 mm" in printed.err
     (failed,) = (line for line in logged(out) if line["event"] == "failed")
     assert failed["point"] == 2
     assert failed["reason"]

@@ -6,6 +6,7 @@ Kinds that tell of a scene are provoked by a scene, and kinds that tell of a fau
 import json
 import warnings
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,15 +104,15 @@ def fog(_: Patch, __: Path) -> lf.Scene:
 
 
 def spoiled(patch: Patch, spoil: Callable[[Any], None]) -> None:
-    """Build worlds with a fault."""
-    build = worlds.build
+    """Render worlds with a fault, copies of those that the process keeps."""
+    world_of = worlds.world_of
 
     def faulty(*arguments: Any, **keywords: Any) -> Any:
-        world = build(*arguments, **keywords)
+        world = copy(world_of(*arguments, **keywords))
         spoil(world)
         return world
 
-    patch.setattr(renders, "build", faulty)
+    patch.setattr(renders, "world_of", faulty)
 
 
 def outside_aim(patch: Patch, _: Path) -> lf.Scene:

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lfmesh.cli import main
-from lfmesh.transport.engine import Workspace
+from lfmesh.transport.packets.stacks import Stacks
 from lfmesh.transport.render.tally import Tally
 from tests.cameras import bench_camera
 from tests.processor_time import HANGS_S
@@ -115,7 +115,7 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
     number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the second replicate on no packet moves on; what is finished is kept."""
-    usual, started = Workspace._take, Tally.restart
+    usual, started = Stacks.take, Tally.restart
     stuck, until = threading.Event(), time.monotonic() + HANGS_S
 
     def restart(tally: Tally, replicate: int) -> None:
@@ -123,18 +123,18 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
             stuck.set()
         started(tally, replicate)
 
-    def take(work: Workspace, station: int, count: int) -> NDArray[np.void]:
+    def take(stacks: Stacks, station: int, count: int) -> NDArray[np.void]:
         if not stuck.is_set():
-            return usual(work, station, count)
+            return usual(stacks, station, count)
         if not sent:
             sent.append(number)
             os.kill(os.getpid(), number)
         assert time.monotonic() < until, "the signal has not ended the render"
-        return usual(work, station, 0)
+        return usual(stacks, station, 0)
 
     sent: list[int] = []
     monkeypatch.setattr("lfmesh.transport.engine.MOST_EVENTS_EACH", 1 << 60)
-    monkeypatch.setattr(Workspace, "_take", take)
+    monkeypatch.setattr(Stacks, "take", take)
     monkeypatch.setattr(Tally, "restart", restart)
     assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
     assert time.monotonic() < until

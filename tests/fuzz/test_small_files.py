@@ -396,7 +396,7 @@ def test_an_image_that_crashes_vtk_is_refused(tmp_path: Path, extent: bytes) -> 
     whole = kind_of("vti").whole
     path.write_bytes(whole.replace(b'WholeExtent="0 1 0 2 0 3"', b'WholeExtent="' + extent + b'"'))
     assert path.read_bytes() != whole
-    with pytest.raises(FileError, match=r"grid\.vti: cannot be read as VTK image data: it is damaged"):
+    with pytest.raises(FileError, match=r"grid\.vti: (cannot be read as VTK image data: it is damaged|has \d+ voxels)"):
         read_voxels(path)
 
 

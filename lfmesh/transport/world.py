@@ -487,8 +487,6 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     if scene.transport.method == "forward":
         tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
-    if scene.transport.method == "forward":
-        tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))
     how = {"rings": rings, "aimed": aimed}
     bodies = Bodies(shape, targets, housing)
     world = World(scene, report, tables, finders, book, bodies, particles, find_aim, how)

@@ -33,10 +33,7 @@ LAMP_NODE = np.dtype(
         ("per_sr", "f8"),  # 1/sr, mean intensity within that angle over the power; of those that fade along the axis
         ("fades", "?"),  # the intensity of all of them falls as the cosine of the angle from their axes
         ("placed", "?"),  # lamps; else parallel light
-        (
-            "lamp",
-            "i8",
-        ),  # number of the only lamp; −1: there are more, in two parts
+        ("lamp", "i8"),  # number of the only lamp; −1: there are more, in two parts
         ("skip", "i8"),  # node behind all that are below; the second part is where the next node, the first, skips to
     ]
 )

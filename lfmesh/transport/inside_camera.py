@@ -43,7 +43,7 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     # A lamp between the first vertex and the plane of the rim may be in the first lens.
     objects = (
         *((_name(scene, i), target.mesh.vertices, target.mesh.faces, front) for i, target in enumerate(targets)),
-        *((*lamp, min(front, 0.0)) for lamp in _lamps(scene)),
+        *((*lamp, min(front, 0.0)) for lamp in _lamps(scene, to_camera, min(front, 0.0))),
     )
     for name, places, faces, first in objects:
         vertices = frame.points(to_camera, places)
@@ -63,12 +63,20 @@ def _name(scene: Scene, number: int) -> str:
     return f"targets[{number}]" if scene.targets[number].refractor is None else named_target(scene, number)
 
 
-def _lamps(scene: Scene) -> Iterator[tuple[str, Array, NDArray[np.int64]]]:
-    """Yield the lamps that have a place: name, corners in the world frame and polygons of them."""
-    for i, light in enumerate(scene.lights):
-        if light.region is not None:
-            corners = _outline(light.region)
-            yield f"lights[{i}].{light.place_in_words}", corners, np.arange(len(corners), dtype=np.int64)[None]
+def _lamps(scene: Scene, to_camera: Array, beyond: float) -> Iterator[tuple[str, Array, NDArray[np.int64]]]:
+    """Yield the lamps that may reach beyond a z of the camera frame: name, corners in the world frame and polygons."""
+    placed = [(i, light.region) for i, light in enumerate(scene.lights)]
+    regions = [(i, region) for i, region in placed if region is not None]
+    if not regions:
+        return
+    centres = frame.points(to_camera, np.array([region.centre_mm for _, region in regions]))
+    # No outline reaches farther from its centre than the sum of the half axes.
+    sizes = np.linalg.norm([region.half_mm for _, region in regions], axis=2).sum(axis=1)
+    for k in np.flatnonzero(centres[:, 2] + sizes >= beyond):
+        number, region = regions[k]
+        corners = _outline(region)
+        name = f"lights[{number}].{scene.lights[number].place_in_words}"
+        yield name, corners, np.arange(len(corners), dtype=np.int64)[None]
 
 
 def _outline(region: Region) -> Array:

@@ -45,14 +45,14 @@ def open_regular(path: Path) -> BufferedReader:
     return open(path, "rb", opener=_opened)
 
 
-def open_text(path: Path, encoding: str = "utf-8", errors: str | None = None, newline: str | None = None) -> TextIO:
+def open_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None, newline: str | None = None) -> TextIO:
     """Open a file for reading its text.
 
     Parameters
     ----------
     path : Path
     encoding, errors, newline : str, optional
-        As `open` takes them.
+        As `open` takes them. A byte order mark before UTF-8 is no text.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
     ----------
     path : Path
     encoding, errors : str, optional
-        As `open` takes them. A byte order mark before UTF-8 is no text.
+        As for `open_text`.
     """
     with open_text(path, encoding, errors) as file:
         return file.read()

@@ -34,7 +34,7 @@ def read_table(path: Path, columns: Sequence[str]) -> tuple[Array, ...]:
         It cannot be read, lacks a column or has one too many, or a cell is no number.
     """
     try:
-        with open_text(path, "utf-8-sig") as file:
+        with open_text(path) as file:
             head = [name.strip() for name in file.readline().split(",")]
             _refuse_other_columns(path, head, columns)
             with warnings.catch_warnings():

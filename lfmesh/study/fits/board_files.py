@@ -52,7 +52,7 @@ def read_corners(path: Path) -> BoardCorners:
         It cannot be read, lacks a column, has a line that is no numbers, or too few corners.
     """
     try:
-        with open_text(path, "utf-8-sig", newline="") as file:
+        with open_text(path, newline="") as file:
             reader = csv.DictReader(file)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing:

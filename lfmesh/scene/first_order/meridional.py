@@ -77,7 +77,7 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float)
     list of float
         mm; empty where no ray reaches the edge of the stop.
     """
-    entry, edge = _edge_of_stop(lens, wavelength_nm, object_mm, guess_mm)
+    entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
     if not edge:
         return []
     inner = [heights_mm(lens, wavelength_nm, object_mm, entry * ring / RINGS) for ring in range(RINGS)]
@@ -94,10 +94,10 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float)
     return beam
 
 
-def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> list[float]:
-    """Return the heights at the surfaces of the real axial ray that meets the edge of the stop, no aperture in its way.
-
-    Empty where no ray reaches it: the glass itself ends before.
+def edge_of_stop_mm(
+    lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float
+) -> tuple[float, list[float]]:  # fmt: skip
+    """Return the real axial ray that meets the edge of the stop, no aperture in its way.
 
     Parameters
     ----------
@@ -106,12 +106,14 @@ def edge_of_stop_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm
         As for `heights_mm`.
     guess_mm : float
         Height of the paraxial ray in the plane of the first vertex.
+
+    Returns
+    -------
+    entry : float
+        Its height in the plane of the first vertex.
+    heights : list of float
+        At the surfaces; empty where no ray reaches the edge: the glass itself ends before.
     """
-    return _edge_of_stop(lens, wavelength_nm, object_mm, guess_mm)[1]
-
-
-def _edge_of_stop(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> tuple[float, list[float]]:
-    """Return the height of that ray in the plane of the first vertex, too."""
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
 

@@ -18,6 +18,9 @@ COPIES = "inputs"
 FRESH_NS = 3_000_000_000
 """Age below which the times of a file do not yet tell whether it was written once or twice: FAT keeps two seconds."""
 
+STAMPED_FILES = 1024
+"""Files of which a cache by stamps keeps something."""
+
 _MARKS = [mark for mark in get_args(FilePath) if isinstance(mark, AfterValidator)]
 
 

@@ -17,7 +17,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry.files.mesh_file import companions
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
-from lfmesh.scene.inputs import digest_of, file_stamp, files_of
+from lfmesh.scene.inputs import STAMPED_FILES, digest_of, file_stamp, files_of
 from lfmesh.scene.literals import literal
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 1 << 29
 """Arrays of a world that is kept while nobody else holds it; Embree's tree takes about as much again."""
-
-MOST_FILES = 1024
-"""Files whose digests are cached."""
 
 Key = tuple[Hashable, ...]
 
@@ -64,7 +61,7 @@ def _contents(scene: Scene) -> Iterator[Key]:
             yield name, other, _digest(place, file_stamp(place))
 
 
-@lru_cache(maxsize=MOST_FILES)
+@lru_cache(maxsize=STAMPED_FILES)
 def _digest(path: Path, stamp: tuple[object, ...]) -> str:
     """Return the digest of a file's contents, computed once for each stamp; "" if it is missing."""
     return digest_of(path) if stamp else ""

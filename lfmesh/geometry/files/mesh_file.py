@@ -140,9 +140,9 @@ def companions(path: Path) -> list[str]:
         names += obj_file.companions(path)
     elif ending == ".gltf":
         try:
-            document = json.loads(read_bytes(path))
+            document = _document(path, file_stamp(path))
             uris = [entry.get("uri", "") for key in ("buffers", "images") for entry in document.get(key, [])]
-        except (ValueError, AttributeError, TypeError, RecursionError):
+        except (ValueError, AttributeError, TypeError, RecursionError, MeshError):
             return []
         for uri in uris:
             if uri and not uri.startswith("data:"):

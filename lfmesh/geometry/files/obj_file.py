@@ -6,7 +6,7 @@ coordinate or a normal that is not there, it has none.
 
 import re
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path, PurePosixPath
 
@@ -23,6 +23,7 @@ from lfmesh.geometry.files.polygons import cut
 from lfmesh.geometry.files.text_numbers import numbers, table
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
 from lfmesh.regular_file import read_text
+from lfmesh.scene.inputs import STAMPED_FILES, file_stamp
 
 KINDS = {"v": "vertex", "vt": "texture coordinate", "vn": "normal"}
 """Names of what the numbers of a corner count, by the key of their lines."""
@@ -85,11 +86,17 @@ def companions(path: Path) -> list[str]:
     """Return the names of the files of materials and pictures that an OBJ file names, relative to its folder."""
     notes = Notes()
     try:
-        materials = _Materials.read(path, _Obj(path, _lines(path)).values("mtllib"), notes)
+        materials = _Materials.read(path, list(_library_lines(path, file_stamp(path))), notes)
     except (ValueError, MeshError):
         return []
     maps = [each.picture for each in materials.defined.values() if each.picture is not None]
     return [*materials.libraries, *(name for each in maps for name in each.names)]
+
+
+@lru_cache(maxsize=STAMPED_FILES)
+def _library_lines(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
+    """Return what a file's mtllib lines say, read once for each stamp: every build and render asks for it."""
+    return tuple(_Obj(path, _lines(path)).values("mtllib"))
 
 
 def _lines(path: Path) -> list[str]:

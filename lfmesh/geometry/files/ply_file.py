@@ -6,6 +6,7 @@ Read is "The PLY Polygon File Format" (Turk, 1994) with the names of properties 
 import re
 import struct
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from lfmesh.geometry.files.polygons import cut
 from lfmesh.geometry.files.text_numbers import numbers
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
 from lfmesh.regular_file import read_bytes
+from lfmesh.scene.inputs import STAMPED_FILES, file_stamp
 
 KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -123,12 +125,18 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
 
 def pictures_of(path: Path) -> list[str]:
     """Return the names of the pictures that a PLY file's header names, relative to its folder."""
+    return list(_pictures(path, file_stamp(path)))
+
+
+@lru_cache(maxsize=STAMPED_FILES)
+def _pictures(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
+    """Return these names, read once for each stamp: every build and render asks for them."""
     content = read_bytes(path)
     end = _END.search(content)
     try:
-        return _header(content[: end.start()].decode("latin-1"))[2] if end is not None else []
+        return tuple(_header(content[: end.start()].decode("latin-1"))[2]) if end is not None else ()
     except ValueError:
-        return []
+        return ()
 
 
 def _header(text: str) -> tuple[str, list[Element], list[str]]:

@@ -2,10 +2,12 @@
 
 A row is a function from a number of things, and the folder where meshes lie, to what changes in the scene of the small
 camera (16 × 16 lenslets, 160 × 160 pixels, 8 samples); it stands in `THINGS` with its sizes. Kernels are loaded before
-the clock starts. The same scene is then rendered again, which builds nothing.
+the clock starts. The same scene is then rendered again, which builds nothing. Its error, the root mean square of the
+pixels' standard errors over their mean, tells what the time was spent on.
 """
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +33,7 @@ COLUMNS = {
     "seconds": ("build + render s", ".2f"),
     "again_seconds": ("again s", ".2f"),
     "processor_s": ("of processor", ".2f"),
+    "error_percent": ("error of a pixel %", ".3f"),
     "peak_mib": ("peak MiB", ".0f"),
 }
 EXPONENT_COLUMNS = {"thing": ("build + render against", ""), "exponent": ("exponent", ".3f"), "error": ("±", ".3f")}
@@ -96,7 +99,20 @@ def facets(number: int, folder: Path) -> dict[str, Any]:
     return {"targets": [{"file": str(file), "units": "mm", "position_mm": [0.0, 0.0, -AWAY_MM]}]}
 
 
+def lamps(number: int, _: Path) -> dict[str, Any]:
+    """Light a white wall by lamps that share the power of one: a disk of them beside the camera, as if it were lit."""
+    r, phi = 80.0 * np.sqrt((np.arange(number) + 0.5) / number), np.arange(number) * np.pi * (3.0 - np.sqrt(5.0))
+    places = np.column_stack([r * np.cos(phi) - 200.0, r * np.sin(phi) + 200.0, np.full(number, -200.0)])
+    side = 2.0 * ACROSS_MM
+    wall = {"shape": {"kind": "plane", "width_mm": side, "height_mm": side}, "position_mm": [0.0, 0.0, -AWAY_MM]}
+    return {
+        "targets": [wall | {"material": {"reflectance": 0.8}}],
+        "lights": [{"kind": "point", "position_mm": place, "power_w": 1.0 / number} for place in places.tolist()],
+    }
+
+
 THINGS = {
+    "lamps": Things((1, 10, 100, 1_000, 10_000), (1, 20), lamps),
     "parts": Things((1, 10, 100, 500, 2_000), (1, 10), parts),
     "facets": Things((100_000, 300_000, 1_000_000, 2_000_000, 4_000_000), (1_000, 10_000), facets),
 }
@@ -124,17 +140,20 @@ def scene_of(thing: str, number: int, folder: Path) -> Scene:
 
 def measure_things(thing: str, number: int, folder: str) -> dict[str, float]:
     """Render in this process, twice; return the seconds of both, those of the processor, and the peak memory."""
+    warnings.simplefilter("ignore", lf.PictureWarning)  # of few samples, which the error tells
     scene = scene_of(thing, number, Path(folder))
     lf.render(scene_of(thing, THINGS[thing].quick[0], Path(folder)).changed({"camera.sensor.pixels": [8, 8]}))
     began, processor = time.perf_counter(), time.process_time()
     # Held, as a large one is kept by nobody else.
     world = lf.build(scene)
-    lf.render(scene)
+    image = lf.render(scene)
     seconds, processor = time.perf_counter() - began, time.process_time() - processor
     began = time.perf_counter()
     lf.render(scene, world=world)
     again = time.perf_counter() - began
-    return {"seconds": seconds, "again_seconds": again, "processor_s": processor, "peak_mib": peak_mib()}
+    error = 100.0 * float(np.sqrt(np.mean(image.stderr**2)) / np.mean(image.mean))
+    took = {"seconds": seconds, "again_seconds": again, "processor_s": processor}
+    return took | {"error_percent": error, "peak_mib": peak_mib()}
 
 
 def exponent_of(thing: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

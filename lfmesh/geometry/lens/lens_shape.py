@@ -10,6 +10,7 @@ from lfmesh.geometry.lens.element_poses import closure, pose_of, refuse_crossing
 from lfmesh.geometry.meshes.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.objects.refractors import RIM_MARGIN, face_of
+from lfmesh.geometry.surfaces.bends import set_bends
 from lfmesh.geometry.surfaces.mesh_error import facet_errors, landing_errors
 from lfmesh.geometry.surfaces.surface import put_in_pose, surface_of
 from lfmesh.geometry.surfaces.tessellation import (
@@ -18,7 +19,6 @@ from lfmesh.geometry.surfaces.tessellation import (
     end_where_they_touch,
     rim_radius,
     rings_for,
-    set_bends,
 )
 from lfmesh.optics.glass import Medium
 from lfmesh.scene import Scene

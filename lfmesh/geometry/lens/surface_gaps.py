@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.bends import set_bends
 from lfmesh.geometry.surfaces.sag import gradients, reach
 from lfmesh.geometry.surfaces.surface import is_revolved
-from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights, set_bends
+from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights
 
 FIRST = 9
 """Squares across an aperture to begin with; the middle of one is the vertex."""

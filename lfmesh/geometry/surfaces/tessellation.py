@@ -38,18 +38,6 @@ equilateral one from a paraboloid, whose middle lies as far off as a circle's th
 HIGHER_ORDERS = 1.25
 """Factor on that for what a surface has beyond quadratic terms within a facet."""
 
-BEND_CIRCLES = 512
-"""Circles on which the second derivatives of a surface of no revolution are sampled."""
-
-BEND_INTERVALS = 1 << 13
-"""Intervals of the radius on each of which the second derivatives of a surface of revolution are bounded."""
-
-BEND_STEP = 1e-5
-"""Share of a surface's radius over which they are differences of its slopes."""
-
-BEND_BOUND = 1.05
-"""Factor on the largest values that samples find, for what lies between them."""
-
 ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
 
@@ -135,60 +123,6 @@ def steepness(surface: Any, r: ArrayLike) -> Array:
         return np.abs(slope(surface, r))
     by_x, by_y = gradients(surface, np.multiply.outer(r, np.cos(ALL_ROUND)), np.multiply.outer(r, np.sin(ALL_ROUND)))
     return np.asarray(np.hypot(by_x, by_y).max(axis=-1))
-
-
-def set_bends(surface: Any, rim: float) -> None:
-    """Enter in a SURFACE record how much it bends at least and at most, out to the rim of its mesh.
-
-    Of a surface of revolution they are bounds, of others differences of slopes on circles and azimuths.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    rim : float, mm
-    """
-    end = last_radius(surface) * (1.0 - BEND_STEP)
-    domain = min(rim, end) if is_revolved(surface) else min(rim * (1.0 - BEND_STEP), end)
-    if not domain < np.inf:
-        return
-    surface["domain"] = domain
-    if is_revolved(surface):
-        surface["least_bend"], surface["most_bend"] = _bends_of_revolution(surface, domain)
-        return
-    step = BEND_STEP * domain
-    r = np.linspace(step, domain - step, BEND_CIRCLES)[:, None]
-    x, y = r * np.cos(ALL_ROUND), r * np.sin(ALL_ROUND)
-    xx, yx = (np.subtract(*pair) for pair in zip(*(gradients(surface, x + s, y) for s in (step, -step)), strict=True))
-    xy, yy = (np.subtract(*pair) for pair in zip(*(gradients(surface, x, y + s) for s in (step, -step)), strict=True))
-    mean, half = 0.5 * (xx + yy), 0.5 * np.hypot(xx - yy, xy + yx)
-    surface["least_bend"] = BEND_BOUND * (mean - half).min() / (2.0 * step)
-    surface["most_bend"] = BEND_BOUND * (mean + half).max() / (2.0 * step)
-
-
-def _bends_of_revolution(surface: Any, domain: float) -> tuple[float, float]:
-    """Return bounds of the least and the most second derivative of a surface of revolution within a radius, 1/mm.
-
-    They lie along the meridian, z″, or across it, z′/r. Each of their terms is monotone in r, so that its values at
-    both ends of an interval bound it in between.
-
-    Parameters
-    ----------
-    surface : SURFACE record
-    domain : float, mm
-    """
-    r = np.linspace(0.0, domain, BEND_INTERVALS + 1)
-    c = float(surface["curvature"])
-    root = np.sqrt(1.0 - (1.0 + float(surface["conic"])) * (c * r) ** 2)
-    along, across = [c / root**3], [c / root]
-    for first, terms in ((4, surface["asphere"][: surface["terms"]]), (3, surface["odd"][: surface["odd_terms"]])):
-        for n, a in enumerate(terms):
-            power = first + 2 * n
-            across.append(power * a * r ** (power - 2))
-            along.append((power - 1) * across[-1])
-    least = [np.sum([np.minimum(term[1:], term[:-1]) for term in each], axis=0).min() for each in (along, across)]
-    most = [np.sum([np.maximum(term[1:], term[:-1]) for term in each], axis=0).max() for each in (along, across)]
-    rounding = len(along) * np.finfo(np.float64).eps * sum(np.abs(term).max() for term in along + across)
-    return float(min(least) - rounding), float(max(most) + rounding)
 
 
 def ring_radii(surface: Any, rings: int, rim: float) -> Array:

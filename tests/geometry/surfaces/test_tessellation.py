@@ -6,7 +6,7 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.mesh import facet_normals
 from lfmesh.geometry.surfaces.sag import normals, reach, sag
-from lfmesh.geometry.surfaces.surface import BICONIC, surface
+from lfmesh.geometry.surfaces.surface import surface
 from lfmesh.geometry.surfaces.tessellation import (
     ANNULUS_LEAN,
     cap,
@@ -21,7 +21,6 @@ from lfmesh.geometry.surfaces.tessellation import (
     ring_profile,
     ring_radii,
     rings_for,
-    set_bends,
 )
 
 CURVED = {
@@ -207,45 +206,3 @@ def test_rings_hold_a_sag_tolerance():
     rings = rings_for(one, 4, tolerance_mm=1e-3)
     assert sampled_chord_error(one[0], cap(one[0], rings, rim_radius(one[0], rings))) < 1e-3
     assert rings_for(one, 4) == 4
-
-
-BENT = {
-    "sphere": surface(30.0),
-    "asphere": surface(30.0, 0.0, (3e-6,)),
-    "asphere that turns": surface(30.0, 0.0, (-1e-4,)),
-    "cylinder along x": surface(30.0, kind=BICONIC, radius_x_mm=np.inf),
-    "cylinder along y": surface(np.inf, kind=BICONIC, radius_x_mm=30.0),
-}
-
-
-@pytest.mark.parametrize("name", BENT)
-def test_bends_bound_the_second_derivatives_in_all_directions_and_not_by_much(name):
-    """Of a sphere and a r⁴ along the meridian and across it, in closed form: z″ and z′/r; of a cylinder 0 across."""
-    of, rim, c, a = BENT[name].copy(), 10.0, 1.0 / 30.0, {"asphere": 3e-6, "asphere that turns": -1e-4}.get(name, 0.0)
-    set_bends(of, rim)
-    r = np.linspace(0.0, rim, 5001)
-    root = np.sqrt(1.0 - (c * r) ** 2)
-    along, across = c / root**3 + 12.0 * a * r**2, c / root + 4.0 * a * r**2
-    if "cylinder" in name:
-        across = 0.0 * r
-    least, most = min(along.min(), across.min()), max(along.max(), across.max())
-    assert most < of["most_bend"] < 1.06 * most
-    if least < 0.0:
-        assert 1.06 * least < of["least_bend"] < least
-    else:
-        assert of["least_bend"] > -1e-9
-
-
-def test_bends_of_surfaces_of_revolution_are_bounded_between_all_samples_too():
-    """High powers that cancel but for a narrow zone: closed forms at 200,001 radii lie within, and closely."""
-    of = surface(30.0, -0.7, (1e-5, -4e-7, 5e-9, -2e-11), odd_mm=(2e-4,))
-    set_bends(of, 10.0)
-    r = np.linspace(0.0, float(of["domain"]), 200_001)
-    root = np.sqrt(1.0 - 0.3 * (r / 30.0) ** 2)
-    powers = {4: 1e-5, 6: -4e-7, 8: 5e-9, 10: -2e-11, 3: 2e-4}
-    across = 1.0 / 30.0 / root + sum(n * a * r ** (n - 2) for n, a in powers.items())
-    along = 1.0 / 30.0 / root**3 + sum(n * (n - 1) * a * r ** (n - 2) for n, a in powers.items())
-    least, most = min(along.min(), across.min()), max(along.max(), across.max())
-    spread = 0.02 * (most - least)
-    assert least - spread < of["least_bend"] <= least
-    assert most <= of["most_bend"] < most + spread

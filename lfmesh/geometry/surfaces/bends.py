@@ -1,0 +1,201 @@
+"""Bounds of the second derivatives of exact surfaces, in all directions: what rays step by that miss no crossing."""
+
+from typing import Any
+
+import numpy as np
+
+from lfmesh.geometry.surfaces.bounds import (
+    ACROSS,
+    ALONG,
+    SAG,
+    SLOPE,
+    Array,
+    Range,
+    extremes,
+    plus,
+    profile_range,
+    scaled,
+    times,
+)
+from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
+from lfmesh.geometry.surfaces.tessellation import last_radius
+
+WITHIN, WITHIN_BOTH = 0.002, 0.02
+"""Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""
+
+BEFORE_END = 1e-5
+"""Share of a surface's radius by which its domain stays inside its end, where second derivatives have no bound."""
+
+
+def set_bends(surface: Any, rim: float) -> None:
+    """Enter in a SURFACE record bounds of how much it bends at least and at most, out to the rim of its mesh.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    domain = min(rim, last_radius(surface) * (1.0 - BEFORE_END))
+    if not domain < np.inf:
+        return
+    surface["domain"] = domain
+    surface["least_bend"], surface["most_bend"] = _bends(surface, domain)
+
+
+def powers_of(surface: Any) -> list[tuple[int, float]]:
+    """Return exponents and coefficients of the terms of a surface's profile."""
+    even = enumerate(surface["asphere"][: surface["terms"]])
+    odd = enumerate(surface["odd"][: surface["odd_terms"]])
+    return [(4 + 2 * n, float(a)) for n, a in even] + [(3 + 2 * n, float(a)) for n, a in odd]
+
+
+def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range:
+    """Return the ranges of the sag of a surface's profile, or of a derivative, between radii.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    low, high : (n,) float64, mm
+    order : int
+        See `profile_range`.
+    """
+    curvature = np.full_like(low, surface["curvature"])
+    return profile_range((curvature,) * 2, float(surface["conic"]), powers_of(surface), (low, high), order)
+
+
+def _bends(surface: Any, domain: float) -> tuple[float, float]:
+    """Return bounds of the least and the largest second derivative of a surface within a radius, 1/mm.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    domain : float, mm
+    """
+    if is_revolved(surface):
+        return extremes(lambda *cells: _of_revolution(surface, *cells), [0.0], [domain], WITHIN)
+    if surface["kind"] == BICONIC:
+        return extremes(lambda *cells: _of_biconic(surface, *cells), [0.0, 0.0], [domain**2, 1.0], WITHIN_BOTH)
+    return extremes(lambda *cells: _of_toroid(surface, domain, *cells), [0.0, 0.0], [domain, 1.0], WITHIN_BOTH)
+
+
+def _of_revolution(surface: Any, low: Array, high: Array) -> Range:
+    """Return bounds of the second derivatives along the meridian and across it, between radii (n, 1)."""
+    across, along = (range_on_circles(surface, low[:, 0], high[:, 0], order) for order in (ACROSS, ALONG))
+    return np.minimum(across[0], along[0]), np.maximum(across[1], along[1])
+
+
+def _of_biconic(surface: Any, low: Array, high: Array) -> Range:
+    """Return bounds of the second derivatives of a biconic in cells.
+
+    With w² = 1 − a x² − b y², s = 1 / (1 + w) and q = c_x x² + c_y y² it is z = q s. As dw = −(a x, b y) / w:
+
+        z_xx = 2 c_x s + a (4 c_x x² + q) s²/w + a² x² q h,   h = s² (2 s + 1/w) / w²
+        z_xy = x y (2 (c_x b + c_y a) s²/w + a b q h)
+
+    and z_yy as z_xx. w², and q with its like, are linear in either coordinate of a cell. With g = (c_x x, c_y y) and
+    v = (a x, b y) the matrix is D + 2 (g vᵀ + v gᵀ) s²/w + q h v vᵀ, D diagonal. For q > 0 the last two are at least
+    −4 g gᵀ (s²/w)² / (q h), where g² < q max(c_x, c_y).
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    low, high : (n, 2) float64
+        x² + y², and the share of x² in it.
+    """
+    cx, cy = float(surface["curvature_x"]), float(surface["curvature"])
+    a, b = (1.0 + float(surface["conic_x"])) * cx * cx, (1.0 + float(surface["conic"])) * cy * cy
+    r2, share = (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
+    beside = 1.0 - share[1], 1.0 - share[0]
+
+    def mixed(of_x: float, of_y: float) -> Range:
+        ends = [of_x * at + of_y * (1.0 - at) for at in share]
+        return times(r2, (np.minimum(*ends), np.maximum(*ends)))
+
+    dip, q = mixed(a, b), mixed(cx, cy)
+    with np.errstate(divide="ignore"):
+        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
+        s = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
+        first = s[0] ** 2 / w[1], s[1] ** 2 / w[0]
+        second = s[0] ** 2 * (2.0 * s[0] + 1.0 / w[1]) / w[1] ** 2, s[1] ** 2 * (2.0 * s[1] + 1.0 / w[0]) / w[0] ** 2
+    rest = times(q, second)
+    xx, yy = (
+        plus(scaled(2.0 * c, s), scaled(e, times(bent, first)), scaled(e * e, times(r2, part, rest)))
+        for c, e, bent, part in ((cx, a, mixed(5.0 * cx, cy), share), (cy, b, mixed(cx, 5.0 * cy), beside))
+    )
+    product = times((np.zeros_like(low[:, 0]), r2[1] * np.sqrt(share[1] * beside[1])),
+                    plus(scaled(2.0 * (cx * b + cy * a), first), scaled(a * b, rest)))  # fmt: skip
+    least, most = _in_all_directions(xx, yy, np.maximum(-product[0], product[1]))
+    if cx * cy <= 0.0:
+        return least, most
+    # Of curvatures of one sign, the matrix less a square has no part that grows without bound towards the end.
+    beyond = 4.0 * max(abs(cx), abs(cy)) * w[1] / ((1.0 + w[0]) * (1.0 + 3.0 * w[0]))
+    parts = [plus(scaled(2.0 * c, s), scaled(e, times(q, first))) for c, e in ((cx, a), (cy, b))]
+    if cx > 0.0:
+        return np.maximum(least, np.minimum(parts[0][0], parts[1][0]) - beyond), most
+    return least, np.minimum(most, np.maximum(parts[0][1], parts[1][1]) + beyond)
+
+
+def _of_toroid(surface: Any, domain: float, low: Array, high: Array) -> Range:
+    """Return bounds of the second derivatives of a toroid in cells.
+
+    With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x² it is z = (1 − v) / c_x, with the second derivatives
+
+        (c_x / v) n nᵀ + (u/v) f″ e eᵀ,   n = (u/v, f′ c_x x/v),   e = (0, 1)
+
+    On the rim v² depends on y alone. It is bounded by its derivative, as its terms all but cancel near the end of a
+    torus that is a sphere, too.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    domain : float, mm
+    low, high : (n, 2) float64
+        y, and x² over its largest value in the domain.
+    """
+    cx, y, share = float(surface["curvature_x"]), (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
+    f, by_y, bend = (range_on_circles(surface, *y, order) for order in (SAG, SLOPE, ALONG))
+    middle = 0.5 * (y[0] + y[1])
+    rests = (scaled(-cx, sag) for sag in (f, range_on_circles(surface, middle, middle, SAG)))
+    u, at_middle = ((np.maximum(1.0 + low, 0.0), np.maximum(1.0 + high, 0.0)) for low, high in rests)
+    rate = plus(scaled(cx, y), scaled(-1.0, times(u, by_y)))
+    off = abs(cx) * (y[1] - y[0]) * np.maximum(-rate[0], rate[1])
+    beside = cx * cx * (domain - middle) * (domain + middle)
+    # v² on the rim is at most u², which it is in the plane x = 0.
+    most_at_rim = np.clip(at_middle[1] ** 2 - beside + off, 0.0, u[1] ** 2)
+    least_at_rim = np.clip(at_middle[0] ** 2 - beside - off, 0.0, most_at_rim)
+    v = (
+        np.sqrt((1.0 - share[1]) * np.maximum(u[0] ** 2, least_at_rim) + share[1] * least_at_rim),
+        np.sqrt((1.0 - share[0]) * u[1] ** 2 + share[0] * most_at_rim),
+    )
+    x2 = share[0] * (domain - y[1]) * (domain + y[1]), share[1] * (domain - y[0]) * (domain + y[0])
+    with np.errstate(divide="ignore"):
+        over = 1.0 / v[1], 1.0 / v[0]
+    along, across = times(u, over), times(scaled(cx * cx, x2), over, over)
+    steep = np.maximum(-by_y[0], by_y[1]) ** 2 * across[1]
+    steep2 = np.where(by_y[0] * by_y[1] > 0.0, np.minimum(by_y[0] ** 2, by_y[1] ** 2) * across[0], 0.0), steep
+    bent = times(bend, along)
+    xx, turned = (scaled(cx, times(over, each)) for each in (times(along, along), steep2))
+    least, most = _in_all_directions(xx, plus(bent, turned), abs(cx) * over[1] * along[1] * np.sqrt(steep))
+    # The sum of both parts' extremes, which tells the sign where cells are still wide.
+    whole = plus(xx, turned)
+    return (
+        np.maximum(least, np.minimum(whole[0], 0.0) + np.minimum(bent[0], 0.0)),
+        np.minimum(most, np.maximum(whole[1], 0.0) + np.maximum(bent[1], 0.0)),
+    )
+
+
+def _in_all_directions(xx: Range, yy: Range, xy: Array) -> Range:
+    """Return bounds of the eigenvalues of symmetric matrices: those grow with the diagonal.
+
+    Parameters
+    ----------
+    xx, yy : Range
+    xy : (n,) float64
+        Largest size of the element beside the diagonal.
+    """
+    with np.errstate(invalid="ignore"):
+        low, high = (
+            0.5 * (along + across) + sense * np.hypot(0.5 * (along - across), xy)
+            for along, across, sense in zip(xx, yy, (-1.0, 1.0), strict=True)
+        )
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)

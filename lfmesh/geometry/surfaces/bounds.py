@@ -1,0 +1,142 @@
+"""Proven bounds of heights, slopes and second derivatives: ranges over cells, which are halved until they are narrow.
+
+A range is a pair of arrays that hold the least and the largest value in each cell (R. E. Moore, R. B. Kearfott and
+M. J. Cloud, Introduction to Interval Analysis, 2009).
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Range = tuple[Array, Array]
+
+SAG, SLOPE, ACROSS, ALONG = range(4)
+"""Of a profile z(r): z, z′, z′/r and z″. The last two are its second derivatives across the meridian and along it."""
+
+FIRST_CELLS = 64
+"""Cells that a box is divided into before any is left out."""
+
+MOST_CELLS = 1 << 11
+"""Cells beyond which none is divided further: the bound stays valid, but is wider than was asked for."""
+
+HALVINGS = 48
+"""Times that the sides of cells are halved at most: cells then are as small as float64 resolves."""
+
+NEGLIGIBLE = 0.1
+"""Size of an extreme, over that of the other one, below which it need not be bounded more closely."""
+
+ROUNDING = 1e-10
+"""Relative margin of each term: more than float64 rounds it by, close to the end of a surface too."""
+
+
+def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], high: Sequence[float], within: float) \
+        -> tuple[float, float]:  # fmt: skip
+    """Return bounds of the least and of the largest value of a function in a box.
+
+    Parameters
+    ----------
+    ranges_in : callable
+        Returns bounds of the function, (n,) each, in boxes given by two corners, (n, d) each. In a box that is a point
+        they are its values.
+    low, high : (d,) float
+        Corners of the box.
+    within : float
+        Largest distance of a bound from the extreme, over its size.
+    """
+    lows, highs = np.array([low], np.float64), np.array([high], np.float64)
+    left_out, attained = np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
+    for _ in range(HALVINGS):
+        while len(lows) < FIRST_CELLS and (lows < highs).any():
+            lows, highs = _halved(lows, highs)
+        cells = len(lows)
+        least, most = ranges_in(np.concatenate([lows, lows, highs]), np.concatenate([highs, lows, highs]))
+        attained = np.array([min(attained[0], least[cells:].min()), max(attained[1], most[cells:].max())])
+        size = np.abs(attained)
+        slack = within * np.maximum(size, NEGLIGIBLE * size.max())
+        least, most = least[:cells], most[:cells]
+        divided = (least < attained[0] - slack[0]) | (most > attained[1] + slack[1])
+        divided &= (lows < highs).any(axis=1)
+        enough = divided.sum() > MOST_CELLS and np.isfinite(least).all() and np.isfinite(most).all()
+        ended = ~divided | enough
+        left_out = np.array([
+            np.min(least[ended], initial=left_out[0]), np.max(most[ended], initial=left_out[1]),
+        ])  # fmt: skip
+        lows, highs = _halved(lows[~ended], highs[~ended])
+        if not len(lows):
+            return float(left_out[0]), float(left_out[1])
+    least, most = ranges_in(lows, highs)
+    return float(min(left_out[0], least.min())), float(max(left_out[1], most.max()))
+
+
+def _halved(low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the halves of boxes along all their sides; a side without length stays as it is."""
+    for side in np.flatnonzero((low < high).any(axis=0)):
+        middle = 0.5 * (low[:, side] + high[:, side])
+        low, high = np.concatenate([low, low]), np.concatenate([high, high])
+        low[len(middle) :, side] = high[: len(middle), side] = middle
+    return low, high
+
+
+def times(*factors: Range) -> Range:
+    """Return the ranges of products of independent factors."""
+    low, high = factors[0]
+    for other in factors[1:]:
+        with np.errstate(invalid="ignore"):
+            corners = np.stack(np.broadcast_arrays(*(a * b for a, b in product((low, high), other))))
+        # A factor that may vanish, by one without a bound.
+        corners[np.isnan(corners)] = 0.0
+        low, high = corners.min(axis=0), corners.max(axis=0)
+    return low, high
+
+
+def plus(*terms: Range) -> Range:
+    """Return the ranges of sums of independent terms, with a margin for rounding."""
+    low = np.asarray(sum(term[0] - ROUNDING * np.abs(term[0]) for term in terms))
+    return low, np.asarray(sum(term[1] + ROUNDING * np.abs(term[1]) for term in terms))
+
+
+def scaled(factor: float, each: Range) -> Range:
+    """Return the ranges of a constant times something."""
+    return (factor * each[0], factor * each[1]) if factor >= 0.0 else (factor * each[1], factor * each[0])
+
+
+def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, float]], r: Range, order: int) -> Range:
+    """Return the ranges of the sag of a profile, or of one of its derivatives, over intervals of the radius.
+
+    Each term is monotone in the radius. The sag and the slope of the conic grow with its curvature, too.
+
+    Parameters
+    ----------
+    curvature : (n,) float64 each, 1/mm
+        Of one sign.
+    conic : float
+    powers : sequence of (int, float)
+        Exponents of the radius and their coefficients.
+    r : (n,) float64 each, mm
+    order : int
+        SAG, SLOPE, ACROSS or ALONG.
+    """
+    q = 1.0 + conic
+    with np.errstate(divide="ignore"):
+        if order in (SAG, SLOPE):
+            corners = []
+            for c, at in product(curvature, r):
+                root = np.sqrt(np.maximum(1.0 - q * (c * at) ** 2, 0.0))
+                corners.append(
+                    c * at * at / (1.0 + root) if order == SAG else times((c * at,) * 2, (1.0 / root,) * 2)[0]
+                )
+            terms = [(np.min(corners, axis=0), np.max(corners, axis=0))]
+        else:
+            inner = np.minimum(np.abs(curvature[0]), np.abs(curvature[1])) * r[0]
+            outer = np.maximum(np.abs(curvature[0]), np.abs(curvature[1])) * r[1]
+            one, other = (np.sqrt(np.maximum(1.0 - q * at * at, 0.0)) ** (1 if order == ACROSS else 3)
+                          for at in (inner, outer))  # fmt: skip
+            terms = [times(curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other)))]
+    for n, a in powers:
+        factor = (1.0, n, n, n * (n - 1))[order] * a
+        exponent = n - (0, 1, 2, 2)[order]
+        terms.append(scaled(factor, (r[0] ** exponent, r[1] ** exponent)))
+    return plus(*terms)

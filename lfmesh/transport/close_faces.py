@@ -25,7 +25,7 @@ from lfmesh.geometry.meshes.crossings import near_pairs
 from lfmesh.geometry.meshes.levels import FLAT, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_corner_normals
 from lfmesh.geometry.meshes.patch import patch_points, patches
-from lfmesh.geometry.meshes.patch_tree import (
+from lfmesh.geometry.meshes.patch_bends import (
     CORNERS,
     ENDS,
     QUARTERS,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.meshes.boxes import meets_box, part_inside
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
+from lfmesh.geometry.meshes.patch_bends import bends_of, control_points, tops
 from lfmesh.geometry.ray import Ray
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
@@ -25,38 +26,8 @@ LARGEST_LEAF = 4
 MARGIN = 1e-9
 """By how much boxes and hulls are larger than their patches, over the patches' size: more than rays are rounded by."""
 
-WIDER = (1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 8.0)
-"""Sizes that are tried for the triangle of parameters that lies over all between a patch's edges, in the distance of
-the patch's sides from those."""
-
-UNBOUNDED = 1.5
-"""Factor on the bends of a patch where bounds cannot be had beside it, between its edges, as it folds there."""
-
-DIVISIONS = 4
-"""Times that a triangle of parameters is divided at most, where bounds do not show that the patch does not fold."""
-
-AT_ONCE = 1 << 12
-"""Triangles of parameters that are bounded at a time."""
-
 MOST_CROSSINGS = 6
 """Of a line and a quadratic surface: four by Bézout's theorem, and one at either end that rounding adds."""
-
-WHOLE = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
-"""Corners of a patch by their parameters (η, ζ)."""
-
-CORNERS, ENDS = np.array([0, 1, 2, 0, 1, 2]), np.array([0, 1, 2, 1, 2, 0])
-"""Pairs of corners that the control points of a quadratic patch belong to."""
-
-SIDES = np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]])
-"""Control points of the sides ab, bc, ca of a patch."""
-
-QUARTERS = np.array([
-    [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
-    [[1, 1, 0], [0, 2, 0], [0, 1, 1]],
-    [[1, 0, 1], [0, 1, 1], [0, 0, 2]],
-    [[1, 1, 0], [0, 1, 1], [1, 0, 1]],
-]) / 2.0  # fmt: skip
-"""Corners of the four triangles that the middles of its edges divide a triangle into, by weights of its corners."""
 
 CURVED = np.dtype(
     [
@@ -127,58 +98,6 @@ def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen
     return PatchTree(low, high, rows[order], leaves, size, folded)
 
 
-def control_points(patches: Array) -> Array:
-    """Return the (m, 6, 3) control points of patches as Bézier triangles: corners, and one for each edge.
-
-    Parameters
-    ----------
-    patches : (m, 6, 3) float64, mm
-    """
-    return cell_control_points(patches, np.broadcast_to(WHOLE, (len(patches), 3, 2)))
-
-
-def cell_control_points(patches: Array, cells: Array) -> Array:
-    """Return the (m, 6, 3) control points of parts of patches, by their polar form: corners, and one for each edge.
-
-    Parameters
-    ----------
-    patches : (m, 6, 3) float64, mm
-    cells : (m, 3, 2) float64
-        Parameters (η, ζ) of the corners of a triangle on each patch.
-    """
-    one, other = cells[:, CORNERS], cells[:, ENDS]
-    eta, zeta = 0.5 * (one[..., 0] + other[..., 0]), 0.5 * (one[..., 1] + other[..., 1])
-    mixed = 0.5 * (one[..., 0] * other[..., 1] + one[..., 1] * other[..., 0])
-    basis = np.stack([np.ones_like(eta), eta, zeta, mixed, one[..., 0] * other[..., 0], one[..., 1] * other[..., 1]])
-    return np.asarray(np.einsum("bkp,kbi->kpi", basis, patches))
-
-
-def cell_tangents(patches: Array, cells: Array) -> tuple[Array, Array]:
-    """Return the derivatives of patches by η and ζ at the corners of cells, (m, 3, 3) each; between them it is linear.
-
-    Parameters
-    ----------
-    patches, cells
-        As for `cell_control_points`.
-    """
-    eta, zeta = cells[..., :1], cells[..., 1:]
-    by_eta = patches[:, None, 1] + 2.0 * eta * patches[:, None, 4] + zeta * patches[:, None, 3]
-    by_zeta = patches[:, None, 2] + 2.0 * zeta * patches[:, None, 5] + eta * patches[:, None, 3]
-    return by_eta, by_zeta
-
-
-def normal_control_vectors(by_eta: Array, by_zeta: Array) -> Array:
-    """Return the (m, 6, 3) control vectors of the normals of cells, which are quadratic before they have unit length.
-
-    Parameters
-    ----------
-    by_eta, by_zeta : (m, 3, 3) float64, mm
-        See `cell_tangents`.
-    """
-    one = np.cross(by_eta[:, CORNERS], by_zeta[:, ENDS])
-    return np.asarray(0.5 * (one + np.cross(by_eta[:, ENDS], by_zeta[:, CORNERS])))
-
-
 def _in_leaves(middles: Array, leaves: int, size: int) -> NDArray[np.int64]:
     """Return the order that puts neighbours into one leaf: each node's widest axis parts it in the middle."""
     order = np.resize(np.arange(len(middles)), leaves * size)
@@ -216,144 +135,11 @@ def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDAr
     # Patches that do not fold reach farthest on their sides.
     margin = MARGIN * np.ptp(hull, axis=1).max(axis=1, initial=0.0)
     rows["edges"][..., :2] = outward
-    rows["edges"][..., 2] = _tops(outward, hull).max(axis=2) + margin[:, None]
+    rows["edges"][..., 2] = tops(outward, hull).max(axis=2) + margin[:, None]
     rows["low"], rows["high"] = hull[..., 2].min(axis=1) - margin, hull[..., 2].max(axis=1) + margin
-    least, most, bounded = _bends(shape, _parameters(rows, hull), rows["edges"])
-    left = np.flatnonzero(usable & ~bounded)
-    whole = np.broadcast_to(WHOLE, (len(left), 3, 2))
-    least[left], most[left], usable[left] = _bends(shape[left], whole, rows["edges"][left])
-    least[left], most[left] = UNBOUNDED * least[left], UNBOUNDED * most[left]
+    least, most, usable = bends_of(shape, rows["inverse"], rows["edges"], hull, usable)
     rows["least_bend"], rows["most_bend"] = np.minimum(least, 0.0), np.maximum(most, 0.0)
     return rows, hulls, usable
-
-
-def _tops(outward: Array, control: Array) -> Array:
-    """Return how far sides of patches reach along directions in their facets' planes, (m, directions, sides) mm.
-
-    Parameters
-    ----------
-    outward : (m, directions, 2) float64
-    control : (m, 6, 3) float64, mm
-        Control points in the frames of the facets.
-    """
-    begin, end, middle = np.moveaxis(np.einsum("mei,mski->mesk", outward, control[:, SIDES, :2]), 3, 0)
-    bend = begin - 2.0 * middle + end
-    turns = (middle > begin) & (middle > end)
-    return np.asarray(np.divide(begin * end - middle**2, bend, out=np.maximum(begin, end), where=turns))
-
-
-def _parameters(rows: NDArray[np.void], hull: Array) -> Array:
-    """Return triangles (m, 3, 2) of parameters whose images hold all that a patch's `edges` enclose; NaN: none found.
-
-    The image of each side, a parabola, lies beyond an edge. So places between the edges are covered once by the
-    triangle's image, if it does not fold there.
-
-    Parameters
-    ----------
-    rows : (m,) CURVED
-    hull : (m, 6, 3) float64, mm
-        Control points in the frames of the facets.
-    """
-    edges, opposite = rows["edges"], np.array([2, 0, 1])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        height = np.einsum("mei,mei->me", edges[..., :2], hull[:, :3, :2] - hull[:, opposite, :2])
-        beyond = ((edges[..., 2] + _tops(-edges[..., :2], hull)[:, [0, 1, 2], [0, 1, 2]]) / height).max(axis=1)
-    found = np.full((len(rows), 3, 2), np.nan)
-    for wider in WIDER:
-        left = np.flatnonzero(np.isnan(found[:, 0, 0]) & np.isfinite(beyond))
-        cells = WHOLE + 3.0 * wider * beyond[left, None, None] * (WHOLE - WHOLE.mean(axis=0))
-        tops = _tops(-edges[left, :, :2], cell_control_points(rows["shape"][left], cells))[:, [0, 1, 2], [0, 1, 2]]
-        some = (edges[left, :, 2] + tops <= 0.0).all(axis=1)
-        found[left[some]] = cells[some]
-    return found
-
-
-def _bends(shape: Array, cells: Array, edges: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return bounds of the second derivatives of patches' heights between their edges, and which do not fold there.
-
-    Slopes and the derivatives of the parameters are quotients of quadratics, whose control values bound them where
-    those of the denominator are positive. All have the same denominator, so that all are means of their control values
-    with the same weights, and the second derivatives are means of the products of three.
-
-    Parameters
-    ----------
-    shape : (m, 6, 3) float64, mm
-        See `CURVED`.
-    cells : (m, 3, 2) float64
-        Parameters of the corners of triangles that hold all between the edges.
-    edges : (m, 3, 3) float64
-        See `CURVED`.
-    """
-    least, most = np.full(len(shape), np.inf), np.full(len(shape), -np.inf)
-    usable = np.asarray(np.isfinite(cells).all(axis=(1, 2)) & np.isfinite(shape).all(axis=(1, 2)))
-    owner = np.flatnonzero(usable)
-    cells = cells[owner]
-    for division in range(DIVISIONS + 1):
-        again = np.zeros(len(owner), np.bool_)
-        for first in range(0, len(owner), AT_ONCE):
-            some = slice(first, first + AT_ONCE)
-            low, high, bounded = _bends_of_cells(shape[owner[some]], cells[some])
-            np.minimum.at(least, owner[some][bounded], low[bounded])
-            np.maximum.at(most, owner[some][bounded], high[bounded])
-            again[some] = ~bounded
-        usable[owner[again & (division == DIVISIONS)]] = False
-        usable[owner[again][_folds(shape[owner[again]], cells[again], edges[owner[again]])]] = False
-        again &= usable[owner]
-        cells = np.einsum("qcd,mdp->mqcp", QUARTERS, cells[again]).reshape(-1, 3, 2)
-        owner = np.repeat(owner[again], len(QUARTERS))
-        places = cell_control_points(shape[owner], cells)[..., :2]
-        beyond = np.einsum("mei,mki->mek", edges[owner, :, :2], places) >= edges[owner, :, None, 2]
-        cells, owner = (each[~beyond.all(axis=2).any(axis=1)] for each in (cells, owner))
-    return least, most, usable & np.isfinite(least) & np.isfinite(most)
-
-
-def _folds(shape: Array, cells: Array, edges: Array) -> NDArray[np.bool_]:
-    """Tell which patches fold at a corner of a cell that lies between their edges.
-
-    Parameters
-    ----------
-    shape, cells, edges
-        As for `_bends`.
-    """
-    normal = np.cross(*cell_tangents(shape, cells))[..., 2]
-    places = cell_control_points(shape, cells)[:, :3, :2]
-    between = (np.einsum("mei,mki->mke", edges[..., :2], places) <= edges[:, None, :, 2]).all(axis=2)
-    return np.asarray((between & (normal <= 0.0)).any(axis=1))
-
-
-def _bends_of_cells(shape: Array, cells: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return bounds of the second derivatives of patches' heights over triangles, and which have positive denominators.
-
-    Parameters
-    ----------
-    shape, cells
-        As for `_bends`.
-    """
-    by_eta, by_zeta = cell_tangents(shape, cells)
-    normal = normal_control_vectors(by_eta, by_zeta)
-    bounded = np.asarray((normal[..., 2] > 0.0).all(axis=1))
-    _, _, _, mixed, eta2, zeta2 = np.moveaxis(shape, 1, 0)
-    second = np.stack([np.stack([2.0 * eta2, mixed], axis=2), np.stack([mixed, 2.0 * zeta2], axis=2)], axis=3)
-    along_eta, along_zeta = (0.5 * (each[:, CORNERS] + each[:, ENDS]) for each in (by_eta, by_zeta))
-    low, high = np.full(len(shape), np.inf), np.full(len(shape), -np.inf)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # (η, ζ) by (x, y), and the height's slopes.
-        rows = (
-            np.stack([along_zeta[..., 1], -along_zeta[..., 0]], axis=2),
-            np.stack([-along_eta[..., 1], along_eta[..., 0]], axis=2),
-        )
-        back = np.stack(rows, axis=2) / normal[..., 2, None, None]
-        slope = -normal[..., :2] / normal[..., 2:]
-        for k in range(6):
-            bend = second[:, 2] - slope[:, k, 0, None, None] * second[:, 0] - slope[:, k, 1, None, None] * second[:, 1]
-            bends = np.einsum("miax,mab,mkby->mikxy", back, bend, back, optimize=True)
-            mean = 0.5 * (bends[..., 0, 0] + bends[..., 1, 1])
-            half = np.hypot(0.5 * (bends[..., 0, 0] - bends[..., 1, 1]), 0.5 * (bends[..., 0, 1] + bends[..., 1, 0]))
-            low, high = (
-                np.minimum(low, (mean - half).min(axis=(1, 2))),
-                np.maximum(high, (mean + half).max(axis=(1, 2))),
-            )
-    return low, high, bounded
 
 
 @kernel

@@ -16,7 +16,8 @@ from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.levels import EXACT, PATCH
 from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.meshes.patch import neighbours, patches
-from lfmesh.geometry.meshes.patch_tree import control_points, patch_tree
+from lfmesh.geometry.meshes.patch_bends import control_points
+from lfmesh.geometry.meshes.patch_tree import patch_tree
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, heights_on_circles
 from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles

@@ -42,10 +42,15 @@ def heights(patch: Any, x: Array, y: Array) -> Array:
     return np.asarray((patch["shape"].T @ basis(eta, zeta))[2])
 
 
-@pytest.mark.parametrize("bend", [0.05, 0.12])
-def test_bends_bound_the_second_differences_of_heights_everywhere_between_the_edges(bend: float) -> None:
-    """By brute force along random lines, for patches whose bends differ much from place to place too."""
-    tree = tree_of(*random_facets(1, 24, bend))
+@pytest.mark.parametrize(("typical", "close"), [(0.005, 0.1), (0.02, np.inf), (0.05, np.inf), (0.12, np.inf)])
+def test_bends_bound_the_second_differences_of_heights_everywhere_between_the_edges(
+    typical: float, close: float
+) -> None:
+    """By brute force along random lines, for patches that hardly turn and for those with uneven bends.
+
+    Bounds of the former are close.
+    """
+    tree = tree_of(*random_facets(1, 24, typical))
     rng, step, checked = np.random.default_rng(2), 1e-3, 0
     assert len(tree.patches) > 20
     for patch in tree.patches:
@@ -60,6 +65,9 @@ def test_bends_bound_the_second_differences_of_heights_everywhere_between_the_ed
         rounding = 1e-14 / step**2
         assert bend.max() <= patch["most_bend"] + rounding
         assert bend.min() >= patch["least_bend"] - rounding
+        size = np.abs(bend).max()
+        assert patch["most_bend"] <= max(bend.max(), 0.0) + close * size
+        assert patch["least_bend"] >= min(bend.min(), 0.0) - close * size
         checked += len(x)
     assert checked > 2000
 

@@ -14,20 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
+from lfmesh.geometry.surfaces.bounds import ACROSS, ALONG, SLOPE, profile_extremes
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 Array = NDArray[np.float64]
 
-SAMPLES = 1024
-"""Intervals of ρ at whose ends slope and bend are bounded."""
-
-CURVATURES = 9
-"""Curvatures, from the least to the largest of a type, at which they are."""
-
-BOUND = 1.05
-"""Factor on the largest values found, for what lies between the samples."""
+WITHIN = 0.002
+"""Largest distance of the bounds of slopes and bends from the largest ones, over these."""
 
 BEYOND_CELL = 1.05
 """Extent of a profile over the distance to the cell's corner: aimed cells are a little larger."""
@@ -63,30 +58,30 @@ class Profile(NamedTuple):
     bend: Array
 
 
-def sag_slope_bend(curvature: Array, conic: float, terms: Array, rho: Array) -> tuple[Array, Array, Array]:
-    """Return the sag, its first derivative, and a bound of its second ones, at distances ρ; NaN where it has ended.
+def _largest(
+    curvature: float, conic: float, terms: Array, radius: float, stretch: tuple[float, float], orders: tuple[int, ...]
+) -> float:
+    """Return a bound of the largest slope or second derivative, either way, of lenslets of a type.
 
     Parameters
     ----------
-    curvature : float64, 1/mm
-        Of any shape that goes with that of `rho`.
+    curvature : float, 1/mm
     conic : float
     terms : (n,) float64
-    rho : float64, mm
+    radius : float, mm
+    stretch : (2,) float
+        Least and largest factor on the curvature.
+    orders : tuple of int
+        See `profile_extremes`.
     """
-    r2 = rho * rho
-    with np.errstate(invalid="ignore", divide="ignore"):
-        root = np.sqrt(1.0 - (1.0 + conic) * curvature * curvature * r2)
-        sag = curvature * r2 / (1.0 + root)
-        # The slope over ρ, which is also the second derivative across the meridian.
-        steep = curvature / root
-        along = curvature / root**3
-        power = r2
-        for i, a in enumerate(terms):
-            steep, along = steep + (2 * i + 4) * a * power, along + (2 * i + 4) * (2 * i + 3) * a * power
-            power = power * r2
-            sag = sag + a * power
-    return sag, steep * rho, np.maximum(np.abs(steep), np.abs(along))
+    between = [curvature * each for each in stretch]
+    least, most = profile_extremes(between, conic, powers_of(terms), radius, orders, WITHIN)
+    return max(-least, most)
+
+
+def powers_of(terms: Array) -> list[tuple[int, float]]:
+    """Return exponents of the distance ρ with their coefficients."""
+    return [(4 + 2 * i, float(a)) for i, a in enumerate(terms)]
 
 
 def profile_of(
@@ -113,9 +108,7 @@ def profile_of(
             # Half the way, in ρ², from the cell's corner to where the profile ends.
             domain = min(domain, float(np.sqrt(0.5 * (reach**2 + 1.0 / ((1.0 + k) * steepest**2)))))
     for c, k, a in zip(curvature, conic, terms, strict=True):
-        between = c * np.linspace(*stretch, CURVATURES)[:, None]
-        _, slope, bend = sag_slope_bend(between, k, a, np.linspace(0.0, domain, SAMPLES + 1))
-        bounds.append((BOUND * np.abs(slope).max(), BOUND * bend.max()))
+        bounds.append([_largest(c, k, a, domain, stretch, orders) for orders in ((SLOPE,), (ACROSS, ALONG))])
     steepest_, bend_ = np.array(bounds).T
     along_x, along_y = cylinder_axis == "x", cylinder_axis == "y"
     return Profile(

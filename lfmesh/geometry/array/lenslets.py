@@ -17,12 +17,13 @@ from lfmesh.geometry.array.lenslet_profile import (
     fill_shapes,
     first_crossing,
     is_steeper,
+    powers_of,
     profile_of,
     profile_shape,
-    sag_slope_bend,
 )
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.ray import Ray
+from lfmesh.geometry.surfaces.bounds import SAG, profile_extremes
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 SUBDIVISIONS = 6
 """Triangles along a cell's side (square) or from its centre to a corner (hexagonal)."""
 
-DEPTH_SAMPLES = 4096
-"""Intervals of the distance from the apex at whose ends the depth of a face that is no sphere is measured."""
+DEPTH_WITHIN = 1e-6
+"""Largest distance of the bound of the depth of a face that is no sphere from that depth, over it."""
 
 
 @by_address
@@ -182,15 +183,12 @@ def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Seque
 def _profile_depths(
     curvature: Array, conics: Array, terms: Array, corner: float, stretch: tuple[float, float]
 ) -> list[float]:
-    """Return the least and the largest sag of each type, with a margin for what lies between the samples."""
-    depths = []
-    rho = np.linspace(0.0, corner, DEPTH_SAMPLES + 1)
+    """Return bounds of the least and the largest sag of each type."""
+    depths: list[float] = []
     for c, k, a in zip(curvature, conics, terms, strict=True):
         # The sag grows with the curvature at every distance.
         for bent in stretch:
-            sag, _, bend = sag_slope_bend(np.asarray(c * bent), k, a, rho)
-            between = bend.max() * (corner / DEPTH_SAMPLES) ** 2 / 8.0
-            depths += [sag.min() - between, sag.max() + between]
+            depths += profile_extremes((c * bent, c * bent), k, powers_of(a), corner, (SAG,), DEPTH_WITHIN)
     return depths
 
 

@@ -256,7 +256,7 @@ def _folds(shape: Array, cells: Array, edges: Array) -> NDArray[np.bool_]:
     """
     normal = np.cross(*cell_tangents(shape, cells))[..., 2]
     places = cell_control_points(shape, cells)[:, :3, :2]
-    between = (np.einsum("mei,mki->mke", edges[..., :2], places) <= edges[:, None, :, 2]).all(axis=2)
+    between = (np.einsum("mei,mci->mce", edges[..., :2], places) <= edges[:, None, :, 2]).all(axis=2)
     return np.asarray((between & (normal <= 0.0)).any(axis=1))
 
 

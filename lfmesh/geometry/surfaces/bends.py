@@ -1,5 +1,10 @@
-"""Bounds of the second derivatives of exact surfaces, in all directions: what rays step by that miss no crossing."""
+"""Bounds of the heights of exact surfaces, and of their second derivatives in all directions.
 
+Rays that miss no crossing step by the latter.
+"""
+
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +18,7 @@ from lfmesh.geometry.surfaces.bounds import (
     Range,
     extremes,
     plus,
+    profile_extremes,
     profile_range,
     scaled,
     times,
@@ -20,8 +26,11 @@ from lfmesh.geometry.surfaces.bounds import (
 from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
 from lfmesh.geometry.surfaces.tessellation import last_radius
 
-WITHIN, WITHIN_BOTH = 0.002, 0.02
+WITHIN, WITHIN_BOTH = 0.005, 0.02
 """Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""
+
+HEIGHT_WITHIN = 1e-4
+"""The same for the heights of a surface."""
 
 BEFORE_END = 1e-5
 """Share of a surface's radius by which its domain stays inside its end, where second derivatives have no bound."""
@@ -63,6 +72,30 @@ def range_on_circles(surface: Any, low: Array, high: Array, order: int) -> Range
     return profile_range((curvature,) * 2, float(surface["conic"]), powers_of(surface), (low, high), order)
 
 
+def height_range(surface: Any, rim: float) -> tuple[float, float]:
+    """Return bounds of the least and the largest height of a surface over its vertex, out to the rim of its mesh, mm.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    radius = min(rim, last_radius(surface))
+    if is_revolved(surface):
+        return _of_revolution(surface, radius, (SAG,), HEIGHT_WITHIN)
+    # Out from the axis a biconic rises or falls all along a meridian, and a toroid all along a line y = const.
+    ranges_in: Callable[[Array, Array], Range]
+    if surface["kind"] == BICONIC:
+        ranges_in, lines = (
+            partial(_biconic_heights, surface),
+            [((0.0, 0.0), (0.0, 0.0)), ((radius**2, 0.0), (radius**2, 1.0))],
+        )
+    else:
+        ranges_in, lines = partial(_toroid_heights, surface, radius), [((0.0, at), (radius, at)) for at in (0.0, 1.0)]
+    least, most = zip(*(extremes(ranges_in, low, high, HEIGHT_WITHIN) for low, high in lines), strict=True)
+    return min(least), max(most)
+
+
 def _bends(surface: Any, domain: float) -> tuple[float, float]:
     """Return bounds of the least and the largest second derivative of a surface within a radius, 1/mm.
 
@@ -72,19 +105,44 @@ def _bends(surface: Any, domain: float) -> tuple[float, float]:
     domain : float, mm
     """
     if is_revolved(surface):
-        return extremes(lambda *cells: _of_revolution(surface, *cells), [0.0], [domain], WITHIN)
+        return _of_revolution(surface, domain, (ACROSS, ALONG), WITHIN)
     if surface["kind"] == BICONIC:
-        return extremes(lambda *cells: _of_biconic(surface, *cells), [0.0, 0.0], [domain**2, 1.0], WITHIN_BOTH)
-    return extremes(lambda *cells: _of_toroid(surface, domain, *cells), [0.0, 0.0], [domain, 1.0], WITHIN_BOTH)
+        return extremes(lambda *cells: _biconic_bends(surface, *cells), [0.0, 0.0], [domain**2, 1.0], WITHIN_BOTH)
+    return extremes(lambda *cells: _toroid_bends(surface, domain, *cells), [0.0, 0.0], [domain, 1.0], WITHIN_BOTH)
 
 
-def _of_revolution(surface: Any, low: Array, high: Array) -> Range:
-    """Return bounds of the second derivatives along the meridian and across it, between radii (n, 1)."""
-    across, along = (range_on_circles(surface, low[:, 0], high[:, 0], order) for order in (ACROSS, ALONG))
-    return np.minimum(across[0], along[0]), np.maximum(across[1], along[1])
+def _of_revolution(surface: Any, radius: float, orders: tuple[int, ...], within: float) -> tuple[float, float]:
+    curvature, conic = float(surface["curvature"]), float(surface["conic"])
+    return profile_extremes((curvature, curvature), conic, powers_of(surface), radius, orders, within)
 
 
-def _of_biconic(surface: Any, low: Array, high: Array) -> Range:
+def _mixed(low: Array, high: Array, of_x: float, of_y: float) -> Range:
+    """Return the ranges of a x² + b y² in cells of a biconic: in either coordinate of a cell it is linear."""
+    ends = [of_x * at + of_y * (1.0 - at) for at in (low[:, 1], high[:, 1])]
+    return times((low[:, 0], high[:, 0]), (np.minimum(*ends), np.maximum(*ends)))
+
+
+def _biconic_root(surface: Any, low: Array, high: Array) -> Range:
+    """Return the ranges of w in cells of a biconic; see `_biconic_bends`."""
+    a, b = _squares(surface)
+    dip = _mixed(low, high, a, b)
+    return np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
+
+
+def _squares(surface: Any) -> tuple[float, float]:
+    """Return (1 + k) c² of a biconic in x and in y."""
+    in_x = (1.0 + float(surface["conic_x"])) * float(surface["curvature_x"]) ** 2
+    return in_x, (1.0 + float(surface["conic"])) * float(surface["curvature"]) ** 2
+
+
+def _biconic_heights(surface: Any, low: Array, high: Array) -> Range:
+    """Return bounds of the height of a biconic in cells; see `_biconic_bends`."""
+    w = _biconic_root(surface, low, high)
+    q = _mixed(low, high, float(surface["curvature_x"]), float(surface["curvature"]))
+    return plus(times(q, (1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0]))))
+
+
+def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
     """Return bounds of the second derivatives of a biconic in cells.
 
     With w² = 1 − a x² − b y², s = 1 / (1 + w) and q = c_x x² + c_y y² it is z = q s. As dw = −(a x, b y) / w:
@@ -103,24 +161,21 @@ def _of_biconic(surface: Any, low: Array, high: Array) -> Range:
         x² + y², and the share of x² in it.
     """
     cx, cy = float(surface["curvature_x"]), float(surface["curvature"])
-    a, b = (1.0 + float(surface["conic_x"])) * cx * cx, (1.0 + float(surface["conic"])) * cy * cy
+    a, b = _squares(surface)
     r2, share = (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
     beside = 1.0 - share[1], 1.0 - share[0]
-
-    def mixed(of_x: float, of_y: float) -> Range:
-        ends = [of_x * at + of_y * (1.0 - at) for at in share]
-        return times(r2, (np.minimum(*ends), np.maximum(*ends)))
-
-    dip, q = mixed(a, b), mixed(cx, cy)
+    q, w = _mixed(low, high, cx, cy), _biconic_root(surface, low, high)
     with np.errstate(divide="ignore"):
-        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
         s = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
         first = s[0] ** 2 / w[1], s[1] ** 2 / w[0]
         second = s[0] ** 2 * (2.0 * s[0] + 1.0 / w[1]) / w[1] ** 2, s[1] ** 2 * (2.0 * s[1] + 1.0 / w[0]) / w[0] ** 2
     rest = times(q, second)
     xx, yy = (
         plus(scaled(2.0 * c, s), scaled(e, times(bent, first)), scaled(e * e, times(r2, part, rest)))
-        for c, e, bent, part in ((cx, a, mixed(5.0 * cx, cy), share), (cy, b, mixed(cx, 5.0 * cy), beside))
+        for c, e, bent, part in (
+            (cx, a, _mixed(low, high, 5.0 * cx, cy), share),
+            (cy, b, _mixed(low, high, cx, 5.0 * cy), beside),
+        )
     )
     product = times((np.zeros_like(low[:, 0]), r2[1] * np.sqrt(share[1] * beside[1])),
                     plus(scaled(2.0 * (cx * b + cy * a), first), scaled(a * b, rest)))  # fmt: skip
@@ -135,25 +190,19 @@ def _of_biconic(surface: Any, low: Array, high: Array) -> Range:
     return least, np.minimum(most, np.maximum(parts[0][1], parts[1][1]) + beyond)
 
 
-def _of_toroid(surface: Any, domain: float, low: Array, high: Array) -> Range:
-    """Return bounds of the second derivatives of a toroid in cells.
-
-    With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x² it is z = (1 − v) / c_x, with the second derivatives
-
-        (c_x / v) n nᵀ + (u/v) f″ e eᵀ,   n = (u/v, f′ c_x x/v),   e = (0, 1)
+def _toroid_roots(surface: Any, domain: float, low: Array, high: Array) -> tuple[Range, Range, Range]:
+    """Return the ranges of x², u and v in cells of a toroid; see `_toroid_bends`.
 
     On the rim v² depends on y alone. It is bounded by its derivative, as its terms all but cancel near the end of a
     torus that is a sphere, too.
 
     Parameters
     ----------
-    surface : SURFACE record
-    domain : float, mm
-    low, high : (n, 2) float64
-        y, and x² over its largest value in the domain.
+    surface, domain, low, high
+        As for `_toroid_bends`.
     """
     cx, y, share = float(surface["curvature_x"]), (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
-    f, by_y, bend = (range_on_circles(surface, *y, order) for order in (SAG, SLOPE, ALONG))
+    f, by_y = (range_on_circles(surface, *y, order) for order in (SAG, SLOPE))
     middle = 0.5 * (y[0] + y[1])
     rests = (scaled(-cx, sag) for sag in (f, range_on_circles(surface, middle, middle, SAG)))
     u, at_middle = ((np.maximum(1.0 + low, 0.0), np.maximum(1.0 + high, 0.0)) for low, high in rests)
@@ -168,6 +217,35 @@ def _of_toroid(surface: Any, domain: float, low: Array, high: Array) -> Range:
         np.sqrt((1.0 - share[0]) * u[1] ** 2 + share[0] * most_at_rim),
     )
     x2 = share[0] * (domain - y[1]) * (domain + y[1]), share[1] * (domain - y[0]) * (domain + y[0])
+    return x2, u, v
+
+
+def _toroid_heights(surface: Any, domain: float, low: Array, high: Array) -> Range:
+    """Return bounds of the height of a toroid in cells, f + c_x x² / (u + v); see `_toroid_bends`."""
+    x2, u, v = _toroid_roots(surface, domain, low, high)
+    with np.errstate(divide="ignore"):
+        over = 1.0 / (u[1] + v[1]), 1.0 / (u[0] + v[0])
+    f = range_on_circles(surface, low[:, 0], high[:, 0], SAG)
+    return plus(f, scaled(float(surface["curvature_x"]), times(x2, over)))
+
+
+def _toroid_bends(surface: Any, domain: float, low: Array, high: Array) -> Range:
+    """Return bounds of the second derivatives of a toroid in cells.
+
+    With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x² it is z = (1 − v) / c_x, with the second derivatives
+
+        (c_x / v) n nᵀ + (u/v) f″ e eᵀ,   n = (u/v, f′ c_x x/v),   e = (0, 1)
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    domain : float, mm
+    low, high : (n, 2) float64
+        y, and x² over its largest value in the domain.
+    """
+    cx, y = float(surface["curvature_x"]), (low[:, 0], high[:, 0])
+    by_y, bend = (range_on_circles(surface, *y, order) for order in (SLOPE, ALONG))
+    x2, u, v = _toroid_roots(surface, domain, low, high)
     with np.errstate(divide="ignore"):
         over = 1.0 / v[1], 1.0 / v[0]
     along, across = times(u, over), times(scaled(cx * cx, x2), over, over)

@@ -19,8 +19,9 @@ SAG, SLOPE, ACROSS, ALONG = range(4)
 FIRST_CELLS = 64
 """Cells that a box is divided into before any is left out."""
 
-MOST_CELLS = 1 << 11
-"""Cells beyond which none is divided further: the bound stays valid, but is wider than was asked for."""
+MOST_CELLS = 1 << 11, 1 << 9
+"""Cells, of one variable and of two, beyond which none is divided further: bounds stay valid, but are wider than was
+asked for."""
 
 HALVINGS = 48
 """Times that the sides of cells are halved at most: cells then are as small as float64 resolves."""
@@ -47,6 +48,7 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
         Largest distance of a bound from the extreme, over its size.
     """
     lows, highs = np.array([low], np.float64), np.array([high], np.float64)
+    most_cells = MOST_CELLS[(lows < highs).sum() - 1]
     left_out, attained = np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     for _ in range(HALVINGS):
         while len(lows) < FIRST_CELLS and (lows < highs).any():
@@ -59,7 +61,7 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
         least, most = least[:cells], most[:cells]
         divided = (least < attained[0] - slack[0]) | (most > attained[1] + slack[1])
         divided &= (lows < highs).any(axis=1)
-        enough = divided.sum() > MOST_CELLS and np.isfinite(least).all() and np.isfinite(most).all()
+        enough = divided.sum() > most_cells and np.isfinite(least).all() and np.isfinite(most).all()
         ended = ~divided | enough
         left_out = np.array([
             np.min(least[ended], initial=left_out[0]), np.max(most[ended], initial=left_out[1]),
@@ -135,8 +137,38 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
             one, other = (np.sqrt(np.maximum(1.0 - q * at * at, 0.0)) ** (1 if order == ACROSS else 3)
                           for at in (inner, outer))  # fmt: skip
             terms = [times(curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other)))]
-    for n, a in powers:
-        factor = (1.0, n, n, n * (n - 1))[order] * a
-        exponent = n - (0, 1, 2, 2)[order]
-        terms.append(scaled(factor, (r[0] ** exponent, r[1] ** exponent)))
-    return plus(*terms)
+    if not powers:
+        return plus(*terms)
+    exponents, coefficients = np.array(powers).T
+    factors = coefficients * (1.0, exponents, exponents, exponents * (exponents - 1.0))[order]
+    inner, outer = (at[:, None] ** (exponents - (0.0, 1.0, 2.0, 2.0)[order]) for at in r)
+    slack = ROUNDING * (outer @ np.abs(factors))
+    rising, falling = np.maximum(factors, 0.0), np.minimum(factors, 0.0)
+    return plus(*terms, (inner @ rising + outer @ falling - slack, outer @ rising + inner @ falling + slack))
+
+
+def profile_extremes(
+    curvatures: Sequence[float], conic: float, powers: Sequence[tuple[int, float]], radius: float,
+    orders: Sequence[int], within: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Return bounds of the least and of the largest value, inside a radius, of the sag of a profile or of derivatives.
+
+    Parameters
+    ----------
+    curvatures : (2,) float, 1/mm
+        Of one sign: all between are looked at.
+    conic, powers
+        As for `profile_range`.
+    radius : float, mm
+        The profile must not end before.
+    orders : sequence of int
+        Of SAG, SLOPE, ACROSS and ALONG: those whose extremes are sought.
+    within : float
+        See `extremes`.
+    """
+
+    def ranges_in(low: Array, high: Array) -> Range:
+        each = [profile_range((low[:, 1], high[:, 1]), conic, powers, (low[:, 0], high[:, 0]), n) for n in orders]
+        return np.min([low for low, _ in each], axis=0), np.max([high for _, high in each], axis=0)
+
+    return extremes(ranges_in, [0.0, min(curvatures)], [radius, max(curvatures)], within)

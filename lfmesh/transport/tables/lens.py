@@ -18,8 +18,10 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_bends import control_points
 from lfmesh.geometry.meshes.patch_tree import patch_tree
+from lfmesh.geometry.surfaces.bends import height_range, powers_of
+from lfmesh.geometry.surfaces.bounds import SLOPE, profile_extremes
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
-from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH, heights_on_circles
+from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH
 from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book
@@ -47,8 +49,8 @@ from lfmesh.transport.tables.tables import (
     MlaTables,
 )
 
-SLOPE_INTERVALS = 1024
-"""Intervals of the radius, on each of which the slope of a surface is bounded."""
+SLOPE_WITHIN = 0.01
+"""Largest distance of the bound of a surface's slope from its largest slope, over that."""
 
 NO_CELLS = np.empty((0, 2), np.float32)
 """In place of the table of a hexagon's cells."""
@@ -134,8 +136,8 @@ def bulges_of(shape: LensShape) -> Iterator[Array]:
     """Yield corners, (8, 3) mm, of boxes round surfaces that are no conics, which may stand out between vertices."""
     for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
         if surface["terms"] > 0 and surface["level"] == EXACT:
-            z = surface["vertex_z"] + heights_on_circles(surface, np.linspace(0.0, rim, SLOPE_INTERVALS + 1))
-            yield frame.points(surface["pose"], list(product((-rim, rim), (-rim, rim), (z.min(), z.max()))))
+            z = [surface["vertex_z"] + height for height in height_range(surface, rim)]
+            yield frame.points(surface["pose"], list(product((-rim, rim), (-rim, rim), z)))
 
 
 def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -223,22 +225,16 @@ def least_dz(surface: np.void, rim: float) -> float:
 def steepest_slope(surface: np.void, rim: float) -> float:
     """Return an upper bound of the slope |dz/dr| of a surface inside a radius; inf where the surface ends before.
 
-    Each term of the slope is monotone, so that its values at both ends of an interval bound it in between.
-
     Parameters
     ----------
     surface : SURFACE record
     rim : float, mm
     """
-    r = np.linspace(0.0, rim * (1.0 + OVERREACH), SLOPE_INTERVALS + 1)
-    c, q = float(surface["curvature"]), 1.0 + float(surface["conic"])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        terms = [c * r / np.sqrt(1.0 - q * c * c * r * r)]
-    terms += [(2 * m + 4) * a * r ** (2 * m + 3) for m, a in enumerate(surface["asphere"][: surface["terms"]])]
-    low = sum(np.minimum(term[1:], term[:-1]) for term in terms)
-    high = sum(np.maximum(term[1:], term[:-1]) for term in terms)
-    bound = float(np.maximum(np.abs(low), np.abs(high)).max())
-    return bound if bound < np.inf else np.inf
+    radius, c, k = rim * (1.0 + OVERREACH), float(surface["curvature"]), float(surface["conic"])
+    if not (1.0 + k) * (c * radius) ** 2 < 1.0:
+        return np.inf
+    least, most = profile_extremes((c, c), k, powers_of(surface), radius, (SLOPE,), SLOPE_WITHIN)
+    return max(-least, most)
 
 
 def _pure_stop(scene: Scene, shape: LensShape) -> tuple[int, float, float, frame.Frame]:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.bends import BEFORE_END, set_bends
-from lfmesh.geometry.surfaces.sag import gradients
-from lfmesh.geometry.surfaces.surface import BICONIC, TOROID, surface
+from lfmesh.geometry.surfaces.bends import BEFORE_END, height_range, set_bends
+from lfmesh.geometry.surfaces.sag import gradients, heights
+from lfmesh.geometry.surfaces.surface import BICONIC, CONIC_AND_EVEN, TOROID, surface
 from lfmesh.scene.camera.sections import toroid_reach_mm
 
 BENT = {
@@ -111,3 +111,17 @@ def test_convex_toroids_bend_nowhere_the_other_way():
         of = surface(radius_mm, kind=TOROID, radius_x_mm=radius_x_mm)
         set_bends(of, 8.0)
         assert of["least_bend"] >= 0.0
+
+
+@pytest.mark.parametrize("kind", [CONIC_AND_EVEN, BICONIC, TOROID])
+def test_heights_lie_within_their_bounds_which_are_close(kind):
+    draw = np.random.default_rng(10 + kind)
+    for _ in range(30):
+        of, rim = drawn_surface(draw, max(kind, BICONIC))
+        if kind == CONIC_AND_EVEN:
+            of = surface(20.0, draw.uniform(-3.0, 0.8), draw.normal(size=4) / 8.0 ** np.arange(3, 10, 2))
+        low, high = height_range(of, rim)
+        r, phi = np.linspace(0.0, rim * (1.0 - 1e-12), 801)[:, None], np.linspace(0.0, 0.5 * np.pi, 181)
+        z = heights(of, r * np.cos(phi), r * np.sin(phi))
+        assert low <= z.min() < low + 1e-3 * np.ptp(z)
+        assert high >= z.max() > high - 1e-3 * np.ptp(z)

@@ -9,11 +9,11 @@ import math
 import os
 import stat
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
-from io import BufferedReader
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -23,6 +23,12 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+
+MARK = "\ufeff"
+"""Byte order mark, which some editors put before a text and which is no part of it."""
+
+MOST_HEADER = 10_000
+"""Bytes of an array's header; numpy itself refuses longer ones, but reads them first."""
 
 
 def why_no_file(path: Path) -> str:
@@ -81,31 +87,71 @@ def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
         return file.read()
 
 
+def without_mark(content: bytes) -> bytes:
+    """Return the bytes of a text without a byte order mark of UTF-8, for readers that parse bytes."""
+    return content.removeprefix(MARK.encode())
+
+
+class Header(NamedTuple):
+    """What an array in numpy's format announces."""
+
+    shape: tuple[int, ...]
+    in_columns: bool
+    dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes of all elements."""
+        return self.size * self.dtype.itemsize
+
+
 @contextmanager
-def open_arrays(path: Path) -> Iterator["Arrays"]:
-    """Open numpy's `.npz`; errors as of `open_regular`, and of numpy's and zip's readers."""
-    with open_regular(path) as opened, zipfile.ZipFile(opened) as archive:
-        yield Arrays(archive)
-
-
-class Arrays:
-    """Arrays of an `.npz` file, each of which is unpacked when it is asked for, and not before.
+def open_arrays(path: Path, only: str = "") -> Iterator["Arrays"]:
+    """Open numpy's `.npz`, or its `.npy` with a single array.
 
     Parameters
     ----------
-    archive : ZipFile
+    path : Path
+    only : str
+        Name of the array of a `.npy` file, which has none.
+
+    Raises
+    ------
+    OSError
+        As from `open_regular`.
+    BadZipFile
+        It is no archive.
+    """
+    with open_regular(path) as file:
+        if path.suffix.lower() == ".npy":
+            yield Arrays([only], lambda _: nullcontext(file))
+            return
+        with zipfile.ZipFile(file) as archive:
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            yield Arrays(names, lambda name: archive.open(f"{name}.npy"))
+
+
+class Arrays:
+    """Arrays of a file, each of which is read and unpacked when it is asked for, and not before.
+
+    Parameters
+    ----------
+    names : list of str
+    opened : callable
+        Opens the array with some name; it begins where that file does.
     """
 
-    def __init__(self, archive: zipfile.ZipFile) -> None:
-        self._archive = archive
+    def __init__(self, names: list[str], opened: Callable[[str], AbstractContextManager[IO[bytes]]]) -> None:
+        self.names = names
+        self._opened = opened
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the arrays."""
-        return [name.removesuffix(".npy") for name in self._archive.namelist()]
-
-    def announced(self, name: str) -> tuple[tuple[int, ...], int]:
-        """Return the shape and the number of bytes of an array, as its header says.
+    def header(self, name: str) -> Header:
+        """Return what the header of an array announces.
 
         Raises
         ------
@@ -114,15 +160,41 @@ class Arrays:
         ValueError
             It is no array.
         """
-        with self._archive.open(f"{name}.npy") as member:
-            old = np.lib.format.read_magic(member) == (1, 0)
-            read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
-            shape, _, kind = read_header(member)
-            return shape, math.prod(shape) * kind.itemsize
+        with self._opened(name) as file:
+            return _array_header(file)
 
     def __getitem__(self, name: str) -> np.ndarray[Any, Any]:
-        with self._archive.open(f"{name}.npy") as member:
-            return np.asarray(np.lib.format.read_array(member, allow_pickle=False))
+        with self._opened(name) as file:
+            return _read_array(file)
+
+
+def _array_header(file: IO[bytes]) -> Header:
+    """Return the header of an array in numpy's format, for which at most `MOST_HEADER` bytes are read.
+
+    Parameters
+    ----------
+    file : binary file
+        The array begins where the file does.
+
+    Raises
+    ------
+    ValueError
+        It is no array.
+    """
+    file.seek(0)
+    head = BytesIO(file.read(MOST_HEADER))
+    old = np.lib.format.read_magic(head) == (1, 0)
+    read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+    return Header(*read_header(head))
+
+
+def _read_array(file: IO[bytes]) -> np.ndarray[Any, Any]:
+    """Return an array in numpy's format, of anything but Python objects; file and errors as of `_array_header`."""
+    _array_header(file)
+    file.seek(0)
+    array = np.lib.format.read_array(file, allow_pickle=False)
+    file.read(1)  # at its end an archive compares the checksum
+    return np.asarray(array)
 
 
 def _opened(path: str, flags: int) -> int:

@@ -109,6 +109,42 @@ def test_the_voxels_of_a_grid_are_not_unpacked_for_their_place(tmp_path: Path) -
         read_box(path)
 
 
+def long_header(path: Path, name: str, arrays: dict[str, Any]) -> Path:
+    """Write an array whose header says that it is as long as `PACKED`, beside others."""
+    packed(path, {}, arrays)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr(f"{name}.npy", b"\x93NUMPY\x02\x00" + PACKED.to_bytes(4, "little") + bytes(PACKED))
+    return path
+
+
+def test_a_header_that_is_longer_than_any_is_not_unpacked(tmp_path: Path) -> None:
+    grid = long_header(tmp_path / "g.npz", "temperature_k", {"spacing_mm": np.ones(3)})
+    with in_little_memory(), pytest.raises(FileError, match=r"g\.npz: cannot be read as numpy's \.npz"):
+        read_voxels(grid)
+    matrix = long_header(tmp_path / "m.npz", "data", {key: value for key, value in MATRIX.items() if key != "data"})
+    with in_little_memory(), pytest.raises(FileError, match=r"m\.npz is no projection matrix, or damaged"):
+        lf.open_projection_matrix(matrix)
+
+
+@pytest.mark.parametrize(
+    ("beside", "message"),
+    [
+        ({}, "missing spacing_mm"),
+        ({"spacing_mm": np.zeros(3)}, "spacing_mm must be one or three numbers above 0"),
+        ({"spacing_mm": np.ones(3), "origin_mm": np.ones(2)}, "origin_mm must be three numbers"),
+        ({"spacing_mm": np.ones(7)}, "spacing_mm has 7 numbers"),
+        ({"spacing_mm": np.ones(3), "temperature_k": np.ones((2, 2, 2))}, "differ in shape"),
+        ({"spacing_mm": np.ones(3), "colour": np.ones((2, 2, 2))}, "no array is called 'colour'"),
+    ],
+)
+def test_the_voxels_of_a_medium_are_not_unpacked_if_the_file_is_wrong_elsewhere(
+    beside: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    path = packed(tmp_path / "g.npz", {"absorption_per_mm": (200, 200, PACKED // 8 // 40_000)}, beside)
+    with in_little_memory(), pytest.raises(FileError, match=message):
+        read_voxels(path)
+
+
 def test_a_vtk_image_of_too_many_voxels_is_refused_by_its_extent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

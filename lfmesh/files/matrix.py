@@ -31,7 +31,7 @@ from lfmesh.lightfield.volumes.projection import (
     size_in_words,
 )
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
-from lfmesh.regular_file import open_arrays, open_regular, read_text
+from lfmesh.regular_file import Header, open_arrays, open_regular, read_text
 from lfmesh.scene import Scene
 
 NUMPY, HDF5 = (".npz",), (".h5", ".hdf5")
@@ -151,20 +151,16 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     try:
         if path.suffix.lower() in NUMPY:
             with open_arrays(path) as arrays:
-                return _matrix(arrays.names, arrays.announced, arrays.__getitem__)
+                return _matrix(arrays.names, arrays.header, arrays.__getitem__)
         with open_regular(path), _h5py().File(path, "r") as file:
-            return _matrix(
-                list(file), lambda name: (file[name].shape, int(file[name].nbytes)), lambda name: file[name][()]
-            )
+            return _matrix(list(file), lambda name: _header(file[name]), lambda name: file[name][()])
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
     except Exception:  # of a damaged file numpy's and HDF5's readers may raise anything
         raise FileError(f"{path} is no projection matrix, or damaged") from None
 
 
-def _matrix(
-    names: list[str], announced: Callable[[str], tuple[tuple[int, ...], int]], read: Callable[[str], Any]
-) -> ProjectionMatrix:
+def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable[[str], Any]) -> ProjectionMatrix:
     """Return the matrix of a file.
 
     A packed file may announce a thousandfold of its size: only what fits the rest is unpacked.
@@ -173,7 +169,7 @@ def _matrix(
     ----------
     names : list of str
     announced : callable
-        Returns the shape and the bytes of an array by its name.
+        Returns the shape and the kind of an array by its name.
     read : callable
         Returns an array.
 
@@ -185,14 +181,14 @@ def _matrix(
     from scipy.sparse import csr_array
 
     def small(name: str) -> Any:
-        if announced(name)[1] > SMALL_BYTES:
+        if announced(name).nbytes > SMALL_BYTES:
             raise ValueError(f"{name} is too large")
         return read(name)
 
     def refuse_misfit(name: str, count: int) -> None:
-        shape, size = announced(name)
-        if shape[:1] != (count,) or size > count * BYTES_A_NUMBER:
-            raise ValueError(f"{name} has the shape {shape}, not one number for each of {count}")
+        header = announced(name)
+        if header.shape[:1] != (count,) or header.nbytes > count * BYTES_A_NUMBER:
+            raise ValueError(f"{name} has the shape {header.shape}, not one number for each of {count}")
 
     rows, voxels = (int(n) for n in small("shape"))
     counts = tuple(int(n) for n in small("grid_shape"))
@@ -213,6 +209,11 @@ def _matrix(
     data, indices, stderr = map(read, PER_ENTRY.values())
     matrix = csr_array((data, indices, ends), shape=(rows, voxels))
     return ProjectionMatrix(matrix, stderr, *map(read, BY_ROW), grid, *numbers, warnings, (across, down))
+
+
+def _header(array: Any) -> Header:
+    """Return the header of an array in an HDF5 file."""
+    return Header(array.shape, False, array.dtype)
 
 
 def _check_ending(path: Path) -> None:

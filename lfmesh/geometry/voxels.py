@@ -5,19 +5,17 @@ of voxel [0, 0, 0], in the medium's own frame. A grid ends with the outer faces 
 values are trilinear, and from the outer centres to the faces constant; or each voxel has one value throughout.
 """
 
-import math
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.errors import FileError
-from lfmesh.regular_file import open_regular
+from lfmesh.regular_file import Header, open_arrays, open_regular
 
 Array = NDArray[np.float64]
 Interpolation = Literal["trilinear", "constant"]
@@ -102,25 +100,14 @@ def voxel_grid(
     FileError
         A name is not known, or a number is not valid.
     """
-    spacing = _real(spacing_mm, "spacing_mm", where)
-    if spacing.size not in (1, 3) or not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
-        raise FileError(f"{where}: spacing_mm must be one or three numbers above 0, not {_short(spacing_mm)}")
-    spacing = np.broadcast_to(spacing.ravel(), (3,)).copy()
+    spacing = _spacing(spacing_mm, where)
     unknown = [name for name in values if name not in QUANTITIES]
     if unknown:
         raise FileError(f"{where}: no quantity is called {unknown[0]!r}; there are {', '.join(QUANTITIES)}")
-    if not values:
-        raise FileError(f"{where}: holds no quantity; there are {', '.join(QUANTITIES)}")
-    checked = {name: _checked(array, name, where) for name, array in values.items()}
-    shapes = {array.shape for array in checked.values()}
-    if len(shapes) > 1:
-        raise FileError(f"{where}: its arrays differ in shape: {', '.join(str(shape) for shape in sorted(shapes))}")
-    if "emission_w_mm3_sr" in checked and "temperature_k" in checked:
-        raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both there; give one of them")
-    shape = np.array(next(iter(shapes)))
-    origin = -0.5 * spacing * (shape - 1) if origin_mm is None else _real(origin_mm, "origin_mm", where).copy()
-    if origin.shape != (3,) or not np.isfinite(origin).all():
-        raise FileError(f"{where}: origin_mm must be three numbers, not {_short(origin_mm)}")
+    arrays = {name: _real(array, name, where) for name, array in values.items()}
+    shape = _common_shape({name: array.shape for name, array in arrays.items()}, where)
+    checked = {name: _checked(array, name, where) for name, array in arrays.items()}
+    origin = -0.5 * spacing * (np.array(shape) - 1) if origin_mm is None else _origin(origin_mm, where)
     return VoxelGrid(checked, spacing, origin, interpolation)
 
 
@@ -146,38 +133,41 @@ def read_voxels(
     FileError
         The file cannot be read, or what it holds is not valid.
     """
-    ending = path.suffix.lower()
-    found: dict[str, Any]
-    if ending not in ENDINGS:
+    if path.suffix.lower() not in ENDINGS:
         raise FileError(f"{path}: a voxel grid ends in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-    if ending == VTK:
+    if path.suffix.lower() == VTK:
+        _refuse_place(PLACE, path, spacing_mm, origin_mm)
         # With VTK, for which no other grid need wait.
-        found = import_module("lfmesh.imports.vtk_image").read_vtk_image(path, QUANTITIES, quantity, MOST_VOXELS)
-        return _placed(found, path, spacing_mm, origin_mm, interpolation)
-    found = _numpy_arrays(path, quantity)
-    if ending == ".npy" and quantity is None:
-        raise FileError(f"{path}: missing the name of its quantity; give quantity = one of {', '.join(QUANTITIES)}")
-    return _placed(found, path, spacing_mm, origin_mm, interpolation)
+        found: dict[str, Any] = import_module("lfmesh.imports.vtk_image").read_vtk_image(
+            path, QUANTITIES, quantity, MOST_VOXELS
+        )
+        return voxel_grid(found, found.pop("spacing_mm"), found.pop("origin_mm"), interpolation, str(path))
+    return _read_numpy(path, spacing_mm, origin_mm, interpolation, quantity)
 
 
-def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
-    """Return the arrays of a `.npz` file, or that of a `.npy` file."""
+def _read_numpy(
+    path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None, interpolation: Interpolation,
+    quantity: str | None,
+) -> VoxelGrid:  # fmt: skip
+    """Read a `.npz` or `.npy` file; voxels only after all that their headers and their place can be refused for."""
     ending = path.suffix.lower()
-    name = quantity or "its array"
+    where = str(path)
     try:
         with open_regular(path) as file:
             _check_beginning(path, file.read(max(len(first) for first in BEGINNINGS[".npy"])))
-            file.seek(0)
-            if ending == ".npy":
-                return {quantity or "": _array(file, path, name)}
-            arrays = {}
-            with zipfile.ZipFile(file) as archive:
-                members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
-                _refuse_unknown(members, path)
-                for name, member in members.items():
-                    with archive.open(member) as packed:
-                        arrays[name] = _array(packed, path, name)
-            return arrays
+        if ending == ".npy" and quantity is None:
+            raise FileError(f"{path}: missing the name of its quantity; give quantity = one of {', '.join(QUANTITIES)}")
+        with open_arrays(path, quantity or "") as arrays:
+            headers = {name: arrays.header(name) for name in arrays.names}
+            _refuse_headers(headers, path)
+            _refuse_place(headers, path, spacing_mm, origin_mm)
+            spacing_mm = arrays["spacing_mm"] if "spacing_mm" in headers else spacing_mm
+            origin_mm = arrays["origin_mm"] if "origin_mm" in headers else origin_mm
+            if spacing_mm is None:
+                raise FileError(f"{path}: missing spacing_mm, the distance between its voxels")
+            spacing = _spacing(spacing_mm, where)
+            origin = None if origin_mm is None else _origin(origin_mm, where)
+            values = {name: arrays[name] for name in headers if name not in PLACE}
     except FileError:
         raise
     except OSError as error:
@@ -188,33 +178,23 @@ def _numpy_arrays(path: Path, quantity: str | None) -> dict[str, Any]:
         # Of a damaged file numpy's readers, and those of zip archives below them, may raise anything.
         why = " ".join(str(error).split())[:200] or type(error).__name__
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}") from None
+    return voxel_grid(values, spacing, origin, interpolation, where)
 
 
-def _array(file: IO[bytes], path: Path, name: str) -> NDArray[Any]:
-    """Read an array in numpy's format, unless its header announces more than a grid may hold.
-
-    Parameters
-    ----------
-    file : binary stream
-        At the beginning of the array; of a zip archive nothing more is unpacked than is read.
-    path : Path
-    name : str
-        Of the array.
-    """
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, in_columns, kind = read_header(file)
-    if (count := math.prod(shape)) > MOST_VOXELS:
-        raise FileError(
-            f"{path}: {name} has {' × '.join(map(str, shape))} = {count} voxels; at most {MOST_VOXELS} are read: "
-            "crop the grid, or make its voxels larger"
-        )
-    _refuse_no_numbers(kind, name, str(path))
-    content = file.read(count * kind.itemsize)
-    if len(content) < count * kind.itemsize:
-        raise ValueError("it is cut short")
-    file.read(1)  # at its end an archive compares the checksum
-    return np.frombuffer(content, kind).reshape(shape, order="F" if in_columns else "C")
+def _refuse_headers(headers: Mapping[str, Header], path: Path) -> None:
+    """Raise if arrays announce what no grid has: other names, kinds or shapes, or more voxels than are read."""
+    _refuse_unknown(headers, path)
+    for name, header in headers.items():
+        shape = " × ".join(map(str, header.shape))
+        if name in PLACE and header.size > 3:
+            raise FileError(f"{path}: {name} has {shape} numbers; it must have three, or one if all spacings are equal")
+        if header.size > MOST_VOXELS:
+            raise FileError(
+                f"{path}: {name} has {shape} = {header.size} voxels; at most {MOST_VOXELS} are read: "
+                "crop the grid, or make its voxels larger"
+            )
+        _refuse_no_numbers(header.dtype, name, str(path))
+    _common_shape({name: header.shape for name, header in headers.items() if name not in PLACE}, str(path))
 
 
 def _refuse_unknown(names: Iterable[str], path: Path) -> None:
@@ -234,26 +214,44 @@ def _check_beginning(path: Path, beginning: bytes) -> None:
         raise FileError(f"{path}: cannot be read as numpy's {ending}: {why}; write it with {WRITERS[ending]}")
 
 
-def _placed(
-    found: dict[str, Any], path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None,
-    interpolation: Interpolation,
-) -> VoxelGrid:  # fmt: skip
-    """Return the grid of the arrays of a file, which may hold its place as well."""
+def _refuse_place(held: Iterable[str], path: Path, spacing_mm: ArrayLike | None, origin_mm: ArrayLike | None) -> None:
+    """Raise if the place that a file holds is given beside it, too."""
     for key, given in (("spacing_mm", spacing_mm), ("origin_mm", origin_mm)):
-        if key in found and given is not None:
+        if key in held and given is not None:
             raise FileError(f"{path}: holds {key} itself; leave it out beside the file")
-    spacing = found.pop("spacing_mm", spacing_mm)
-    origin = found.pop("origin_mm", origin_mm)
-    if spacing is None:
-        raise FileError(f"{path}: missing spacing_mm, the distance between its voxels")
-    _refuse_unknown(found, path)
-    return voxel_grid(found, spacing, origin, interpolation, str(path))
 
 
-def _checked(array: ArrayLike, name: str, where: str) -> Array:
-    values = np.ascontiguousarray(_real(array, name, where))
-    if values.ndim != 3 or 0 in values.shape:
-        raise FileError(f"{where}: {name} must be an array [x, y, z], and has the shape {np.shape(array)}")
+def _common_shape(shapes: Mapping[str, tuple[int, ...]], where: str) -> tuple[int, ...]:
+    """Return the shape of all quantities of a grid, by their names."""
+    if not shapes:
+        raise FileError(f"{where}: holds no quantity; there are {', '.join(QUANTITIES)}")
+    for name, shape in shapes.items():
+        if len(shape) != 3 or 0 in shape:
+            raise FileError(f"{where}: {name} must be an array [x, y, z], and has the shape {shape}")
+    if len({*shapes.values()}) > 1:
+        different = ", ".join(str(shape) for shape in sorted({*shapes.values()}))
+        raise FileError(f"{where}: its arrays differ in shape: {different}")
+    if "emission_w_mm3_sr" in shapes and "temperature_k" in shapes:
+        raise FileError(f"{where}: emission_w_mm3_sr and temperature_k are both there; give one of them")
+    return next(iter(shapes.values()))
+
+
+def _spacing(spacing_mm: ArrayLike, where: str) -> Array:
+    spacing = _real(spacing_mm, "spacing_mm", where)
+    if spacing.size not in (1, 3) or not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
+        raise FileError(f"{where}: spacing_mm must be one or three numbers above 0, not {_short(spacing_mm)}")
+    return np.broadcast_to(spacing.ravel(), (3,)).copy()
+
+
+def _origin(origin_mm: ArrayLike, where: str) -> Array:
+    origin = _real(origin_mm, "origin_mm", where).copy()
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise FileError(f"{where}: origin_mm must be three numbers, not {_short(origin_mm)}")
+    return origin
+
+
+def _checked(array: Array, name: str, where: str) -> Array:
+    values = np.ascontiguousarray(array)
     bad = ~(np.isfinite(values) & (values >= 0.0))
     if bad.any():
         place = [int(i) for i in np.argwhere(bad)[0]]

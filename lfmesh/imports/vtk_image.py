@@ -4,9 +4,11 @@ import math
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from xml.parsers.expat import ExpatError, ParserCreate
 
 import numpy as np
 
@@ -19,16 +21,20 @@ NOT_TURNED = 1e-9
 """Largest entry by which the axes of an image may differ from x, y and z."""
 
 
-HEAD = 1 << 20
-"""Bytes at the beginning of a file in which it says how large it is."""
-
 LIBRARY_BYTES, BYTES_A_POINT, BYTES_A_BYTE = 4 << 30, 64, 20
 """Memory that reading a file may take: whatever it holds, for each point, for each byte of the file."""
 
 MOST_SECONDS = 600
 """To read it."""
 
-_EXTENT = re.compile(rb"""WholeExtent\s*=\s*["']([^"']*)["']""")
+NOTHING = (0, -1, 0, -1, 0, -1)
+"""Extent without a point."""
+
+_NUMBER = re.compile(r"-?[0-9]{1,18}")
+
+
+class _DataReachedError(Exception):
+    """The parser is at data that need not be text."""
 
 
 def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, most: int) -> dict[str, Any]:
@@ -52,17 +58,19 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     FileError
         The file cannot be read, announces more voxels, holds no quantity, or its axes are turned.
     """
+    if not path.is_file():
+        raise FileError(f"{path}: cannot be read as VTK image data: it {why_no_file(path)}")
+    extents = _extents(path, file_stamp(path))
+    if (voxels := _cells(extents[0])) > most:
+        raise FileError(
+            f"{path}: has {voxels} voxels or more; at most {most} are read: crop the grid, or make its voxels larger"
+        )
+    _check_pieces(path, *extents)
+    if not _is_survived(path.resolve(), file_stamp(path)):
+        raise FileError(f"{path}: cannot be read as VTK image data: it is damaged")
     import pyvista
     from vtkmodules.vtkCommonCore import vtkObject
 
-    if not path.is_file():
-        raise FileError(f"{path}: cannot be read as VTK image data: it {why_no_file(path)}")
-    if (cells := math.prod(max(points - 1, 1) for points in _announced(path))) > most:
-        raise FileError(
-            f"{path}: has {cells} voxels or more; at most {most} are read: crop the grid, or make its voxels larger"
-        )
-    if not _is_survived(path.resolve(), file_stamp(path)):
-        raise FileError(f"{path}: cannot be read as VTK image data: it is damaged")
     # VTK says on standard error what is wrong with a file, line by line, and returns something empty.
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.GlobalWarningDisplayOff()
@@ -109,7 +117,8 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
 @lru_cache(maxsize=64)
 def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
     """Tell whether VTK can read the file with this stamp without crashing and in the memory that it may need."""
-    points = math.prod(_announced(path))
+    extent = _extents(path, stamp)[0]
+    points = math.prod(max(last - first + 1, 0) for first, last in zip(extent[::2], extent[1::2], strict=True))
     most = LIBRARY_BYTES + BYTES_A_POINT * points + BYTES_A_BYTE * path.stat().st_size
     # Not by -m: see `geometry.files.cad_file`.
     command = [sys.executable, "-P", vtk_child.__file__, str(path), str(min(most, sys.maxsize))]
@@ -119,13 +128,53 @@ def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
         return False
 
 
-def _announced(path: Path) -> tuple[int, ...]:
-    """Return the number of points along each axis that a file announces; (0,) if it does not say."""
-    with open_regular(path) as file:
-        found = _EXTENT.search(file.read(HEAD))
-    words = found[1].split() if found else []
-    if len(words) != 6 or not all(re.fullmatch(rb"-?[0-9]{1,18}", word) for word in words):
-        # VTK is told to keep to what every file may take.
-        return (0,)
-    first, last = ([int(word) for word in words[i::2]] for i in (0, 1))
-    return tuple(max(b - a + 1, 0) for a, b in zip(first, last, strict=True))
+@lru_cache(maxsize=64)
+def _extents(path: Path, _: tuple[object, ...]) -> tuple[tuple[int, ...], ...]:
+    """Return the extent of the whole image in the file with this stamp, and those of its pieces.
+
+    An extent is the first and last point along x, y and z; (0, -1, 0, -1, 0, -1) where it cannot be read: VTK is told
+    to keep to the memory that every file may take.
+    """
+    found: dict[str, list[tuple[int, ...]]] = {"ImageData": [], "Piece": []}
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        if name == "AppendedData":
+            raise _DataReachedError
+        if name in found:
+            found[name].append(_extent(attributes.get("WholeExtent" if name == "ImageData" else "Extent", "")))
+
+    parser = ParserCreate()
+    parser.StartElementHandler = begin
+    # Of a damaged file VTK says more.
+    with suppress(_DataReachedError, ExpatError), open_regular(path) as file:
+        parser.ParseFile(file)
+    return (found["ImageData"] or [NOTHING])[0], *found["Piece"]
+
+
+def _extent(text: str) -> tuple[int, ...]:
+    words = text.split()
+    known = len(words) == 6 and all(_NUMBER.fullmatch(word) for word in words)
+    return tuple(map(int, words)) if known else NOTHING
+
+
+def _cells(extent: tuple[int, ...]) -> int:
+    """Return the number of cells in an extent; a direction with one point alone counts as one."""
+    ends = zip(extent[::2], extent[1::2], strict=True)
+    return math.prod(0 if last < first else max(last - first, 1) for first, last in ends)
+
+
+def _check_pieces(path: Path, whole: tuple[int, ...], *pieces: tuple[int, ...]) -> None:
+    """Raise if the pieces of an image are not all of it: VTK would leave voxels as the memory is, or data unread."""
+    for piece in pieces:
+        for axis in range(3):
+            (first, last), (low, high) = whole[2 * axis : 2 * axis + 2], piece[2 * axis : 2 * axis + 2]
+            if low < first or high > last:
+                raise FileError(
+                    f"{path}: its Piece has the points {low} to {high} along {'xyz'[axis]}, and its WholeExtent "
+                    f"{first} to {last}: they must agree; write it again"
+                )
+    held, wanted = sum(map(_cells, pieces)), _cells(whole)
+    if pieces and held != wanted:
+        raise FileError(
+            f"{path}: its pieces have {held} voxels, and its WholeExtent {wanted}: they must agree; write it again"
+        )

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LensFileWarning, LfmeshError, SceneError
-from lfmesh.regular_file import open_regular
+from lfmesh.regular_file import MARK, open_regular
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FILE_CHOICES, STOP_SIZES, FileChoices, Lens
 from lfmesh.scene.camera.lens_readers import endings, reader_of
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
@@ -162,7 +162,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what a TOML text holds.
+    """Return what a TOML text holds; a byte order mark before it is no part of it.
 
     Raises
     ------
@@ -175,7 +175,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     if _LONG_KEY.search(text):
         raise RecursionError(_TOO_DEEP)
-    return tomllib.loads(text)
+    return tomllib.loads(text.removeprefix(MARK))
 
 
 def _refuse_other_kind(wanted: FileKind, data: dict[str, Any], path: Path) -> None:

@@ -1,5 +1,6 @@
 """Tables, grids, profiles, pictures, studies, datasets, designs damaged at random are read or refused clearly."""
 
+import codecs
 import functools
 import io
 import re
@@ -367,6 +368,14 @@ def test_the_files_that_are_damaged_are_whole(tmp_path: Path, name: str) -> None
     kind = kind_of(name)
     path = tmp_path / f"file.{kind.ending}"
     path.write_bytes(kind.whole)
+    kind.read(path)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path, name: str) -> None:
+    kind = kind_of(name)
+    path = tmp_path / f"file.{kind.ending}"
+    path.write_bytes(codecs.BOM_UTF8 + kind.whole)
     kind.read(path)
 
 

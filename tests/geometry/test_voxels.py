@@ -163,6 +163,37 @@ def test_the_only_array_of_vtk_image_data_may_have_any_name(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ('Piece Extent="0 9 0 3 0 4"', "its Piece has the points 0 to 9 along x, and its WholeExtent 0 to 2"),
+        ('Piece Extent="0 2 0 3 0 3"', "its pieces have 18 voxels, and its WholeExtent 24"),
+    ],
+)
+def test_a_vtk_image_whose_pieces_are_not_the_whole_is_refused(wrong: str, message: str, tmp_path: Path) -> None:
+    """VTK would leave out numbers of the file, or voxels without a number."""
+    path = tmp_path / "grid.vti"
+    vtk_image("points", absorption_per_mm=np.ones((3, 4, 5))).save(path)
+    right = b'Piece Extent="0 2 0 3 0 4"'
+    assert right in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(right, wrong.encode()))
+    with pytest.raises(FileError, match=message):
+        read_voxels(path)
+
+
+def test_a_vtk_image_of_several_pieces_is_read(tmp_path: Path) -> None:
+    array = '<PointData><DataArray type="Float64" Name="absorption_per_mm" format="ascii">{}</DataArray></PointData>'
+    pieces = "".join(
+        f'<Piece Extent="{i} {i + 1} 0 1 0 1">{array.format(f"{i} {i + 1} " * 4)}</Piece>' for i in range(2)
+    )
+    (tmp_path / "grid.vti").write_text(
+        '<VTKFile type="ImageData" version="1.0"><!-- WholeExtent="0 1 0 1 0 1" --><ImageData '
+        f'WholeExtent="0 2 0 1 0 1" Origin="0 0 0" Spacing="1 1 1">{pieces}</ImageData></VTKFile>'
+    )
+    values = read_voxels(tmp_path / "grid.vti").values["absorption_per_mm"]
+    np.testing.assert_array_equal(values, np.broadcast_to(np.arange(3.0)[:, None, None], (3, 2, 2)))
+
+
+@pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"", "cannot be read as VTK"),

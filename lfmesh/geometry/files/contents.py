@@ -6,14 +6,13 @@ that a reader that passes over a part of a file is found out.
 
 import json
 import struct
-from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lfmesh.geometry.files.piece import Piece
-from lfmesh.regular_file import read_bytes, read_text
+from lfmesh.regular_file import read_bytes, read_text, without_mark
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def _materials(path: Path, library: str, defined: dict[str, str]) -> None:
 
 def _of_stl(path: Path) -> Contents:
     content = read_bytes(path)
-    if content.removeprefix(BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"endfacet" in content.lower():
+    if without_mark(content).lstrip()[:5].lower() == b"solid" and b"endfacet" in content.lower():
         return Contents(content.lower().count(b"endfacet"))
     return Contents(int.from_bytes(content[80:84], "little"))
 
@@ -160,7 +159,7 @@ _SIZES |= {
 
 
 def _of_ply(path: Path) -> Contents | None:
-    content = read_bytes(path)
+    content = without_mark(read_bytes(path))
     head, _, body = content.partition(b"end_header")
     body = body[body.index(b"\n") + 1 :]
     elements: list[tuple[str, int, list[list[str]]]] = []

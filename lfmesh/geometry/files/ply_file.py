@@ -18,7 +18,7 @@ from lfmesh.geometry.files.piece import Notes, Piece
 from lfmesh.geometry.files.polygons import cut
 from lfmesh.geometry.files.text_numbers import numbers
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh
-from lfmesh.regular_file import read_bytes
+from lfmesh.regular_file import read_bytes, without_mark
 from lfmesh.scene.inputs import STAMPED_FILES, file_stamp
 
 KINDS = {
@@ -90,7 +90,7 @@ def read(path: Path, alpha: bool, notes: Notes) -> list[Piece]:
     ValueError
         The file is broken.
     """
-    content = read_bytes(path)
+    content = without_mark(read_bytes(path))
     if not content.startswith(b"ply"):
         raise ValueError("it does not begin with the word ply")
     if (end := _END.search(content)) is None:
@@ -131,7 +131,7 @@ def pictures_of(path: Path) -> list[str]:
 @lru_cache(maxsize=STAMPED_FILES)
 def _pictures(path: Path, _: tuple[object, ...]) -> tuple[str, ...]:
     """Return these names, read once for each stamp: every build and render asks for them."""
-    content = read_bytes(path)
+    content = without_mark(read_bytes(path))
     end = _END.search(content)
     try:
         return tuple(_header(content[: end.start()].decode("latin-1"))[2]) if end is not None else ()

@@ -1,7 +1,6 @@
 """STL files, binary and text: facets without anything else."""
 
 import re
-from codecs import BOM_UTF8
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry.files.piece import Notes, Piece
 from lfmesh.geometry.files.text_numbers import numbers
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.regular_file import read_bytes
+from lfmesh.regular_file import read_bytes, without_mark
 
 HEADER, RECORD = 84, 50
 """Bytes before the facets, and of each."""
@@ -38,7 +37,7 @@ def read(path: Path, notes: Notes) -> list[Piece]:
     content = read_bytes(path)
     corners = _binary(path, content, notes)
     if corners is None:
-        corners = _text(content.removeprefix(BOM_UTF8))
+        corners = _text(without_mark(content))
     if corners is None:
         return []
     return [Piece(Mesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)))]
@@ -50,7 +49,7 @@ def _binary(path: Path, content: bytes, notes: Notes) -> Array | None:
         return None
     count = int.from_bytes(content[80:84], "little")
     whole = len(content) == HEADER + RECORD * count
-    if not whole and (content.removeprefix(BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"vertex" in content.lower()):
+    if not whole and (without_mark(content).lstrip()[:5].lower() == b"solid" and b"vertex" in content.lower()):
         return None
     if not whole and len(content) < HEADER + RECORD * count:
         held = (len(content) - HEADER) // RECORD

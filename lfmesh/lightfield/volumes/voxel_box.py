@@ -1,6 +1,5 @@
 """A box of voxels in the world, each of which emits evenly: the columns of a projection matrix."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -193,7 +192,7 @@ def read_box(path: Path) -> GridFile:
     """
     try:
         with open_arrays(path) as arrays:
-            shapes = {shape for name in arrays.names if len(shape := arrays.announced(name)[0]) == 3}
+            shapes = {shape for name in arrays.names if len(shape := arrays.header(name).shape) == 3}
             # The numbers in the voxels are not asked for.
             place = {name: arrays[name] for name in _PLACE if name in arrays.names and _is_place(arrays, name)}
     except FileNotFoundError:
@@ -211,8 +210,8 @@ def read_box(path: Path) -> GridFile:
 
 def _is_place(arrays: Arrays, name: str) -> bool:
     """Tell whether an array holds one or three numbers, as its header says."""
-    shape, size = arrays.announced(name)
-    return math.prod(shape) in (1, 3) and size <= 3 * np.dtype(np.complex128).itemsize
+    header = arrays.header(name)
+    return header.size in (1, 3) and header.nbytes <= 3 * np.dtype(np.complex128).itemsize
 
 
 def _counts(given: Any) -> tuple[int, int, int]:

@@ -124,6 +124,8 @@ def test_a_binary_stl_may_begin_with_the_word_solid(tmp_path):
         ("part.off", "OFF\n4 1 0\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n4 0 1 2 3\n"),
         ("part.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 2 0 0\nvertex 2 2 0\nendloop\n"
          "endfacet\nendsolid a\n"),
+        ("part.ply", "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n4 0 1 2 3\n"),
     ],
 )  # fmt: skip
 def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path, name, text):

@@ -219,7 +219,8 @@ def _not_found(name: str, catalogues: list[str], stated: Stated | None) -> tuple
     Raises
     ------
     GlassError
-        There is none; the message names the remedy, and the nearest glass of the file's makers.
+        There is none; the message names the remedy, the nearest glass of the file's makers, and the file's catalogues
+        that lfmesh does not have.
     """
     if (found := _material(name) or _by_indices(name, stated)) is not None:
         return found
@@ -233,11 +234,17 @@ def _not_found(name: str, catalogues: list[str], stated: Stated | None) -> tuple
         makers = [each for each in MAKERS if each in catalogues] or ["SCHOTT"]
         _, nearest = near_glasses(stated[0], (stated[0] - 1.0) / stated[1], makers)[0]
         said += f"; nearest to its nd and Vd is {glass_in_words(nearest)}, {_apart(nearest, stated)}"
+    if unknown := [each for each in catalogues if each not in MAKERS]:
+        said += f"; lfmesh does not have the file's {_counted('catalogue', unknown)}"
     raise GlassError(f"{said}; {_remedy(name)}")
 
 
 def _remedy(name: str, glass: str = "GLASS") -> str:
     return f"give --glass {name}={glass} or camera.lens.substitutes"
+
+
+def _counted(noun: str, names: list[str]) -> str:
+    return f"{noun}{'s' if len(names) > 1 else ''} {', '.join(names)}"
 
 
 def _fits(glass: str, stated: Stated | None) -> bool:

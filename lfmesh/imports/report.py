@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
@@ -29,6 +29,9 @@ class Verdict(Enum):
     """It changes the image in a way that the lens cannot have."""
 
 
+_BY_WEIGHT = (Verdict.WITHOUT_EFFECT, Verdict.TAKEN, Verdict.APPROXIMATED, Verdict.UNKNOWN, Verdict.REFUSED)
+"""Verdicts on one line: a later one outweighs an earlier one."""
+
 OTHER_AIR = Verdict.APPROXIMATED, "indices are those of the catalogue, at its own temperature and pressure"
 """Verdict on a temperature or pressure that is not the catalogues'."""
 
@@ -42,6 +45,13 @@ class Line:
     text: str
     verdict: Verdict
     how: str = ""
+
+    def joined(self, other: "Line") -> "Line":
+        """Return the line with the weightier of its verdict and another's, and that one's reasons."""
+        if self.verdict is not other.verdict:
+            return max(self, other, key=lambda line: _BY_WEIGHT.index(line.verdict))
+        told = [self.how] if other.how in self.how else [self.how, other.how]
+        return replace(self, how="; ".join(filter(None, told)))
 
     def __str__(self) -> str:
         return f"{self.place}: {self.verdict.value}{f': {self.how}' if self.how else ''}"
@@ -61,7 +71,7 @@ class Report:
     path : Path
         The file.
     lines : list of Line
-        In the order of reading; a line may stand here again when it turns out later what becomes of it.
+        In the order of reading, each with the weightiest of its verdicts.
     notes : list of str
         What the file says beside the lens: wavelengths, fields, where the object and the image are.
     focal_length_mm : float
@@ -75,9 +85,12 @@ class Report:
     notes: list[str] = field(default_factory=list)
     focal_length_mm: float = math.nan
     conditions: Conditions | None = None
+    _places: dict[tuple[int, str], int] = field(default_factory=dict, repr=False, compare=False)
 
     def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
-        """Enter what became of a line.
+        """Enter what became of a line; a line that stands here already keeps the weightier verdict.
+
+        A part of a file without lines may stand here several times, once for each of its properties.
 
         Parameters
         ----------
@@ -89,7 +102,12 @@ class Report:
         how : str
             What was done with it, or why nothing was.
         """
-        self.lines.append(Line(number, text, verdict, how))
+        line = Line(number, text, verdict, how)
+        place = self._places.setdefault((number, text), len(self.lines)) if number else len(self.lines)
+        if place < len(self.lines):
+            self.lines[place] = self.lines[place].joined(line)
+        else:
+            self.lines.append(line)
 
     def refuse(self, number: int, text: str, why: str) -> None:
         """Enter a line that makes the file unusable; `raise_refusals` speaks of all of them at once.

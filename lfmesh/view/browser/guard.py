@@ -8,11 +8,13 @@ token in the address that was printed, which it keeps as a cookie.
 
 import hmac
 import ipaddress
+import logging
 import re
 import secrets
 from collections.abc import Awaitable, Callable
 
 from aiohttp import hdrs, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -33,6 +35,15 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         return False
+
+
+def is_of_ours(record: logging.LogRecord) -> bool:
+    """Tell whether a record of aiohttp's log is about this program: a filter of its logger.
+
+    A request that is no HTTP, such as one without `Host` or with two, never reaches `Guard`. aiohttp answers it by 400,
+    and would log it with a traceback as if a fault of the server's had come to light.
+    """
+    return record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError)
 
 
 class Guard:

@@ -75,7 +75,7 @@ def serve(
     import trame_server
 
     with Probe() as probe:
-        from lfmesh.view.browser.guard import Guard, is_loopback
+        from lfmesh.view.browser.guard import Guard, is_loopback, is_of_ours
         from lfmesh.view.browser.page import Page, say
         from lfmesh.view.browser.sessions import Sessions
         from lfmesh.view.browser.subject import PageSubject
@@ -93,6 +93,7 @@ def serve(
     server.client_type = "vue3"
     sessions.add_files(server)
     guard = Guard(host)
+    logging.getLogger("aiohttp.server").addFilter(is_of_ours)
     server.controller.on_server_bind.add(lambda site: site.app.middlewares.extend([guard.answer, sessions.answer]))
     asyncio.run(_serve(server, sessions, guard.token, host, port, open_browser))
 

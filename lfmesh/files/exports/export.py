@@ -17,7 +17,7 @@ from lfmesh.files.exports.lftoolbox import write_eslf, write_mat
 from lfmesh.files.exports.plenopticam import write_plenopticam
 from lfmesh.files.exports.plenpy import write_plenpy
 from lfmesh.files.exports.views import write_views
-from lfmesh.files.folder import recover, staged
+from lfmesh.files.folder import STAGING, recover, staged
 from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.views.field import LightField
 from lfmesh.transport.render.image import Image
@@ -146,18 +146,39 @@ def export_raw(
 
 def _exported(folder: Path, kind: str, write: Callable[[Path], dict[str, Any]]) -> list[Path]:
     try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            what = "is not empty" if folder.is_dir() else "is a file"
-            raise FileError(f"{folder} {what}: choose an empty or a new folder")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        recover(folder.parent)
-        with staged(folder.parent) as staging:
+        is_new = not folder.exists()
+        if is_new:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+        elif not folder.is_dir():
+            raise FileError(f"{folder} is a file: choose an empty or a new folder")
+        elif any(not entry.name.startswith(STAGING) for entry in folder.iterdir()):
+            raise _is_full(folder)
+        home = folder.parent if is_new else folder
+        recover(home)
+        with staged(home) as staging:
             facts = {"format": kind, "lfmesh_version": lfmesh.__version__, **write(staging)}
-            (staging / NOTE).write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-            if folder.exists():
-                folder.rmdir()
-            # One step: the folder is there with all its files, or not at all.
-            staging.replace(folder)
+            note = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
+            (staging / NOTE).write_text(note, encoding="utf-8")
+            if is_new:
+                # One step: the folder is there with all its files, or not at all.
+                staging.replace(folder)
+            else:
+                _move_in(staging, folder)
     except OSError as error:
         raise FileError(f"{folder} cannot be written: {error.strerror or error}") from None
     return [folder / name for name in [*facts["files"], NOTE]]
+
+
+def _move_in(staging: Path, folder: Path) -> None:
+    """Move all files into a folder that was there, the note last: with it they are complete.
+
+    The folder stays what it is: a link, the folder that this program runs in, or one on which a disk is mounted.
+    """
+    if any(entry.name != staging.name for entry in folder.iterdir()):
+        raise _is_full(folder)
+    for entry in sorted(staging.iterdir(), key=lambda entry: (entry.name == NOTE, entry.name)):
+        entry.replace(folder / entry.name)
+
+
+def _is_full(folder: Path) -> FileError:
+    return FileError(f"{folder} is not empty: choose an empty or a new folder")

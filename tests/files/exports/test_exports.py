@@ -333,9 +333,23 @@ def test_a_folder_that_holds_something_is_left_alone(field: lf.LightField, tmp_p
     with pytest.raises(lf.FileError, match="is a file"):
         lf.export_field(field, tmp_path / "notes.txt", "eslf")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-    (tmp_path / "empty").mkdir()
-    lf.export_field(field, tmp_path / "empty", "eslf")
-    assert (tmp_path / "empty" / "export.json").is_file()
+
+
+@pytest.mark.parametrize("way", ["name", "link", "here"])
+def test_an_empty_folder_is_filled_and_stays_what_it_is(
+    field: lf.LightField, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    known = empty.stat().st_ino
+    (tmp_path / "link").symlink_to(empty)
+    monkeypatch.chdir(empty)
+    written = lf.export_field(field, {"name": empty, "link": tmp_path / "link", "here": "."}[way], "eslf")
+    assert sorted(path.name for path in empty.iterdir()) == sorted(path.name for path in written)
+    assert empty.stat().st_ino == known
+    assert (tmp_path / "link").is_symlink()
+    with pytest.raises(lf.FileError, match="is not empty"):
+        lf.export_field(field, empty, "eslf")
 
 
 def test_the_command_exports_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

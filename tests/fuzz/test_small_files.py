@@ -371,7 +371,7 @@ def test_the_files_that_are_damaged_are_whole(tmp_path: Path, name: str) -> None
     kind.read(path)
 
 
-@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("name", sorted({*TEXTS} - {"zmx"}))  # which is UTF-16 with a mark of its own
 def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path, name: str) -> None:
     kind = kind_of(name)
     path = tmp_path / f"file.{kind.ending}"

@@ -9,6 +9,7 @@ import numpy as np
 
 import lfmesh
 from lfmesh.errors import FileError
+from lfmesh.files.json_values import parse_json
 from lfmesh.lightfield.calibration.calibration import Calibration
 from lfmesh.lightfield.views.upright import ON_SENSOR
 from lfmesh.regular_file import read_text
@@ -87,10 +88,10 @@ def read_calibration(path: Path) -> Calibration:
         The file is missing, damaged, or of another format.
     """
     try:
-        document = json.loads(read_text(path))
+        document = parse_json(read_text(path))
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-    except (ValueError, RecursionError):
+    except ValueError:
         raise FileError(f"{path} is damaged or no calibration: it is not JSON") from None
     version = document.get("format") if isinstance(document, dict) else None
     if version != FORMAT:

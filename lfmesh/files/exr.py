@@ -15,6 +15,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.files.json_values import parse_json
 from lfmesh.regular_file import why_no_file
 from lfmesh.scene.camera.bands import channel_labels
 
@@ -230,7 +231,7 @@ def _numbers(path: Path, wavelengths_nm: Any) -> tuple[float, ...]:
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
     try:
-        metadata: Mapping[str, Any] = json.loads(text)
+        metadata: Mapping[str, Any] = parse_json(text)
         return {"wavelengths_nm": metadata["wavelengths_nm"], **metadata}
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         raise FileError(f"{path} is damaged: its attribute {METADATA!r} is not the JSON that lfmesh writes") from None

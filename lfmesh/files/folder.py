@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import lfmesh
 from lfmesh.errors import FileError
 from lfmesh.files.inside import NO_LINK, Inside, refuse_link
+from lfmesh.files.json_values import parse_json
 from lfmesh.files.locks import fcntl, held, locked
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.regular_file import read_text
@@ -80,7 +81,7 @@ def manifest_of(folder: Path) -> Manifest | None:
     """
     path = folder / MANIFEST
     try:
-        document = json.loads(read_text(path))
+        document = parse_json(read_text(path))
         if document["format"] != FORMAT:
             raise FileError(
                 f"{path} has format {document['format']}, written by lfmesh {document['lfmesh_version']}; this lfmesh"
@@ -91,7 +92,7 @@ def manifest_of(folder: Path) -> Manifest | None:
         return None
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise FileError(f"{path} is damaged; render the scene again") from None
     return {name: entry for name, entry in entries.items() if is_safe(name)}
 
@@ -336,10 +337,10 @@ def _journal(inside: Inside) -> tuple[str, list[str], list[str], dict[str, str]]
     path = inside.folder / JOURNAL
     inside.refuse_irregular(JOURNAL)
     try:
-        journal = json.loads(read_text(path))
+        journal = parse_json(read_text(path))
         staging, files, removed = str(journal["staging"]), list(journal["files"]), list(journal["removed"])
         moved = dict(journal["moved"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         # Nobody writes half a journal: this is no work of ours.
         raise FileError(f"{path} is damaged; delete it, and render the scene again") from None
     names = [staging, *files, *removed, *moved, *moved.values()]

@@ -1,5 +1,6 @@
 """Values that JSON can hold."""
 
+import json
 import math
 from typing import Any
 
@@ -17,3 +18,17 @@ def plain_json(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the value that a JSON text holds.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, or nested deeper than Python can read.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("its lists or objects stand too deep in one another") from None

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 import lfmesh
 from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.files.folder import made_inside, staged_file
+from lfmesh.files.json_values import parse_json
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.volumes.projection import (
     THRESHOLD,
@@ -198,7 +199,7 @@ def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable
     place = [small(name) for name in ("spacing_mm", "origin_mm", "position_mm", "rotation_deg")]
     grid = VoxelBox((counts[0], counts[1], counts[2]), *place)
     numbers = float(small("threshold")), float(small("wavelength_nm"))
-    told = json.loads(bytes(small("warnings") if "warnings" in names else b"[]"))
+    told = parse_json(bytes(small("warnings") if "warnings" in names else b"[]"))
     warnings = tuple(map(PictureWarning.from_dict, told))
     # What is large is read last, after all else has been found right.
     for name, count in {"indptr": rows + 1, **dict.fromkeys(BY_ROW, rows)}.items():
@@ -276,7 +277,7 @@ def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
             new.write(json.dumps(facts).encode())
         return 0
     try:
-        held = json.loads(read_text(file))
+        held = parse_json(read_text(file))
     except ValueError:
         held = None
     if held != facts:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import lfmesh
 from lfmesh.errors import FileError
+from lfmesh.files.json_values import parse_json
 from lfmesh.files.whole import write_whole
 from lfmesh.lightfield.rays.camera_model import CameraModel
 from lfmesh.regular_file import read_text
@@ -102,8 +103,8 @@ def refuse_other_cameras(ray_map: Path) -> None:
     if not path.exists():
         return
     try:
-        other = str(json.loads(read_text(path))["ray_map"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        other = str(parse_json(read_text(path))["ray_map"])
+    except (OSError, ValueError, KeyError, TypeError):
         other = ""
     if Path(other).stem != ray_map.stem:
         whose = f"belongs to {other}" if other else "was not written by lfmesh"

@@ -34,7 +34,7 @@ from lfmesh.files.folder import (
 from lfmesh.files.image_file import ERROR, FORMAT, HITS, PARTS, UPPER, image_from, refuse_damage, write_image
 from lfmesh.files.inputs import within
 from lfmesh.files.inside import refuse_link
-from lfmesh.files.json_values import plain_json
+from lfmesh.files.json_values import parse_json, plain_json
 from lfmesh.files.lenslets import lenslet_means, paint
 from lfmesh.files.preview import write_linear16, write_preview
 from lfmesh.files.scene_file import save_scene
@@ -435,7 +435,7 @@ def _cannot_write(path: Path, error: OSError) -> FileError:
 def _read_report(path: Path) -> dict[str, Any] | None:
     """Return report.json of a run folder, None where there is none that lfmesh wrote."""
     try:
-        report = json.loads(read_text(path / REPORT))
+        report = parse_json(read_text(path / REPORT))
     except (OSError, ValueError):
         return None
     ours = isinstance(report, dict) and "lfmesh_version" in report and isinstance(report.get("format"), int)

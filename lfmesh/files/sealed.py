@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import FileError
+from lfmesh.files.json_values import parse_json
 from lfmesh.provenance import difference, processor, program
 from lfmesh.regular_file import open_regular
 
@@ -100,7 +101,7 @@ def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arr
             if not held[_FACTS].ndim:
                 raise FileError(f"{what} was written by an older lfmesh, which may have had other bits")
             digest, text = (str(entry) for entry in held[_FACTS])
-            stated = json.loads(text)
+            stated = parse_json(text)
             if hashlib.sha256(text.encode()).hexdigest() != digest:
                 raise ValueError("its facts were changed")
             refuse_maker(what, form, stated["format"], stated["program"])

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import made_inside, recover, staged_file
 from lfmesh.files.image_file import scene_from, scene_metadata
+from lfmesh.files.json_values import parse_json
 from lfmesh.files.sealed import read_sealed, refuse_maker, write_sealed
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_text
@@ -218,7 +219,7 @@ def _seal(facts: dict[str, Any]) -> str:
 
 def _facts(folder: Path) -> dict[str, Any]:
     try:
-        facts: dict[str, Any] = json.loads(read_text(folder / FACTS))
+        facts: dict[str, Any] = parse_json(read_text(folder / FACTS))
         form, maker = facts["cut"]["format"], facts["cut"]["program"]
         known = form != FORMAT or facts.pop(SEAL) == _seal(facts)
     except FileNotFoundError:

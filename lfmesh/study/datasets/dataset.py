@@ -13,7 +13,7 @@ import numpy as np
 
 from lfmesh.errors import FileError, LfmeshError, PictureWarning, in_order, summed_up, warn_caller
 from lfmesh.files.folder import made_inside, recover, write_inside
-from lfmesh.files.json_values import plain_json
+from lfmesh.files.json_values import parse_json, plain_json
 from lfmesh.files.paths import relative
 from lfmesh.files.sealed import refuse_maker
 from lfmesh.geometry.lens.solved_camera import solved_camera
@@ -366,7 +366,7 @@ class _Making:
 
     def _refuse_other(self) -> None:
         try:
-            known = json.loads(read_text(self.folder / FACTS))
+            known = parse_json(read_text(self.folder / FACTS))
             form, maker, digest = (known.get(key) for key in ("format", "program", "digest"))
         except FileNotFoundError:
             return

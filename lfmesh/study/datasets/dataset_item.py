@@ -20,7 +20,7 @@ from lfmesh.files.depth import save_truth
 from lfmesh.files.field import save_field
 from lfmesh.files.folder import staged, staged_file
 from lfmesh.files.inside import refuse_link
-from lfmesh.files.json_values import plain_json
+from lfmesh.files.json_values import parse_json, plain_json
 from lfmesh.lightfield.calibration.calibration import calibrate
 from lfmesh.lightfield.calibration.white import white_scene
 from lfmesh.lightfield.photographs.depth_truth import depth_truth
@@ -160,7 +160,7 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
     if not folder.exists():
         return None
     try:
-        facts: dict[str, Any] = json.loads(read_text(path))
+        facts: dict[str, Any] = parse_json(read_text(path))
         known, sizes = facts.pop("digest"), dict(facts.pop("files"))
         maker = facts.pop("program")
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

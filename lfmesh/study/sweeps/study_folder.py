@@ -17,7 +17,7 @@ from typing import Any
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files.folder import made_inside, recover, staged_file
 from lfmesh.files.inside import opened_here
-from lfmesh.files.json_values import plain_json
+from lfmesh.files.json_values import parse_json, plain_json
 from lfmesh.files.sealed import refuse_maker
 from lfmesh.provenance import program
 from lfmesh.regular_file import read_bytes, read_text
@@ -185,7 +185,7 @@ def read_facts(path: Path) -> dict[str, Any] | None:
         Its description is damaged.
     """
     try:
-        known = dict(json.loads(read_text(path / FACTS)))
+        known = dict(parse_json(read_text(path / FACTS)))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError):
@@ -226,6 +226,6 @@ def logged(path: Path) -> Iterator[dict[str, Any]]:
         return
     for line in lines:
         with suppress(ValueError):
-            event = json.loads(line)
+            event = parse_json(line)
             if isinstance(event, dict):
                 yield event

@@ -17,6 +17,9 @@ from lfmesh.regular_file import read_text
 FORMAT = 2
 """Of the file; a reader refuses any other."""
 
+MOST_PIXELS = 2**31
+"""Above the columns or rows of any sensor."""
+
 ABOUT = (
     "Where every micro-image of a light-field camera lies on its sensor, and the first-order optics that say what its "
     "pixels mean. Pixel positions are [column, row] with the middle of the first pixel at [0, 0], as they lie on the "
@@ -113,12 +116,39 @@ def read_calibration(path: Path) -> Calibration:
                    if values[name] is None},
             }
         )  # fmt: skip
-        whole = calibration.centres_px.shape == (*calibration.known.shape, 2) == (*calibration.kinds.shape, 2)
-    except (KeyError, TypeError, ValueError, OverflowError):
+        whole = _is_whole(calibration)
+    except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError):
         whole = False
     if not whole:
         raise FileError(f"{path} is damaged or incomplete: it must hold {', '.join(MEANINGS)}")
     return calibration
+
+
+def _is_whole(calibration: Calibration) -> bool:
+    """Tell whether arrays fit together, and numbers are such as a camera has.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError, ZeroDivisionError
+        They are not even numbers, or too large or small to compute with.
+    """
+    c = calibration
+    above_zero = (c.lenslet_pitch_mm, c.pixel_mm, c.f_number, c.wavelength_nm)
+    finite = (c.microlens_f_number, c.lenslet_to_sensor_mm, c.pitch_px, c.nominal_pitch_px, *c.focal_lengths_mm)
+    # A telecentric lens has its pupil at infinity.
+    pupil = (c.exit_pupil_z_mm, c.exit_pupil_diameter_mm, c.pupil_to_array_mm)
+    return (
+        c.centres_px.shape == (*c.known.shape, 2) == (*c.kinds.shape, 2)
+        and bool((np.abs(c.centres_px) < MOST_PIXELS).all())
+        and bool(((c.kinds >= 0) & (c.kinds < len(c.focal_lengths_mm))).all())
+        and c.layout in ("square", "hexagonal")
+        and c.origin in ("traced", "white image")
+        and len(c.sensor_px) == 2
+        and all(isinstance(count, int) and 0 < count < MOST_PIXELS for count in c.sensor_px)
+        and all(math.isfinite(value) and value > 0.0 for value in above_zero)
+        and all(math.isfinite(value) for value in finite)
+        and not any(math.isnan(value) for value in pupil)
+    )
 
 
 def _plain(value: Any) -> Any:

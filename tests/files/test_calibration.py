@@ -94,6 +94,48 @@ def test_a_bad_file_is_refused_in_one_line(
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("layout", "round"),
+        ("origin", None),
+        ("centres_px", math.nan),
+        ("centres_px", math.inf),
+        ("centres_px", 1e300),
+        ("kinds", 7),
+        ("kinds", -1),
+        ("sensor_px", [80]),
+        ("sensor_px", ["80", "64"]),
+        ("sensor_px", [10**400, 64]),
+        ("lenslet_pitch_mm", 0.0),
+        ("pixel_mm", "0.01"),
+        ("f_number", 0),
+        ("f_number", {"a": 1}),
+        ("microlens_f_number", None),
+        ("focal_lengths_mm", [math.inf]),
+        ("pupil_to_array_mm", 0.0),
+        ("exit_pupil_z_mm", math.nan),
+        ("wavelength_nm", 10**400),
+    ],
+)
+def test_numbers_that_no_camera_has_are_refused(
+    calibration: lf.Calibration, tmp_path: Path, name: str, value: object
+) -> None:
+    path = tmp_path / "calibration.json"
+    write_calibration(path, calibration)
+    document = json.loads(path.read_text())
+    entry = document["fields"][name]
+    if name == "centres_px":
+        entry["value"][0][0][0] = value
+    elif name == "kinds":
+        entry["value"][0][0] = value
+    else:
+        entry["value"] = value
+    path.write_text(json.dumps(document))
+    with pytest.raises(lf.FileError, match="damaged or incomplete"):
+        read_calibration(path)
+
+
 def test_a_missing_file_is_told(tmp_path: Path, image_of: Callable[..., lf.Image]) -> None:
     with pytest.raises(lf.FileError, match="cannot be read: No such file"):
         read_calibration(tmp_path / "calibration.json")

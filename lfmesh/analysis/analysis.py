@@ -18,7 +18,7 @@ from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.compute import airy_disk_mm
 from lfmesh.transport.world import World, build
-from lfmesh.waves.bundle import Bundle, LensRays, pupil_grid
+from lfmesh.waves.bundle import LensRays, pupil_grid
 
 Array = NDArray[np.float64]
 
@@ -293,7 +293,7 @@ def analyse(
         wavelengths_nm=waves,
         heights_mm=heights,
         spots=spots,
-        fans=[_fans(rays, float(slope), waves) for slope in slopes],
+        fans=[_fans(rays, spot, waves) for spot in spots],
         curves=field_curves(rays, waves, height),
         zones=zones,
         zone_foci_mm=zone_foci(rays, waves, zones),
@@ -357,12 +357,15 @@ def used_height_mm(scene: Scene) -> float:
 def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int) -> Spot:
     grid = pupil_grid(across)
     bundles = [rays.bundle(slope_y, grid, wavelength) for wavelength in waves]
-    chief = _chief_mm(rays, slope_y, waves, bundles)
+    chief = rays.chief(slope_y, waves[len(waves) // 2]).place
     passes = [bundle.passes for bundle in bundles]
     if not any(each.any() for each in passes):
         raise LfmeshError(
             f"no ray of the field with a slope of {slope_y:.4g} passes the lens; give a smaller height_mm"
         )
+    if not np.isfinite(chief).all():
+        # A surface ends before the ray, or reflects it totally: the mean place of the others stands for it.
+        chief = np.concatenate([bundle.place[ok] for bundle, ok in zip(bundles, passes, strict=True)]).mean(axis=0)
     return Spot(
         slope_y,
         chief,
@@ -373,22 +376,12 @@ def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int)
     )
 
 
-def _chief_mm(rays: LensRays, slope_y: float, waves: tuple[float, ...], bundles: list[Bundle]) -> Array:
-    """Return where the primary chief ray meets the image plane; the rays' mean place where the lens stops it."""
-    chief = rays.bundle(slope_y, [(0.0, 0.0)], waves[len(waves) // 2]).place[0]
-    if np.isfinite(chief).all():
-        return chief
-    places = np.concatenate([bundle.place[bundle.passes] for bundle in bundles])
-    return places.mean(axis=0) if len(places) else chief
-
-
-def _fans(rays: LensRays, slope_y: float, waves: tuple[float, ...]) -> list[Fan]:
+def _fans(rays: LensRays, spot: Spot, waves: tuple[float, ...]) -> list[Fan]:
     along = np.linspace(-1.0, 1.0, FAN)
-    none = np.zeros(FAN)
-    chief = rays.bundle(slope_y, [(0.0, 0.0)], waves[len(waves) // 2]).place[0]
+    none, chief = np.zeros(FAN), spot.chief_mm
     fans = []
     for wavelength in waves:
-        tangential = rays.bundle(slope_y, np.column_stack([none, along]), wavelength)
-        sagittal = rays.bundle(slope_y, np.column_stack([along, none]), wavelength)
+        tangential = rays.bundle(spot.slope_y, np.column_stack([none, along]), wavelength)
+        sagittal = rays.bundle(spot.slope_y, np.column_stack([along, none]), wavelength)
         fans.append(Fan(along, tangential.place[:, 1] - chief[1], sagittal.place[:, 0] - chief[0]))
     return fans

@@ -120,7 +120,7 @@ def field_waves(
     Raises
     ------
     LfmeshError
-        A chief ray that the lens stops, collimated light, or aberrations too large to be followed as waves.
+        No chief ray, no light, collimated light, or aberrations too large to be followed as waves.
     """
     primary = wavelengths_nm[len(wavelengths_nm) // 2]
     wavefront = wavefront_of(rays, slope, primary, words="this field")
@@ -174,10 +174,10 @@ def _transfer(pupil: PupilWaves, step_per_mm: float, size: int) -> tuple[NDArray
 
 def _path_fan(rays: LensRays, slope: float, wavelength_nm: float, centre: Array, fan: Array) -> PathFan:
     none = np.zeros(len(fan))
-    pupil = np.vstack([np.zeros((1, 2)), np.column_stack([none, fan]), np.column_stack([fan, none])])
-    bundle = rays.bundle(slope, pupil, wavelength_nm)
+    pupil = np.vstack([np.column_stack([none, fan]), np.column_stack([fan, none])])
+    bundle, chief = rays.bundle(slope, pupil, wavelength_nm), rays.chief(slope, wavelength_nm)
     waves = np.full(len(pupil), np.nan)
-    if bundle.passes[0]:
-        entry = bundle.entry[bundle.passes]
-        waves[bundle.passes], _ = path_differences(rays, slope, entry, wavelength_nm, centre)
-    return PathFan(fan, *np.split(waves[1:], 2))
+    if chief.exists:
+        entry = np.vstack([chief.entry, bundle.entry[bundle.passes]])
+        waves[bundle.passes] = path_differences(rays, slope, entry, wavelength_nm, centre)[0][1:]
+    return PathFan(fan, *np.split(waves, 2))

@@ -21,8 +21,12 @@ POINTS = 21
 CLOSE = 1e-3
 """Of the stop's radius: distance from the chief ray of the rays that its foci are found by."""
 
+RISE = 1e-3
+"""Of the largest field: step by which the scale of the image is found, from chief rays on both sides of a field."""
+
 BEAM, WIDER = 16, 1.25
-"""Rays on a diameter of the stop that the extent of a beam is found by, and by how much more is looked at."""
+"""Rays on a diameter of the stop that the extent of a beam is found by, and by how much more is looked at. Within it
+the light itself is integrated, up to the edges that end it."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class FieldCurves:
         (y − y₀) / y₀ of the primary wavelength's chief ray, y₀ the paraxial height; 0 on the axis.
     illumination : (m,) float64
         Of a Lambertian plane, relative to the axis, primary wavelength; Fresnel's losses, vignetting and the change of
-        scale over the field included.
+        scale over the field included. 0 where no light passes, also if there is no chief ray.
     """
 
     height_mm: Array
@@ -95,20 +99,24 @@ def field_curves(rays: LensRays, wavelengths_nm: tuple[float, ...], height_mm: f
                 sagittal[w, i] = -(five.place[3, 0] - five.place[4, 0]) / (steep[3, 0] - steep[4, 0])
     seen = chief[len(wavelengths_nm) // 2]
     distortion = np.divide(seen - heights, heights, out=np.zeros(POINTS), where=heights > 0.0)
-    return FieldCurves(
-        heights, slopes, chief, tangential, sagittal, distortion, _illumination(rays, primary, slopes, seen)
-    )
+    return FieldCurves(heights, slopes, chief, tangential, sagittal, distortion, _illumination(rays, primary, slopes))
 
 
-def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array, chief_mm: Array) -> Array:
+def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array) -> Array:
     """Return the irradiance of the image of a Lambertian plane, relative to the axis."""
     power = np.array([_collected(rays, wavelength_nm, float(slope)) for slope in slopes])
-    along = np.gradient(chief_mm, slopes, edge_order=2)
+    # The scale of the image is that of chief rays, which apertures may stop while others pass.
+    step = RISE * float(slopes[-1])
+    below, chief_mm, above = (
+        np.array([rays.chief(float(slope), wavelength_nm).place[1] for slope in slopes + move])
+        for move in (-step, 0.0, step)
+    )
+    along = (above - below) / (2.0 * step)
     around = np.divide(chief_mm, slopes, out=np.full(len(slopes), along[0]), where=slopes != 0.0)
     if rays.object_mm == np.inf:
         # A solid angle of directions is cos³ times the area that it has in slopes.
         power = power * (1.0 + slopes**2) ** -1.5
-    level = power / np.abs(along * around)
+    level = np.divide(power, np.abs(along * around), out=np.zeros(len(power)), where=power > 0.0)
     return np.asarray(level / level[0])
 
 
@@ -120,14 +128,17 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
     entries = rays.bundle(slope_y, pupil_grid(BEAM, rim=True), wavelength_nm).entry
     entries = entries[np.isfinite(entries).all(axis=1)]
     if not len(entries):
-        return 0.0
+        # An edge ends each of these; what passes between them is sought across the whole front.
+        entries = rays.aim.trials()
     middle = 0.5 * (entries.min(axis=0) + entries.max(axis=0))
     radius = WIDER * max(float(np.hypot(*(entries - middle).T).max()), rays.stop_radius / BEAM)
 
     def irradiance(off: Array) -> Array:
         start, ahead = rays.starts(np.broadcast_to(slope, off.shape), middle + off)
         cosine = ahead[:, 2] if rays.object_mm == np.inf else ahead[:, 2] ** 4
-        return np.asarray(follow_sequence(tables, path, start, ahead).weight * cosine)
+        arrived = follow_sequence(tables, path, start, ahead)
+        # Darkness tells on which edge rays end: light between two edges, too narrow for the cells, is sought there.
+        return np.where(arrived.weight > 0.0, arrived.weight * cosine, -1.0 - arrived.way)
 
     return integral(irradiance, radius).value
 

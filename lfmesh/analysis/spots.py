@@ -21,7 +21,8 @@ class Spot:
     slope_y : float
         Of the field: its height over its distance, or the tangent of its angle.
     chief_mm : (2,) float64
-        Where the chief ray meets the plane.
+        Where the chief ray meets the plane, whatever apertures it passes; where surfaces end before it, the mean place
+        of the others.
     place_mm : (n, 2) float64
         Relative to that.
     weight : (n,) float64

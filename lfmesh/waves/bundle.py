@@ -18,11 +18,18 @@ from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.literals import percent
-from lfmesh.transport.sequences.ray_tables import Arrived, follow_sequence, lens_of_faces
-from lfmesh.transport.sequences.sequences import image_path
+from lfmesh.transport.sequences.follower import route_of
+from lfmesh.transport.sequences.ray_tables import (
+    Arrived,
+    follow_sequence,
+    follow_to,
+    lens_of_faces,
+    without_apertures,
+)
+from lfmesh.transport.sequences.sequences import LENS_LEG, Leg, image_path
 from lfmesh.transport.trace import at_wavelength
 from lfmesh.transport.world import World
-from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, StopAim
+from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, Sent, StopAim
 
 Array = NDArray[np.float64]
 
@@ -66,8 +73,28 @@ class Bundle(NamedTuple):
         return np.asarray(self.place + shift_mm * self.direction[:, :2] / self.direction[:, 2:])
 
 
+class Chief(NamedTuple):
+    """The chief ray of a field, whatever apertures it passes.
+
+    Attributes
+    ----------
+    entry : (2,) float64, mm
+        Where it would cross the plane of the first vertex.
+    place : (2,) float64, mm
+        Where it meets the image plane.
+    """
+
+    entry: Array
+    place: Array
+
+    @property
+    def exists(self) -> bool:
+        """False where a surface ends before the ray, or reflects it totally; then its places are NaN."""
+        return bool(np.isfinite(self.place).all())
+
+
 class Traced(NamedTuple):
-    """Rays of one object point behind the lens, all of which pass.
+    """Rays of one object point behind the lens, whatever apertures they pass.
 
     Attributes
     ----------
@@ -113,11 +140,13 @@ class Traced(NamedTuple):
             return self.direction[:, :2], self.path_mm - self.index_behind * along
         aside2 = ((off - along[:, None] * self.direction) ** 2).sum(axis=1)
         root = np.sqrt(np.where(aside2 <= radius_mm**2, radius_mm**2 - aside2, np.nan))
-        # √(R² − aside²) − R, without the difference of large numbers.
-        less = -aside2 / (root + abs(radius_mm)) * math.copysign(1.0, radius_mm)
-        further = -along - less
-        at = off + (further - radius_mm)[:, None] * self.direction
-        return -at[:, :2] / radius_mm, self.path_mm + self.index_behind * further
+        # A sphere without a radius, of a centre in the exit pupil, is missed by all rays.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # √(R² − aside²) − R, without the difference of large numbers.
+            less = -aside2 / (root + abs(radius_mm)) * math.copysign(1.0, radius_mm)
+            further = -along - less
+            at = off + (further - radius_mm)[:, None] * self.direction
+            return -at[:, :2] / radius_mm, self.path_mm + self.index_behind * further
 
 
 @dataclass(frozen=True)
@@ -195,15 +224,9 @@ class LensRays:
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
-        given = np.asarray(slope, dtype=np.float64)
-        field = given if given.ndim else np.array([0.0, float(given)])
+        field = _field(slope)
         slope = np.broadcast_to(field, aim.shape)
-        entry, ends = self.aim.through(field, aim, wavelength_nm)
-        if (unknown := int((ends.edge == Edge.UNKNOWN).sum())) > 0:
-            raise LfmeshError(
-                f"ray aiming did not converge for {unknown} of {len(aim)} rays of the field with a slope of "
-                f"{float(field[1]):.4g} at {wavelength_nm:g} nm; give a smaller field or stop"
-            )
+        entry, ends = self._sent(field, aim, wavelength_nm)
         if (ends.edge == Edge.CAUSTIC).any():
             # Rays that have crossed may come to where those that have not end.
             self.refuse_crossing(field, wavelength_nm)
@@ -214,11 +237,46 @@ class LensRays:
             weight[known] = arrived.weight
             ends.edge[known], ends.surface[known] = self.aim.stopped(slope[known], entry[known], arrived, wavelength_nm)
             passes = arrived.weight > 0.0
-            p, d = arrived.position[passes], arrived.direction[passes]
             mine = np.flatnonzero(known)[passes]
-            place[mine] = p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2]
-            direction[mine] = d
+            place[mine] = self._on_image_plane(arrived)[passes]
+            direction[mine] = arrived.direction[passes]
         return Bundle(pupil, place, entry, direction, weight, ends)
+
+    def chief(self, slope: ArrayLike, wavelength_nm: float) -> Chief:
+        """Return the chief ray of a field, which apertures may stop: images are measured from it all the same.
+
+        Parameters
+        ----------
+        slope : float, or (2,) float64
+            As for `bundle`.
+        wavelength_nm : float
+
+        Raises
+        ------
+        LfmeshError
+            Ray aiming did not converge: neither the ray nor an edge was found.
+        """
+        field = _field(slope)
+        entry = self._sent(field, np.zeros((1, 2)), wavelength_nm).entry
+        if np.isfinite(entry).all():
+            arrived = self.aim.unstopped(field[None], entry, wavelength_nm)
+            if arrived.weight[0] > 0.0:
+                return Chief(entry[0], self._on_image_plane(arrived)[0])
+        return Chief(np.full(2, np.nan), np.full(2, np.nan))
+
+    def _sent(self, field: Array, aim: Array, wavelength_nm: float) -> Sent:
+        """Return the rays of a field through points of the stop (n, 2), mm; refuse a search without an end."""
+        sent = self.aim.through(field, aim, wavelength_nm)
+        if (unknown := int((sent.ends.edge == Edge.UNKNOWN).sum())) > 0:
+            raise LfmeshError(
+                f"ray aiming did not converge for {unknown} of {len(aim)} rays of the field with a slope of "
+                f"{float(field[1]):.4g} at {wavelength_nm:g} nm; give a smaller field or stop"
+            )
+        return sent
+
+    def _on_image_plane(self, arrived: Arrived) -> Array:
+        p, d = arrived.position, arrived.direction
+        return np.asarray(p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2])
 
     def refuse_crossing(self, slope: ArrayLike, wavelength_nm: float) -> None:
         """Refuse a field whose rays cross before the stop: to some of its points then comes more than one.
@@ -234,8 +292,7 @@ class LensRays:
         LfmeshError
             Trials across the front of the lens that pass the lens lie turned over in the stop.
         """
-        given = np.asarray(slope, dtype=np.float64)
-        field = given if given.ndim else np.array([0.0, float(given)])
+        field = _field(slope)
         entry = self.aim.trials()
         passes = self._followed(np.broadcast_to(field, entry.shape), entry, wavelength_nm).weight > 0.0
         share = self.aim.turned_share(field, entry[passes], wavelength_nm)
@@ -246,14 +303,14 @@ class LensRays:
             )
 
     def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
-        """Follow rays that pass the lens face by face, with their optical paths.
+        """Follow rays face by face, whatever apertures they pass, with their optical paths.
 
         Parameters
         ----------
         slope : (2,) float64
             Of the object point, as for `bundle`.
         entry : (n, 2) float64, mm
-            Where the rays cross the plane of the first vertex.
+            Where the rays cross the plane of the first vertex; they come through the lens.
         wavelength_nm : float
 
         Raises
@@ -262,19 +319,20 @@ class LensRays:
             Of ideal lenses beside real surfaces.
         """
         field = np.asarray(slope, dtype=np.float64)
-        position, direction = self.starts(np.broadcast_to(field, entry.shape), entry)
+        position, direction = self.aim.starts(np.broadcast_to(field, entry.shape), entry, self.aim.far_ahead)
         before = direction
         if math.isinf(self.object_mm):
             path = (position * direction).sum(axis=1)
         else:
             path = further_than(position, np.array([*(field * self.object_mm), -self.object_mm]))
         tables, shape = at_wavelength(self.world, wavelength_nm), self.world.lens_shape
+        lens, route = without_apertures(tables.lens), route_of([Leg(LENS_LEG, (0,), (False,), True)], checked=False)
         media = [refractive_index(medium, wavelength_nm) for medium in shape.media]
         path = media[0] * path
         heights = np.empty((len(position), len(media) - 1))
         for face, index in enumerate(media[:-1]):
-            alone = tables._replace(lens=lens_of_faces(tables.lens, face, face + 1))
-            arrived = follow_sequence(alone, image_path(1), position, direction)
+            alone = tables._replace(lens=lens_of_faces(lens, face, face + 1)).camera
+            arrived = follow_to(alone, route, position, direction)
             path = path + index * np.linalg.norm(arrived.position - position, axis=1)
             position, direction = arrived.position, arrived.direction
             own = frames.points(frames.inverse(pose_of(self.world.scene.camera.lens, shape.numbers[face])), position)
@@ -282,6 +340,12 @@ class LensRays:
         if self._is_ideal:
             path = media[-1] * ((position - nearest_to_all(position, direction)) * direction).sum(axis=1)
         return Traced(before, direction, position, path, heights, media[-1])
+
+
+def _field(slope: ArrayLike) -> Array:
+    """Return x and y of a slope, (2,); one number lies in the meridional plane."""
+    given = np.asarray(slope, dtype=np.float64)
+    return given if given.ndim else np.array([0.0, float(given)])
 
 
 def further_than(position: Array, point: Array) -> Array:

@@ -200,7 +200,7 @@ class StopAim:
         return {}
 
     @cached_property
-    def _far_ahead(self) -> float:
+    def far_ahead(self) -> float:
         """Plane from which rays are traced without apertures: before surfaces that go on beyond these."""
         before = float(self.world.tables.lens.box_low[2])
         free = before - 4.0 * self.front_radius
@@ -229,7 +229,18 @@ class StopAim:
             tables = at_wavelength(self.world, wavelength_nm)
             self._cameras[wavelength_nm] = tables._replace(lens=without_apertures(tables.lens)).camera
         route = route_of([Leg(LENS_LEG, tuple(range(faces)), (False,) * faces, True)], checked=False)
-        return follow_to(self._cameras[wavelength_nm], route, *self.starts(slope, entry, self._far_ahead))
+        return follow_to(self._cameras[wavelength_nm], route, *self.starts(slope, entry, self.far_ahead))
+
+    def unstopped(self, slope: Array, entry: Array, wavelength_nm: float) -> Arrived:
+        """Follow rays through the whole lens, whatever apertures they pass.
+
+        Parameters
+        ----------
+        slope, entry : (n, 2) float64
+            As for `starts`.
+        wavelength_nm : float
+        """
+        return self._unbounded(slope, entry, wavelength_nm, len(self.world.lens_shape.numbers))
 
     def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
         """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm, whatever apertures they pass.
@@ -500,7 +511,7 @@ class StopAim:
         edge, met = np.zeros(len(entry), np.int64), arrived.met.copy()
         ended = np.flatnonzero(~(arrived.weight > 0.0))
         if len(ended):
-            free = self._unbounded(slope[ended], entry[ended], wavelength_nm, faces)
+            free = self.unstopped(slope[ended], entry[ended], wavelength_nm)
             dropped = arrived.ended[ended] == DROPPED
             reflected = dropped & (free.ended == DROPPED) & (free.met == met[ended])
             met[ended] -= reflected

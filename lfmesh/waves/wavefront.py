@@ -200,21 +200,22 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     Raises
     ------
     LfmeshError
-        The chief ray does not pass, or all others, rays cross before the stop, or they miss the reference sphere.
+        There is no chief ray, all others are stopped, rays cross before the stop, or they miss the reference sphere.
     """
     rays.refuse_crossing(slope, wavelength_nm)
     pupil = np.vstack([np.zeros(2), pupil_grid(across)])
-    bundle = rays.bundle(slope, pupil, wavelength_nm)
+    bundle, chief = rays.bundle(slope, pupil, wavelength_nm), rays.chief(slope, wavelength_nm)
     passes = bundle.passes
-    if not passes[0]:
+    if not chief.exists or not passes.any():
         raise LfmeshError(f"{words}: the lens stops the chief ray of this field, by {bundle.ends.words_of(0)}")
-    if passes.sum() < 2:
+    passes[0] = False
+    if not passes.any():
         raise LfmeshError(f"{words}: the lens stops all rays of this field but the chief ray")
-    image = np.array([*bundle.place[0], rays.image_z_mm])
-    opd, radius = path_differences(rays, slope, bundle.entry[passes], wavelength_nm, image)
+    image = np.array([*chief.place, rays.image_z_mm])
+    entry = np.vstack([chief.entry, bundle.entry[passes]])
+    opd, radius = path_differences(rays, slope, entry, wavelength_nm, image)
     return Wavefront(
-        wavelength_nm, slope, image, radius, pupil[passes][1:], opd[1:],
-        bundle.weight[passes][1:], float(passes[1:].mean()),
+        wavelength_nm, slope, image, radius, pupil[passes], opd[1:], bundle.weight[passes], float(passes[1:].mean()),
     )  # fmt: skip
 
 
@@ -228,7 +229,7 @@ def path_differences(
     rays : LensRays
     slope : float
     entry : (n, 2) float64, mm
-        Where the rays cross the plane of the first vertex; all of them pass. The first is the chief ray.
+        Where the rays cross the plane of the first vertex; all come through the lens. The first is the chief ray.
     wavelength_nm : float
     centre : (3,) float64, mm
         Of the reference sphere, camera frame.

@@ -68,12 +68,16 @@ class Prescription:
         The rays cross the plane of the first vertex at `entry` (n, 2). Conditions are (n, conditions): each surface is
         there, holds the ray within its aperture, and refracts it.
         """
+        return self.followed(entry)[:2]
+
+    def followed(self, entry: Array) -> "Followed":
+        """Return the rays that cross the plane of the first vertex at `entry` (n, 2), behind the lens."""
         vergence = 1.0 / self.object_mm
         d = np.column_stack([entry[:, 0] * vergence, entry[:, 1] * vergence - self.slope, np.ones(len(entry))])
         d /= np.linalg.norm(d, axis=1, keepdims=True)
         p = np.column_stack([entry, np.zeros(len(entry))])
         met, at_stop, vertex, index = [], np.full((len(p), 2), np.nan), 0.0, 1.0
-        again = np.full(len(p), np.inf)
+        again, weight = np.full(len(p), np.inf), np.ones(len(p))
         with np.errstate(all="ignore"):
             for surface in self.surfaces:
                 c = 1.0 / surface.get("radius_mm", math.inf)
@@ -92,14 +96,18 @@ class Prescription:
                 cosine, ratio = (normal * d).sum(axis=1), index / after
                 square = 1.0 - ratio**2 * (1.0 - cosine**2)
                 met.append(square > 0.0)
-                d = ratio * d + (np.sqrt(square) - ratio * cosine)[:, None] * normal
+                beyond = np.sqrt(square)
+                # Fresnel's amplitudes, both polarisations alike.
+                s, t = ((a - b) / (a + b) for a, b in ((ratio * cosine, beyond), (cosine, ratio * beyond)))
+                weight *= 1.0 - 0.5 * (s * s + t * t)
+                d = ratio * d + (beyond - ratio * cosine)[:, None] * normal
                 if "radius_mm" in surface:
                     again = self._again(q, d, c, MOUNT * surface["semi_diameter_mm"])
                 if surface.get("stop"):
                     at_stop = q[:, :2]
                 p, index = q + np.array([0.0, 0.0, vertex]), after
                 vertex += surface.get("thickness_mm", 0.0)
-        return at_stop, np.stack([*met, np.isinf(again)], axis=1)
+        return Followed(at_stop, np.stack([*met, np.isinf(again)], axis=1), p, d, weight)
 
     @staticmethod
     def _again(q: Array, d: Array, c: float, rim: float) -> Array:
@@ -123,6 +131,27 @@ class Prescription:
         every = (at / (1.0 + z / self.object_mm)[..., None]).reshape(-1, 2)
         middle, half = 0.5 * (every.min(axis=0) + every.max(axis=0)), 0.5 * np.ptp(every, axis=0)
         return middle - 1.013 * half, middle + 1.007 * half
+
+
+class Followed(NamedTuple):
+    """Rays behind a lens.
+
+    Attributes
+    ----------
+    at_stop : (n, 2) float64, mm
+    met : (n, conditions) bool
+        See `Prescription.traced`.
+    position, direction : (n, 3) float64
+        On the last surface, mm from the first vertex, and unit.
+    weight : (n,) float64
+        Transmittance of bare surfaces by Fresnel's equations.
+    """
+
+    at_stop: Array
+    met: Flags
+    position: Array
+    direction: Array
+    weight: Array
 
 
 class Reached(NamedTuple):

@@ -1,6 +1,7 @@
 """Wavefronts: optical paths against 40 digits, perfect lenses, defocus, Strehl's ratio and Zernike's polynomials."""
 
 import math
+import warnings
 from typing import Any
 
 import mpmath as mp
@@ -180,6 +181,27 @@ def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], message:
     with pytest.raises(lf.LfmeshError, match=message) as caught:
         lf.wavefront(scene, **changes)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("height", [0.25, 0.26])
+def test_a_symmetric_lens_has_the_same_wave_on_both_sides_of_the_axis(height: float) -> None:
+    """The aperture of a plate 20 mm behind the stop takes half of the light: its rim lies on, or before, chief rays."""
+    stop = {"stop": True, "semi_diameter_mm": 3.0, "thickness_mm": 20.0}
+    plate = {"radius_mm": math.inf, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 5.0}
+    scene = camera([stop, plate, {"radius_mm": -50.0, "semi_diameter_mm": 30.0}])
+    above, below = (lf.wavefront(scene, sign * height, object_mm=math.inf) for sign in (1.0, -1.0))
+    assert 0.3 < above.passed < 0.6
+    # A row of points lies as near to the aperture as rays are aimed.
+    assert below.passed == pytest.approx(above.passed, abs=64 / 3228)
+    assert below.rms_waves == pytest.approx(above.rms_waves, rel=1e-2)
+
+
+def test_a_plane_in_the_exit_pupil_is_refused_without_a_warning_of_numpy() -> None:
+    thin = camera([{"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 5.0, "stop": True}], focus_mm=500.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(lf.LfmeshError, match=r"image_z_mm = 0.*rays miss the reference sphere"):
+            lf.wavefront(thin, 20.0, image_z_mm=0.0)
 
 
 def test_an_ideal_lens_is_perfect_at_its_image_and_defocused_beside_it() -> None:

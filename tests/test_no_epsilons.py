@@ -76,7 +76,7 @@ DIMENSIONLESS = {
     "transport/tables/lens.py": {"STEEPER"},
     "transport/tables/particles.py": {"UM2"},
     "transport/tables/volumes.py": {"COLDEST_K", "ROUNDING"},
-    "transport/refused_glass.py": {"A_LITTLE_INSIDE", "JUST_BESIDE"},
+    "transport/refused_glass.py": {"JUST_BESIDE"},
     "transport/tables/contacts.py": {"CUT"},
     "transport/sources/face_starts.py": {"ON_FACE"},
     "transport/tables/lights.py": {"MM2"},

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
-from lfmesh.geometry.meshes.crossings import parts_in_shells
+from lfmesh.geometry.meshes.crossings import parts_in_shells, set_back
 from lfmesh.geometry.meshes.mesh import Array, Mesh, boxes_meet, crossings, facet_normals, joined
 from lfmesh.geometry.meshes.winding import shells, winding
 from lfmesh.geometry.objects.targets import TargetMesh, named_target
@@ -34,14 +34,8 @@ JUST_BESIDE = 1e-6
 """Distance from the centre of a facet at which a point is just inside or outside its body, relative to the radius of
 the facet's inscribed circle."""
 
-A_LITTLE_INSIDE = 1e-3
-"""The same for a point that tests whether the body lies inside another one, which it may touch."""
-
 AS_CLOSE = 2.0
 """Faces of glass and of another target lie on each other where they are closer than this, in roundings of float32."""
-
-MOST_TRIED, MOST_ANGLES = 512, 3_000_000
-"""Largest number of facets of a body at which other bodies are tested, and of solid angles computed for them."""
 
 
 def refuse_untraceable_glass(scene: Scene, targets: list[TargetMesh], front: Array) -> Index:
@@ -194,18 +188,10 @@ def _beside(corners: Array, distance: float) -> Array:
     return np.asarray(corners.mean(axis=1) - distance * cross / around[:, None])
 
 
-def _tried(shell: Array, budget: int) -> Array:
-    """Return the corners (k, 3, 3) of a shell's largest facet, and of as many others as the budget allows."""
+def _largest(shell: Array) -> Array:
+    """Return the corners (1, 3, 3) of a shell's largest facet: where shells do not meet, one tells of all."""
     area = np.linalg.norm(np.cross(shell[:, 1] - shell[:, 0], shell[:, 2] - shell[:, 0]), axis=1)
-    order = np.argsort(-area, kind="stable")
-    count = int(np.clip(budget, 1, len(order)))
-    return shell[order[np.linspace(0, len(order) - 1, count).astype(np.int64)]]
-
-
-def _budget(own: Sequence[Array], others: Sequence[Array]) -> int:
-    """Return the number of facets of each of a body's shells at which the other shells are tested."""
-    facets = sum(len(corners) for corners in others)
-    return max(1, min(MOST_TRIED, MOST_ANGLES // max(facets, 1)) // len(own))
+    return shell[area.argmax()][None]
 
 
 def _turns(parts: Sequence[Array], points: Array) -> Index:
@@ -214,40 +200,67 @@ def _turns(parts: Sequence[Array], points: Array) -> Index:
 
 
 def _refuse_wrong_shells(parts: Shells, names: dict[int, str]) -> None:
-    """Refuse a body with a shell that does not have glass behind it and air in front of it."""
+    """Refuse a body with a shell that does not have glass behind it and air in front of it.
+
+    Shells that do not meet are wholly within or outside each other, so that one facet of each decides.
+    """
     for i, own in parts.items():
-        _refuse_crossed_shells(own, names[i])
-        budget = _budget(own, own)
-        tried = np.concatenate([_tried(shell, budget) for shell in own])
-        wrong = _turns(own, _beside(tried, JUST_BESIDE)) != 1
-        wrong |= _turns(own, _beside(tried, -JUST_BESIDE)) != 0
-        if wrong.any():
-            x, y, z = tried[int(np.flatnonzero(wrong)[0])].mean(axis=0)
-            raise SceneError(
-                f"{names[i]}: there is not glass behind its surface and air before it near ({x:.4g}, {y:.4g}, {z:.4g}) "
-                f"mm; its {len(own)} closed surfaces must not cut each other, outer ones must face outwards, those of "
-                "hollows into them"
-            )
+        _refuse_shells_that_meet(own, names[i])
+        for shell in own:
+            facet = _largest(shell)
+            if _turns(own, _beside(facet, JUST_BESIDE))[0] != 1 or _turns(own, _beside(facet, -JUST_BESIDE))[0] != 0:
+                x, y, z = facet[0].mean(axis=0)
+                raise SceneError(
+                    f"{names[i]}: there is not glass behind its surface and air before it near "
+                    f"({x:.4g}, {y:.4g}, {z:.4g}) mm; its {len(own)} closed surfaces must not cut each other, outer "
+                    "ones must face outwards, those of hollows into them"
+                )
 
 
-def _refuse_crossed_shells(own: Sequence[Array], name: str) -> None:
-    """Refuse a body with a closed surface a part of which lies in another one, and a part does not.
+def _refuse_shells_that_meet(own: Sequence[Array], name: str) -> None:
+    """Refuse a body with a closed surface a part of which lies in another one, or on it, and a part does not.
 
     The edges of two surfaces that cut each other may all pass through edges, where `cut` takes them to touch.
     """
-    for k, shell in enumerate(own):
+    outward = [_outward(shell) for shell in own]
+    for k, shell in enumerate(outward):
         low, high = _box([shell])
-        others = [other for j, other in enumerate(own) if j != k and _boxes_overlap((low, high), _box([other]))]
-        if not others:
+        near_by = [j for j in range(len(own)) if j != k and _boxes_overlap((low, high), _box([outward[j]]))]
+        if not near_by:
             continue
+        others = [outward[j] for j in near_by]
         near = CUT * min(float((high - low).max()), *(float(np.ptp(other, axis=(0, 1)).max()) for other in others))
         inside, places = parts_in_shells(shell, others, near)
-        if len(inside) > 1:
-            x, y, z = places[int(inside.sum(axis=1).argmax())]
+        met = [("cut", places[int(inside.sum(axis=1).argmax())])] if len(inside) > 1 else []
+        met += [("lie on", place) for j in near_by if j > k for place in _common_places(shell, outward[j])]
+        if met:
+            words, (x, y, z) = met[0]
             raise SceneError(
-                f"{name}: its closed surfaces cut each other near ({x:.4g}, {y:.4g}, {z:.4g}) mm; join its parts into "
-                "one body (a Boolean union) and export it again"
+                f"{name}: its closed surfaces {words} each other near ({x:.4g}, {y:.4g}, {z:.4g}) mm; join its parts "
+                "into one body (a Boolean union) and export it again"
             )
+
+
+def _outward(shell: Array) -> Array:
+    """Return a shell that faces outwards, that of a hollow turned over: its signed volume tells."""
+    a, b, c = np.moveaxis(shell - shell.mean(axis=(0, 1)), 1, 0)
+    return shell if (a * np.cross(b, c)).sum() > 0.0 else shell[:, ::-1]
+
+
+def _common_places(one: Array, other: Array) -> list[Array]:
+    """Return a place where facets of two shells lie on each other, too closely for rays to tell which comes first."""
+    middle = one.mean(axis=(0, 1))
+    first, second = (
+        Mesh((shell - middle).reshape(-1, 3), np.arange(3 * len(shell)).reshape(-1, 3)) for shell in (one, other)
+    )
+    place = common_area(first, second, _too_close_mm(first, second))
+    return [] if place is None else [middle + place]
+
+
+def _too_close_mm(one: Mesh, other: Mesh) -> float:
+    """Return the distance up to which rays in float32 cannot tell apart which of two faces comes first."""
+    both = np.concatenate([one.vertices, other.vertices])
+    return AS_CLOSE * FLOAT32_GRAIN * float(np.abs(both).sum(axis=1).max() + np.ptp(both, axis=0).max())
 
 
 def _boxes_overlap(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
@@ -307,8 +320,7 @@ def _refuse_covered_faces(scene: Scene, targets: list[TargetMesh], bodies: list[
         for j in range(len(targets)):
             if j in bodies:
                 continue
-            both = np.concatenate([targets[i].mesh.vertices, targets[j].mesh.vertices]) - middle
-            near = AS_CLOSE * FLOAT32_GRAIN * float(np.abs(both).sum(axis=1).max() + np.ptp(both, axis=0).max())
+            near = _too_close_mm(*(Mesh(targets[k].mesh.vertices - middle, targets[k].mesh.faces) for k in (i, j)))
             place = common_area(targets[i].mesh, targets[j].mesh, near)
             if place is not None:
                 x, y, z = place
@@ -394,17 +406,17 @@ NOTHING, PART, WHOLE = 0, 1, 2
 def _share_inside(own: Sequence[Array], others: Sequence[Array]) -> int:
     """Return how much of a body lies in the glass of another; `WHOLE` as soon as one of its closed surfaces does."""
     low, high = _box(others)
-    budget = _budget(own, others)
-    share = NOTHING
+    glass, share = np.concatenate(others), NOTHING
     for shell in own:
-        middle = shell.mean(axis=1)
-        # Faces that touch may stand out by rounding, or by as much as contact allows.
-        margin = CUT * min(float((high - low).max()), float(np.ptp(shell, axis=(0, 1)).max()))
-        near = ((middle >= low - margin) & (middle <= high + margin)).all(axis=1)
-        if not near.any():
+        size = float(np.ptp(shell, axis=(0, 1)).max())
+        near = CUT * min(float((high - low).max()), size)
+        if not _boxes_overlap(_box([shell]), (low - near, high + near)):
             continue
-        inside = _turns(others, _beside(_tried(shell[near], budget), A_LITTLE_INSIDE)) != 0
-        if near.all() and inside.all():
+        inside = parts_in_shells(shell, [glass], near)[0][:, 0]
+        if not len(inside):
+            # All of it lies on the other's surface: on the same side everywhere.
+            inside = _turns(others, set_back(_largest(shell), near).mean(axis=1)) != 0
+        if inside.all():
             return WHOLE
         share = PART if inside.any() else share
     return share

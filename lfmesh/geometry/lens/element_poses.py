@@ -14,21 +14,10 @@ from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.lens.surface_gaps import reaches_through
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.surfaces.surface import is_revolved, put_in_pose, surface_of
-from lfmesh.geometry.surfaces.tessellation import (
-    ANNULUS_LEAN,
-    height_above,
-    mesh_heights,
-    on_circles,
-    revolved,
-    ring_profile,
-    stand_together,
-    strip,
-)
+from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, TOUCHING, ring_profile, stays_beside
+from lfmesh.geometry.surfaces.surface import in_place, is_revolved, put_in_pose, surface_of
+from lfmesh.geometry.surfaces.tessellation import mesh_heights, on_circles, revolved, stand_together, strip
 from lfmesh.scene.camera.lens import Lens
-
-TOUCHING = 1e-9
-"""Share of the lens's size up to which a crossing is rounding, where elements touch."""
 
 
 def pose_of(lens: Lens, number: int) -> frame.Frame:
@@ -110,7 +99,7 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
     front, back = surfaces[k], surfaces[k + 1]
     if not (is_revolved(front) and is_revolved(back)):
         return _closure_off_revolution(lens, front, rims[k], back, rims[k + 1], (numbers[k], numbers[k + 1]), count)
-    profile = ring_profile(front, rims[k], back, rims[k + 1])
+    profile = ring_profile(front, rims[k], back, rims[k + 1], count)
     if stand_together(front, back):
         ring = revolved(profile, count)
         return ring.moved(front["pose"]) if front["posed"] else ring
@@ -172,11 +161,7 @@ def _closure_off_revolution(
 
 def _clears(lines: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
     """Tell whether strips between closed lines of points stay behind the front surface and before the back one."""
-    share = np.linspace(0.0, 1.0, 65)[1:-1, None, None]
-    for a, b in pairwise(lines):
-        points = a + share * (b - a)
-        above_front, r_front = height_above(front, points)
-        above_back, r_back = height_above(back, points)
-        if ((r_front < front_rim) & (above_front < 0.0)).any() or ((r_back < back_rim) & (above_back > 0.0)).any():
-            return False
-    return True
+    return all(
+        stays_beside(in_place(of, lines), of, rim, side, lines.shape[1])
+        for of, rim, side in ((front, front_rim, 1.0), (back, back_rim, -1.0))
+    )

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.surfaces.bends import set_bends
+from lfmesh.geometry.surfaces.bends import bends_between, with_bends
 from lfmesh.geometry.surfaces.sag import gradients, reach
-from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights
 
 FIRST = 9
@@ -51,7 +50,7 @@ def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
         0 where it does not reach through by more than `least`.
     """
     radius, edge = (min(float(s["semi_diameter"]), last_radius(s), reach(s)) for s in (one, other))
-    one, other = (_with_bends(s, end) for s, end in ((one, radius), (other, edge)))
+    one, other = (with_bends(s, end) for s, end in ((one, radius), (other, edge)))
     side = np.linspace(-1.0, 1.0, 2 * FIRST + 1)[1::2] * radius
     middles, half, deepest = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), radius / FIRST, 0.0
     for _ in range(LEVELS):
@@ -74,7 +73,7 @@ def farthest_mm(surface: Any, radius: float) -> float:
     radius : float, mm
         Of the part of the surface that counts.
     """
-    bend = float(_bend(_with_bends(surface, radius), np.array([radius]))[0])
+    bend = float(_bend(with_bends(surface, radius), np.array([radius]))[0])
     return 0.5 * bend * radius**2 if bend > 0.0 else 0.0
 
 
@@ -122,15 +121,6 @@ def _heights(
     return height, inside, np.where(beside, -np.inf, most)
 
 
-def _with_bends(surface: Any, radius: float) -> Any:
-    """Return a surface with bounds of its second derivatives, if it is one of no revolution."""
-    if is_revolved(surface):
-        return surface
-    bent = surface.copy()
-    set_bends(bent, radius)
-    return bent
-
-
 def _clipped(points: Array, radius: float) -> Array:
     """Return points (k, 2) moved towards the axis into a circle."""
     r = np.hypot(*points.T)
@@ -138,18 +128,6 @@ def _clipped(points: Array, radius: float) -> Array:
 
 
 def _bend(surface: Any, radius: Array) -> Array:
-    """Return bounds of the second derivatives of z, in any direction, inside circles of given radii (k,).
-
-    Along the meridian that of a conic is c / (1 − (1 + k) c² r²)^(3/2), and of a power n of r, n (n − 1) r^(n − 2);
-    along a circle both are smaller. A surface of no revolution has the bounds that rays are traced by.
-    """
-    if not is_revolved(surface):
-        return np.full(len(radius), max(-float(surface["least_bend"]), float(surface["most_bend"])))
-    c, growth = abs(float(surface["curvature"])), max(1.0 + float(surface["conic"]), 0.0)
-    with np.errstate(divide="ignore"):
-        bend = c * np.maximum(1.0 - growth * (c * radius) ** 2, 0.0) ** -1.5
-    for first, terms in ((4, surface["asphere"][: surface["terms"]]), (3, surface["odd"][: surface["odd_terms"]])):
-        for n, a in enumerate(terms):
-            power = first + 2 * n
-            bend = bend + power * (power - 1) * abs(float(a)) * radius ** (power - 2)
-    return np.asarray(bend)
+    """Return bounds (k,) of the second derivatives of z, in any direction, inside circles of given radii (k,)."""
+    least, most = bends_between(surface, np.zeros(len(radius)), radius)
+    return np.maximum(-least, most)

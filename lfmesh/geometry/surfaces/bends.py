@@ -44,11 +44,49 @@ def set_bends(surface: Any, rim: float) -> None:
     surface : SURFACE record
     rim : float, mm
     """
-    domain = min(rim, last_radius(surface) * (1.0 - BEFORE_END))
+    domain = _domain(surface, rim)
     if not domain < np.inf:
         return
     surface["domain"] = domain
     surface["least_bend"], surface["most_bend"] = _bends(surface, domain)
+
+
+def _domain(surface: Any, rim: float) -> float:
+    """Return the radius up to which the second derivatives of a surface are bounded, mm."""
+    return min(rim, last_radius(surface) * (1.0 - BEFORE_END))
+
+
+def with_bends(surface: Any, radius: float) -> Any:
+    """Return a surface with bounds of its second derivatives inside a radius, if it is one of no revolution.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    radius : float, mm
+    """
+    if is_revolved(surface) or surface["domain"] == _domain(surface, radius):
+        return surface
+    bent = surface.copy()
+    set_bends(bent, radius)
+    return bent
+
+
+def bends_between(surface: Any, low: Array, high: Array) -> Range:
+    """Return bounds (n,) of the least and the most second derivative of z, in any direction, between radii, 1/mm.
+
+    On a surface of revolution they lie along the meridian or across it. A surface of no revolution has those of its
+    whole domain, see `with_bends`.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    low, high : (n,) float64, mm
+        Inside the surface's reach.
+    """
+    if not is_revolved(surface):
+        return np.full(len(low), float(surface["least_bend"])), np.full(len(low), float(surface["most_bend"]))
+    across, along = (range_on_circles(surface, low, high, order) for order in (ACROSS, ALONG))
+    return np.minimum(across[0], along[0]), np.maximum(across[1], along[1])
 
 
 def powers_of(surface: Any) -> list[tuple[int, float]]:

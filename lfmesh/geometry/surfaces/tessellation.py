@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_normals, joined
 from lfmesh.geometry.surfaces.sag import gradients, heights, normals, reach, sag, slope
@@ -37,9 +36,6 @@ equilateral one from a paraboloid, whose middle lies as far off as a circle's th
 
 HIGHER_ORDERS = 1.25
 """Factor on that for what a surface has beyond quadratic terms within a facet."""
-
-ANNULUS_LEAN = 0.05
-"""Rise of a ring's annulus over the length of its cylinder."""
 
 
 @cache
@@ -205,48 +201,6 @@ def strip(circles: Array) -> Mesh:
     mesh = Mesh(circles.reshape(-1, 3), np.concatenate(faces).astype(np.int64))
     # Ends that touch leave nothing to close between them.
     return Mesh(mesh.vertices, mesh.faces[facet_normals(mesh)[1] > 0.0])
-
-
-def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float) -> Array:
-    """Return the meridional polyline, front rim to back rim, that closes the space between two surfaces.
-
-    A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
-    one of the surfaces; then a cone.
-
-    Parameters
-    ----------
-    front, back : SURFACE record
-    front_rim, back_rim : float, mm
-        Radii of the two meshes.
-
-    Returns
-    -------
-    (n, 2) float64, mm
-        r and z.
-    """
-    a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
-    b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
-    narrow, wide = (a, b) if a[0] < b[0] else (b, a)
-    # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
-    corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
-    turned = np.stack([a, corner, b]) if a[0] != b[0] else np.stack([a, b])
-    for profile in (turned, np.stack([a, b])):
-        if b[1] >= a[1] - abs(b[0] - a[0]) and _clears(profile, front, front_rim, back, back_rim):
-            return profile
-    raise SceneError(
-        f"the rims of two neighbouring surfaces cross: one reaches z = {a[1]:.6g} mm at radius {a[0]:.6g} mm, the next "
-        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm; give more thickness or smaller semi-diameters"
-    )
-
-
-def _clears(profile: Array, front: Any, front_rim: float, back: Any, back_rim: float) -> bool:
-    """Tell whether a profile stays behind the front surface and before the back one."""
-    share = np.linspace(0.0, 1.0, 129)[1:-1, None]
-    points = np.concatenate([p + share * (q - p) for p, q in pairwise(profile)])
-    r, z = points[:, 0], points[:, 1]
-    before = (r < front_rim) & (z < front["vertex_z"] + mesh_sag(front, np.minimum(r, front_rim)))
-    behind = (r < back_rim) & (z > back["vertex_z"] + mesh_sag(back, np.minimum(r, back_rim)))
-    return not bool(np.any(before | behind))
 
 
 def chord_error(surface: Any, rings: int, rim: float) -> float:

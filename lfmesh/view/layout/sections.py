@@ -13,9 +13,10 @@ from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 from lfmesh.geometry.frame import points
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.edges import ring_profile
 from lfmesh.geometry.surfaces.sag import heights
 from lfmesh.geometry.surfaces.surface import is_revolved
-from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights, ring_profile
+from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights
 from lfmesh.scene.camera.lens import Lens
 
 PROFILE_POINTS = 121
@@ -230,7 +231,7 @@ def _edge(shape: LensShape, k: int) -> Array:
         upper = max((line for line in lines if line[:, 1].mean() > 0.0), key=len, default=ends)
         back_to_front = np.linalg.norm(upper[0] - ends[0]) > np.linalg.norm(upper[-1] - ends[0])
         return upper[::-1] if back_to_front else upper
-    return ring_profile(front, shape.rims[k], back, shape.rims[k + 1])[:, ::-1]
+    return ring_profile(front, shape.rims[k], back, shape.rims[k + 1], shape.azimuths)[:, ::-1]
 
 
 def sag_at_rim(shape: LensShape, k: int) -> float:

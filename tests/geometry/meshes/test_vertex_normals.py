@@ -7,9 +7,10 @@ import trimesh
 from lfmesh.geometry.meshes.mesh import Mesh, facet_normals
 from lfmesh.geometry.meshes.vertex_normals import estimated_corner_normals, is_closed, smooth_edges, smooth_groups
 from lfmesh.geometry.meshes.weld import welded
+from lfmesh.geometry.surfaces.edges import ring_profile
 from lfmesh.geometry.surfaces.sag import normals, sag
 from lfmesh.geometry.surfaces.surface import surface
-from lfmesh.geometry.surfaces.tessellation import cap, element, revolved, ring_profile
+from lfmesh.geometry.surfaces.tessellation import cap, element, revolved
 from tests.instances import instances
 
 ASPHERE = surface(45.0, -1.2, (3e-6, -2e-9), semi_diameter=12.0)

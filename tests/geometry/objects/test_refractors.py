@@ -8,8 +8,9 @@ import lfmesh as lf
 from lfmesh.errors import MeshError
 from lfmesh.geometry.meshes.mesh import facet_normals
 from lfmesh.geometry.objects.refractors import faces, solid_mesh
+from lfmesh.geometry.surfaces.edges import ring_profile
 from lfmesh.geometry.surfaces.surface import surface
-from lfmesh.geometry.surfaces.tessellation import cap, element, revolved, rim_radius, ring_profile
+from lfmesh.geometry.surfaces.tessellation import cap, element, revolved, rim_radius
 from lfmesh.scene import Camera, Lens, MeshShape, Scene, Sensor, Surface
 
 RADIUS = 5.0

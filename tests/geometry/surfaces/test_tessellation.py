@@ -5,10 +5,10 @@ import pytest
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.mesh import facet_normals
+from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, ring_profile
 from lfmesh.geometry.surfaces.sag import normals, reach, sag
 from lfmesh.geometry.surfaces.surface import surface
 from lfmesh.geometry.surfaces.tessellation import (
-    ANNULUS_LEAN,
     cap,
     chord_error,
     disk_pattern,
@@ -18,7 +18,6 @@ from lfmesh.geometry.surfaces.tessellation import (
     mesh_sag,
     revolved,
     rim_radius,
-    ring_profile,
     ring_radii,
     rings_for,
 )

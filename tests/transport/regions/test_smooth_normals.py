@@ -38,7 +38,9 @@ class In(NamedTuple):
 def cosines(objects: ObjectTables, facets: NDArray[np.int64], places: Array, lamps: Array, found: Array) -> None:
     """Write π BRDF · cos θ of points of white facets under lamps, seen along their normals, (n,)."""
     for i in range(len(found)):
-        point = point_of(objects, In(0, AIR, np.uint64(0), 0), facets[i], (places[i, 0], places[i, 1], places[i, 2]), 1.0, True)
+        point = point_of(
+            objects, In(0, AIR, np.uint64(0), 0), facets[i], (places[i, 0], places[i, 1], places[i, 2]), 1.0, True
+        )
         ux, uy, uz = lamps[i, 0], lamps[i, 1], lamps[i, 2]
         cosine = point.nx * ux + point.ny * uy + point.nz * uz
         found[i] = 0.0

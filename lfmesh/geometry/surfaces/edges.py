@@ -1,0 +1,194 @@
+"""Rings between the rims of two surfaces, and the proof that straight edges and facets stay on one side of a surface.
+
+The height over a surface and its gradient are known at the corners of a facet. A bound of the surface's second
+derivatives then bounds the height all over the facet. Facets for which that leaves the answer open are halved.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from lfmesh.errors import SceneError
+from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.surfaces.bends import bends_between, with_bends
+from lfmesh.geometry.surfaces.sag import gradients
+from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights, mesh_sag
+
+ANNULUS_LEAN = 0.05
+"""Rise of a ring's annulus over the length of its cylinder."""
+
+TOUCHING = 1e-9
+"""Share of the coordinates up to which a crossing is rounding, where an edge begins on a surface."""
+
+MOST_PARTS = 1 << 14
+"""Parts beyond which facets are halved no further, and count as not clear."""
+
+ROUNDINGS = 8.0
+"""Roundings of a coordinate by which a point of a rim may come to lie inside it."""
+
+
+def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float, azimuths: float = np.inf) -> Array:
+    """Return the meridional polyline, front rim to back rim, that closes the space between two surfaces.
+
+    A cylinder at the larger radius with a flat annulus to the smaller rim, as lenses are made, unless that would cut
+    one of the surfaces; then a cone.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    front_rim, back_rim : float, mm
+        Radii of the two meshes.
+    azimuths : float
+        Corners of the polygons that stand for circles; inf: circles.
+
+    Returns
+    -------
+    (n, 2) float64, mm
+        r and z.
+    """
+    a = np.array([front_rim, front["vertex_z"] + mesh_sag(front, front_rim)])
+    b = np.array([back_rim, back["vertex_z"] + mesh_sag(back, back_rim)])
+    narrow, wide = (a, b) if a[0] < b[0] else (b, a)
+    # The annulus leans into its own space: in one plane with the neighbour's, neither would be the first to be met.
+    corner = np.array([wide[0], narrow[1] + ANNULUS_LEAN * (wide[1] - narrow[1])])
+    turned = np.stack([a, corner, b]) if a[0] != b[0] else np.stack([a, b])
+    half = np.pi / azimuths
+    for profile in (turned, np.stack([a, b])):
+        r, z = profile.T
+        sides = [np.column_stack([r * np.cos(half), sense * r * np.sin(half), z]) for sense in (-1.0, 1.0)]
+        lines = np.stack(sides, axis=1)
+        if b[1] >= a[1] - abs(b[0] - a[0]) and all(
+            stays_beside(lines, *of, azimuths) for of in ((front, front_rim, 1.0), (back, back_rim, -1.0))
+        ):
+            return profile
+    raise SceneError(
+        f"the rims of two neighbouring surfaces cross: one reaches z = {a[1]:.6g} mm at radius {a[0]:.6g} mm, the next "
+        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm; give more thickness or smaller semi-diameters"
+    )
+
+
+def stays_beside(lines: Array, surface: Any, rim: float, side: float, azimuths: float) -> bool:
+    """Tell whether the strips between closed lines of points stay on one side of a surface.
+
+    Their edges from line to line do inside the rim of its mesh, their facets inside its clear aperture: an edge of the
+    rim itself is a chord of a circle of the surface.
+
+    Parameters
+    ----------
+    lines : (lines, points, 3) float64, mm
+        Where the prescription has the surface.
+    surface : SURFACE record
+    rim : float, mm
+    side : float
+        1: behind the surface, −1: before it.
+    azimuths : float
+        Corners of its rim.
+    """
+    aperture = min(float(surface["semi_diameter"]), last_radius(surface), rim * float(np.cos(np.pi / azimuths)))
+    after = np.roll(lines, -1, axis=1)
+    edges, facets = [], []
+    for k, following in pairwise(range(len(lines))):
+        low, high, beside_low, beside_high = lines[k], lines[following], after[k], after[following]
+        edges.append(np.stack([low, high], axis=1))
+        facets += [np.stack([low, high, beside_low], axis=1), np.stack([beside_low, high, beside_high], axis=1)]
+    surface = with_bends(surface, rim)
+    return _stay_beside(np.concatenate(edges), surface, rim, side) and _stay_beside(
+        np.concatenate(facets), surface, aperture, side
+    )
+
+
+def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool:
+    """Tell whether edges or facets stay on one side of a surface, where they are nearer to its axis than a radius.
+
+    Parameters
+    ----------
+    parts : (n, 2, 3) or (n, 3, 3) float64, mm
+    surface : SURFACE record
+    radius : float, mm
+    side : float
+    """
+    end, scale = last_radius(surface), float(np.abs(parts).max() + abs(surface["vertex_z"]))
+    least, grain = TOUCHING * scale, np.finfo(np.float64).eps * scale
+    radius -= ROUNDINGS * grain
+    while True:
+        nearest = _from_axis(parts)
+        parts, nearest = parts[nearest < radius], nearest[nearest < radius]
+        if not len(parts):
+            return True
+        r = np.hypot(parts[..., 0], parts[..., 1])
+        height = side * (parts[..., 2] - surface["vertex_z"] - mesh_heights(surface, parts[..., 0], parts[..., 1]))
+        if ((r < radius) & (height < -least)).any() or len(parts) > MOST_PARTS:
+            return False
+        farthest = r.max(axis=1)
+        low, high = bends_between(surface, nearest, np.minimum(farthest, end))
+        # Beyond its end a surface goes on flat, with an edge there.
+        low, high = np.where(farthest > end, -np.inf, low), np.where(farthest > end, np.inf, high)
+        bends = (-low, high) if side > 0.0 else (high, -low)
+        sides = np.square(np.roll(parts, -1, axis=1) - parts)[..., :2].sum(axis=-1)
+        left = (_least_heights(parts, height, bends, surface, side) < -2.0 * least) & (sides.max(axis=1) > grain**2)
+        parts = _halved(parts[left], sides[left])
+
+
+def _least_heights(parts: Array, height: Array, bends: tuple[Array, Array], surface: Any, side: float) -> Array:
+    """Return lower bounds (n,) of the height of edges or facets over a surface, mm: the largest of several.
+
+    Where the height bends upwards by m at most, it falls below its least value at a corner by m ρ² / 2 at most. Here ρ
+    is the radius of a ball round the part: by Jung's theorem ρ² is d / (2 d + 2) times the square of the longest side,
+    in d dimensions. Where it bends downwards by m at most, it changes from a corner by its gradient there, less
+    m s² / 2 at most at a distance s. That is a concave function, and least at a corner.
+
+    Parameters
+    ----------
+    parts : (n, corners, 3) float64, mm
+    height : (n, corners) float64, mm
+    bends : (n,) and (n,) float64, 1/mm
+        Most upwards and downwards.
+    surface : SURFACE record
+    side : float
+    """
+    up, down = (np.maximum(bend, 0.0) for bend in bends)
+    corners, longest = parts.shape[1], 0.0
+    by_x, by_y = gradients(surface, parts[..., 0], parts[..., 1])
+    found = np.full(len(parts), -np.inf)
+    for k in range(corners):
+        x, y, z = np.moveaxis(np.delete(parts, k, axis=1) - parts[:, k, None], -1, 0)
+        squares = x * x + y * y
+        longest = np.maximum(longest, squares.max(axis=1))
+        with np.errstate(invalid="ignore"):
+            rise = side * (z - by_x[:, k, None] * x - by_y[:, k, None] * y) - 0.5 * down[:, None] * squares
+            found = np.fmax(found, height[:, k] + np.minimum(rise.min(axis=1), 0.0))
+    with np.errstate(invalid="ignore"):
+        return np.fmax(found, height.min(axis=1) - 0.25 * (corners - 1) / corners * up * longest)
+
+
+def _from_axis(parts: Array) -> Array:
+    """Return the least distances (n,) of edges or facets (n, corners, 3) from the axis, mm."""
+    p = parts[..., :2]
+    d = np.roll(p, -1, axis=1) - p
+    squares = np.square(d).sum(axis=-1)
+    share = np.divide(-(p * d).sum(axis=-1), squares, out=np.zeros_like(squares), where=squares > 0.0)
+    q = p + np.clip(share, 0.0, 1.0)[..., None] * d
+    nearest = np.hypot(q[..., 0], q[..., 1]).min(axis=1)
+    if parts.shape[1] == 3:
+        turns = p[..., 0] * d[..., 1] - p[..., 1] * d[..., 0]
+        nearest = np.where((turns > 0.0).all(axis=1) | (turns < 0.0).all(axis=1), 0.0, nearest)
+    return np.asarray(nearest)
+
+
+def _halved(parts: Array, sides: Array) -> Array:
+    """Return edges or facets (2 n, corners, 3) that are halves of (n, corners, 3), cut at the middle of a longest side.
+
+    Parameters
+    ----------
+    parts : (n, corners, 3) float64, mm
+    sides : (n, corners) float64, mm²
+        Squares of the lengths of the sides from each corner to the next, as seen along the axis.
+    """
+    corners = parts.shape[1]
+    turned = (sides.argmax(axis=1)[:, None] + np.arange(corners)) % corners
+    parts = np.take_along_axis(parts, turned[..., None], axis=1)
+    middle = 0.5 * (parts[:, 0] + parts[:, 1])
+    first, second = parts.copy(), parts.copy()
+    first[:, 1] = second[:, 0] = middle
+    return np.concatenate([first, second])

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.lens.air_gaps import cap_on, circles_of
 from lfmesh.geometry.lens.element_poses import closure, pose_of, refuse_crossing_elements
+from lfmesh.geometry.lens.surface_gaps import end_where_they_touch
 from lfmesh.geometry.meshes.levels import SMOOTH, SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.objects.refractors import RIM_MARGIN, face_of
@@ -16,7 +17,6 @@ from lfmesh.geometry.surfaces.surface import put_in_pose, surface_of
 from lfmesh.geometry.surfaces.tessellation import (
     MAX_RINGS,
     cap,
-    end_where_they_touch,
     rim_radius,
     rings_for,
 )

@@ -1,4 +1,4 @@
-"""Depth to which one optical surface reaches through another inside both clear apertures, by bounds on cells.
+"""Depth to which one optical surface reaches through another, and the radius at which they touch, by bounds on cells.
 
 The aperture of the first surface is divided into squares. From the height over the other surface at the middle of a
 square follows its largest one there, by its gradient and a bound of its second derivatives. Squares that cannot hold
@@ -6,6 +6,7 @@ a larger height than was found are done, the others are divided. Only surfaces t
 leave more squares than are divided: a crossing there is at most as deep as the bound of a square of that size.
 """
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,16 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.bends import bends_between, with_bends
-from lfmesh.geometry.surfaces.sag import gradients, reach
-from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights
+from lfmesh.geometry.surfaces.edges import TOUCHING
+from lfmesh.geometry.surfaces.sag import gradients, reach, sag
+from lfmesh.geometry.surfaces.surface import is_revolved
+from lfmesh.geometry.surfaces.tessellation import (
+    FLOAT32_MARGIN,
+    last_radius,
+    mesh_heights,
+    rim_radius,
+    stand_together,
+)
 
 FIRST = 9
 """Squares across an aperture to begin with; the middle of one is the vertex."""
@@ -62,6 +71,70 @@ def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
         middles = (middles[:, None] + half * QUARTERS).reshape(-1, 2)
         half *= 0.5
     return deepest if deepest > least else 0.0
+
+
+def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
+    """End surfaces that touch outside their clear apertures, or at their rims, where they do.
+
+    Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
+
+    Parameters
+    ----------
+    surfaces : (K,) SURFACE
+    rings : int
+    """
+    for front, back in pairwise(surfaces):
+        inner = float(min(front["semi_diameter"], back["semi_diameter"]))
+        if not np.isfinite(inner):
+            continue
+        outer = min(rim_radius(front, rings), rim_radius(back, rings), last_radius(front), last_radius(back))
+        on_axis = stand_together(front, back) and is_revolved(front) and is_revolved(back)
+        touch = (_first_touch if on_axis else _first_touch_off_axis)(front, back, min(inner, outer), outer)
+        for s in (front, back):
+            if touch < np.inf and s["semi_diameter"] <= max(inner, touch):
+                s["end"] = min(float(s["end"]), max(inner, touch))
+
+
+def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
+    """Return the radius from `low` to `high` at which surfaces of revolution first touch; inf where they do not, mm.
+
+    Between two radii the gap falls below the smaller one at both by m h² / 8 at most, with a bound m of its second
+    derivative and the distance h of the radii.
+    """
+    ends = np.array([low, high])
+    at_low, at_high = back["vertex_z"] + sag(back, ends) - front["vertex_z"] - sag(front, ends)
+    if not at_low > 0.0:
+        return low
+    least = TOUCHING * float(abs(back["vertex_z"]) + abs(front["vertex_z"]) + high)
+    of_back, of_front = (bends_between(s, ends[:1], ends[1:]) for s in (back, front))
+    bend = max(float(of_back[1][0] - of_front[0][0]), 0.0)
+    if at_high > 0.0 and min(at_low, at_high) - 0.125 * bend * (high - low) ** 2 > -least:
+        return np.inf
+    middle = 0.5 * (low + high)
+    if middle in (low, high):
+        return low
+    found = _first_touch(front, back, low, middle)
+    return found if found < np.inf else _first_touch(front, back, middle, high)
+
+
+def _first_touch_off_axis(front: Any, back: Any, low: float, high: float) -> float:
+    """Return the radius from `low` to `high` of the parts of two surfaces that first touch; inf where they do not, mm.
+
+    Beyond `low` the larger parts hold all points of the smaller ones: where those touch, so do they.
+    """
+    least = TOUCHING * float(abs(back["vertex_z"]) + high)
+
+    def touch(radius: float) -> bool:
+        one, other = front.copy(), back.copy()
+        one["semi_diameter"] = other["semi_diameter"] = radius
+        return max(reaches_through(one, other, 1.0, least), reaches_through(other, one, -1.0, least)) > 0.0
+
+    if not touch(high):
+        return np.inf
+    while high - low > FLOAT32_MARGIN * low:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if touch(middle) else (middle, high)
+    return low
 
 
 def farthest_mm(surface: Any, radius: float) -> float:

@@ -5,7 +5,6 @@ same number of vertices at the same azimuths and a ring joins them without a gap
 """
 
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -259,32 +258,6 @@ def rings_for(surfaces: NDArray[np.void], least: int, tolerance_mm: float = np.i
     return min(rings, MAX_RINGS)
 
 
-def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
-    """End surfaces that touch outside their clear apertures, or at their rims, where they do.
-
-    Meshes of that many rings or more, which reach a little beyond the apertures, would cross there.
-    """
-    for front, back in pairwise(surfaces):
-        inner = float(min(front["semi_diameter"], back["semi_diameter"]))
-        if not np.isfinite(inner):
-            continue
-        outer = min(rim_radius(front, rings), rim_radius(back, rings), last_radius(front), last_radius(back))
-        if _gap_at(front, back, outer) > 0.0:
-            continue
-        low, high = inner, max(inner, outer)
-        while (middle := 0.5 * (low + high)) not in (low, high):
-            low, high = (middle, high) if _gap_at(front, back, middle) > 0.0 else (low, middle)
-        for s in (front, back):
-            if s["semi_diameter"] <= low:
-                s["end"] = min(float(s["end"]), low)
-
-
-def _gap_at(front: Any, back: Any, radius: float) -> float:
-    if not (stand_together(front, back) and is_revolved(front) and is_revolved(back)):
-        return smallest_gap_on(front, back, np.array([radius]))
-    return float(back["vertex_z"] + sag(back, radius) - front["vertex_z"] - sag(front, radius))
-
-
 def stand_together(front: Any, back: Any) -> bool:
     """Tell whether two surfaces stand to each other as prescribed: no pose has moved one against the other."""
     return np.array_equal(front["pose"], back["pose"])
@@ -337,20 +310,6 @@ def height_above(record: Any, points: Array) -> tuple[Array, Array]:
     p = in_place(record, points)
     r = np.hypot(p[..., 0], p[..., 1])
     return p[..., 2] - record["vertex_z"] - mesh_heights(record, p[..., 0], p[..., 1]), r
-
-
-def smallest_gap_on(front: Any, back: Any, r: Array) -> float:
-    """Return the smallest gap between two surfaces, not both of revolution about one axis, mm.
-
-    Parameters
-    ----------
-    front, back : SURFACE record
-    r : (n,) float64, mm
-        Radii of the circles, of either surface, on which the gap is measured, along the other surface's axis.
-    """
-    behind_front, _ = height_above(front, on_circles(back, r))
-    behind_back, _ = height_above(back, on_circles(front, r))
-    return float(min(behind_front.min(), -behind_back.max()))
 
 
 def element(front: Mesh, ring: Mesh, back: Mesh) -> Mesh:

@@ -8,7 +8,7 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry import frame
-from lfmesh.geometry.lens.surface_gaps import reaches_through
+from lfmesh.geometry.lens.surface_gaps import end_where_they_touch, reaches_through
 from lfmesh.geometry.surfaces.surface import BICONIC, put_in_pose, surface
 from tests.cameras import camera_without_array
 
@@ -102,3 +102,31 @@ def test_no_point_of_a_surface_is_deeper_in_another_than_is_said() -> None:
         assert said <= deepest + 0.02
         crossed += deepest > 0.0
     assert 10 < crossed < 50
+
+
+def test_surfaces_that_touch_between_aperture_and_rim_end_there_though_they_are_apart_at_the_rim() -> None:
+    """The gap is u + d ((r² − q²)² − w²): it closes between r² = q² − w and q² + w, 8.04 mm and 8.06 mm, only."""
+    d, q2, w = 1e-4, 8.05**2, 0.16
+    gap, slope, term = d * (q2**2 - w**2), -2.0 * d * q2, d
+    for lifted in (0.0, 1.1 * d * w**2):
+        front = surface(np.inf, semi_diameter=8.0)
+        back = surface(0.5 / slope, -1.0, (term,), vertex_z=gap + lifted, semi_diameter=8.0)
+        both = np.array([front, back])
+        end_where_they_touch(both, 5)
+        expected = np.sqrt(q2 - w) if lifted == 0.0 else np.inf
+        np.testing.assert_allclose(both["end"], expected, rtol=1e-9)
+
+
+def test_posed_surfaces_end_before_they_touch_at_any_azimuth_outside_their_apertures() -> None:
+    for azimuth in (1.875, 43.125, 77.3):
+        way = np.deg2rad(azimuth)
+        turn = frame.rotation([2.0 * float(np.sin(way)), -2.0 * float(np.cos(way)), 0.0])
+        steep = float(np.hypot(turn[2, 0], turn[2, 1]))
+        front = surface(np.inf, semi_diameter=8.0)
+        back = surface(np.inf, vertex_z=8.1 * steep, semi_diameter=8.0)
+        put_in_pose(front, np.column_stack([turn, np.zeros(3)]))
+        both = np.array([front, back])
+        end_where_they_touch(both, 5)
+        # The tilted face's lowest point is 8.1 mm from its vertex.
+        assert np.all(both["end"] < 8.1 * (1.0 + 1e-8))
+        np.testing.assert_allclose(both["end"], 8.1, rtol=2e-6)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
+from lfmesh.geometry.lens.surface_gaps import end_where_they_touch
 from lfmesh.geometry.meshes.mesh import facet_normals
 from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, ring_profile
 from lfmesh.geometry.surfaces.sag import normals, reach, sag
@@ -13,7 +14,6 @@ from lfmesh.geometry.surfaces.tessellation import (
     chord_error,
     disk_pattern,
     element,
-    end_where_they_touch,
     last_radius,
     mesh_sag,
     revolved,

@@ -4,10 +4,10 @@ The height over a surface and its gradient are known at the corners of a facet. 
 derivatives then bounds the height all over the facet. Facets for which that leaves the answer open are halved.
 """
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry.meshes.mesh import Array
@@ -87,15 +87,12 @@ def stays_beside(lines: Array, surface: Any, rim: float, side: float, azimuths: 
     """
     aperture = min(float(surface["semi_diameter"]), last_radius(surface), rim * float(np.cos(np.pi / azimuths)))
     after = np.roll(lines, -1, axis=1)
-    edges, facets = [], []
-    for k, following in pairwise(range(len(lines))):
-        low, high, beside_low, beside_high = lines[k], lines[following], after[k], after[following]
-        edges.append(np.stack([low, high], axis=1))
-        facets += [np.stack([low, high, beside_low], axis=1), np.stack([beside_low, high, beside_high], axis=1)]
+    quads = np.stack([lines[:-1], lines[1:], after[:-1], after[1:]], axis=2).reshape(-1, 4, 3)
     surface = with_bends(surface, rim)
-    return _stay_beside(np.concatenate(edges), surface, rim, side) and _stay_beside(
-        np.concatenate(facets), surface, aperture, side
-    )
+    if not _stay_beside(quads[:, :2], surface, rim, side):
+        return False
+    quads = quads[~_beyond(quads, aperture)]
+    return not len(quads) or _stay_beside(np.concatenate([quads[:, :3], quads[:, 1:]]), surface, aperture, side)
 
 
 def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool:
@@ -111,23 +108,31 @@ def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool
     end, scale = last_radius(surface), float(np.abs(parts).max() + abs(surface["vertex_z"]))
     least, grain = TOUCHING * scale, np.finfo(np.float64).eps * scale
     radius -= ROUNDINGS * grain
-    while True:
+    parts = parts[~_beyond(parts, radius)]
+    while len(parts):
         nearest = _from_axis(parts)
         parts, nearest = parts[nearest < radius], nearest[nearest < radius]
-        if not len(parts):
-            return True
         r = np.hypot(parts[..., 0], parts[..., 1])
         height = side * (parts[..., 2] - surface["vertex_z"] - mesh_heights(surface, parts[..., 0], parts[..., 1]))
         if ((r < radius) & (height < -least)).any() or len(parts) > MOST_PARTS:
             return False
-        farthest = r.max(axis=1)
+        farthest = r.max(axis=1, initial=0.0)
         low, high = bends_between(surface, nearest, np.minimum(farthest, end))
         # Beyond its end a surface goes on flat, with an edge there.
         low, high = np.where(farthest > end, -np.inf, low), np.where(farthest > end, np.inf, high)
         bends = (-low, high) if side > 0.0 else (high, -low)
         sides = np.square(np.roll(parts, -1, axis=1) - parts)[..., :2].sum(axis=-1)
-        left = (_least_heights(parts, height, bends, surface, side) < -2.0 * least) & (sides.max(axis=1) > grain**2)
+        found = _least_heights(parts, height, bends, surface, side)
+        left = (found < -2.0 * least) & (sides.max(axis=1, initial=0.0) > grain**2)
         parts = _halved(parts[left], sides[left])
+    return True
+
+
+def _beyond(parts: Array, radius: float) -> NDArray[np.bool_]:
+    """Tell which parts (n, corners, 3) are beyond a plane that is a radius from the axis, across their middle."""
+    middle = parts[..., :2].mean(axis=1)
+    along = (parts[..., :2] * middle[:, None]).sum(axis=-1).min(axis=1)
+    return np.asarray(along > radius * np.hypot(middle[:, 0], middle[:, 1]))
 
 
 def _least_heights(parts: Array, height: Array, bends: tuple[Array, Array], surface: Any, side: float) -> Array:

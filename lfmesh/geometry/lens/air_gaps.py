@@ -129,6 +129,8 @@ def _allowed(surfaces: NDArray[np.void], rims: list[float], k: int) -> Callable[
 def _gap(one: Any, other: Any, r: Array, sense: float, rim: float) -> Array:
     """Return the gap along z, at radii of one surface, to another that has a rim; inf beyond that, mm.
 
+    Samples set how fine meshes are; whether surfaces cross is proven elsewhere, see `surface_gaps` and `edges`.
+
     Parameters
     ----------
     one, other : SURFACE record

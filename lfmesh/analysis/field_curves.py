@@ -121,7 +121,7 @@ def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array) -> Array:
 
 
 def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
-    """Return what the lens passes of the light of a piece of a Lambertian plane, in arbitrary units."""
+    """Return the light of a piece of a Lambertian plane that the lens passes, in arbitrary units."""
     tables = at_wavelength(rays.world, wavelength_nm)
     path, slope = image_path(len(tables.lens.surfaces)), np.array([0.0, slope_y])
     # Only what comes to the stop can pass.

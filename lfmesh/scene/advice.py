@@ -238,17 +238,18 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     radius = surfaces[lens.stop].semi_diameter_mm or math.nan
     marginal = lens.marginal_ray(distance, radius)
     heights = lens.heights_mm(marginal)
+    clears = [surface.semi_diameter_mm or math.inf for surface in surfaces]
     if not camera.lens.has_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
         try:
             if camera.lens.number_off_revolution is None:
-                heights = beam_mm(camera.lens, wavelength, distance, marginal.height_mm)
+                heights = beam_mm(camera.lens, wavelength, distance, marginal.height_mm, clears)
             else:
                 heights = beam_heights_mm(camera.lens, wavelength, distance)
         except (OverflowError, ValueError):
             # Coefficients beyond all bounds leave no real ray to be followed, and nothing to be said of it.
             return
     for number, height in enumerate(heights):
-        clear = surfaces[number].semi_diameter_mm or math.inf
+        clear = clears[number]
         if number != lens.stop and abs(height) > clear * (1 + 1e-6):
             yield (
                 f"the stop is larger than a clear aperture: its axial beam is {2 * abs(height):.4g} mm wide "

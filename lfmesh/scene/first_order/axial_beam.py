@@ -1,4 +1,8 @@
-"""Real rays of the axial beam through the whole rim of the stop, for lenses whose surfaces are none of revolution."""
+"""Real rays of the axial beam through the whole rim of the stop, for lenses whose surfaces are none of revolution.
+
+They are samples, unlike the bounds of `beam_bounds`: a part of the beam between two rings that stands out farther than
+a parabola along the rings tells is not found.
+"""
 
 import math
 

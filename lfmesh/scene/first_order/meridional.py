@@ -4,18 +4,17 @@ Plain floats: a scene is judged before anything is built.
 """
 
 import math
+from collections.abc import Sequence
 
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.first_order.beam_bounds import widest_mm
 
 STEPS = 50
 """Of Newton's method towards a surface."""
 
 TRIALS = 60
 """Rays at most of which the one at the edge of the stop is sought."""
-
-RINGS = 32
-"""Zones of the beam whose rays are followed; the largest height between them follows from a parabola through three."""
 
 
 def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: float) -> list[float]:
@@ -62,7 +61,9 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
     return heights
 
 
-def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float) -> list[float]:
+def beam_mm(
+    lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float, clear_mm: Sequence[float] | float = 0.0
+) -> list[float]:
     """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
 
     Spherical aberration can carry rays from within the stop farther out than those from its edge.
@@ -71,6 +72,8 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float)
     ----------
     lens, wavelength_nm, object_mm, guess_mm
         As for `edge_of_stop_mm`.
+    clear_mm
+        As for `beam_bounds.widest_mm`.
 
     Returns
     -------
@@ -80,18 +83,7 @@ def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float)
     entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
     if not edge:
         return []
-    inner = [heights_mm(lens, wavelength_nm, object_mm, entry * ring / RINGS) for ring in range(RINGS)]
-    beam = []
-    for number in range(max(len(heights) for heights in [*inner, edge])):
-        met = [abs(heights[number]) for heights in [*inner, edge] if len(heights) > number]
-        highest = met.index(max(met))
-        rise = 0.0
-        if 0 < highest < len(met) - 1:
-            before, top, behind = met[highest - 1 : highest + 2]
-            bend = 2.0 * top - before - behind
-            rise = (before - behind) ** 2 / (8.0 * bend) if bend > 0.0 else 0.0
-        beam.append(met[highest] + rise)
-    return beam
+    return widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
 
 
 def edge_of_stop_mm(

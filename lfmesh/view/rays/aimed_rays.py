@@ -6,10 +6,12 @@ where surfaces are facets, or glass stands before the lens, from a fan of trials
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
@@ -29,6 +31,9 @@ FAN = 33
 
 FAN_WIDTH = 1.6
 """Over the paraxial entrance pupil: real pupils have aberrations."""
+
+ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+"""Of a sum, over its parts, that is zero but for the rounding of these."""
 
 DIFFERENCE = 1e-5
 """Of two trials whose difference is the derivative, over the stop's radius."""
@@ -68,7 +73,8 @@ class Aim:
     ----------
     world : World
     distance_mm : float
-        Of the object plane before the first vertex; inf: collimated bundles; negative: towards a virtual object.
+        Of the object plane before the first vertex; inf: collimated bundles; negative: towards a virtual object. Rays
+        are refused if the stop is imaged onto it.
     """
 
     def __init__(self, world: World, distance_mm: float) -> None:
@@ -135,8 +141,18 @@ class Aim:
     @property
     def _entry_shift(self) -> float:
         """Shift of the entry of a ray through a fixed point of the stop for a slope of one, paraxially, mm."""
-        by_slope = self._stop_by_slope
-        return by_slope / (self.paraxial.to_stop.a + by_slope * self.vergence)
+        return self._stop_by_slope / self._stop_by_entry
+
+    @cached_property
+    def _stop_by_entry(self) -> float:
+        """Height at which a ray of an object point meets the stop for one at the first vertex, paraxially."""
+        straight, turned = self.paraxial.to_stop.a, self._stop_by_slope * self.vergence
+        if abs(straight + turned) <= ROUNDING * (abs(straight) + abs(turned)):
+            raise LfmeshError(
+                "the stop is imaged onto the object plane: all rays of an object point meet it in one point, so that "
+                "none can be aimed at others; mark another surface as the stop"
+            )
+        return straight + turned
 
     @property
     def _stop_by_slope(self) -> float:
@@ -221,8 +237,7 @@ class Aim:
         if not self.world.lens_shape.analytic.all() or self.world.tables.objects.glass is not None:
             # Glass and liquids before the lens bend rays on their way, which only traced ones know.
             return self._guess_by_fan(slope, aim)
-        by_slope = self._stop_by_slope
-        entry = (aim + by_slope * slope) / (self.paraxial.to_stop.a + by_slope * self.vergence)
+        entry = (aim + self._stop_by_slope * slope) / self._stop_by_entry
         fields, which = np.unique(slope, axis=0, return_inverse=True)
         for number, field in enumerate(fields):
             mine = which.ravel() == number
@@ -232,8 +247,7 @@ class Aim:
 
     def _guess_by_fan(self, slope: Array, aim: Array) -> Array:
         """Return the same from a fan of trials for every object point."""
-        by_slope = self._stop_by_slope
-        scale = self.paraxial.to_stop.a + by_slope * self.vergence
+        by_slope, scale = self._stop_by_slope, self._stop_by_entry
         entry = (aim + by_slope * slope) / scale
         fields, which = np.unique(slope, axis=0, return_inverse=True)
         middle = by_slope * fields / scale

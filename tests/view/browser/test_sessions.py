@@ -1,7 +1,10 @@
 """Pages that cannot be made are words, and the server goes on; pages that are left wait for their tab, a while."""
 
 import asyncio
+import os
+import platform
 import selectors
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -122,3 +125,43 @@ def test_pages_that_are_left_make_room_the_oldest_first() -> None:
         closed, kept = runner.run(leave())
     assert closed == [True, True] + [False] * (sessions.MOST_PAGES - 2)
     assert kept == sessions.MOST_PAGES - 2
+
+
+class Large(Shown):
+    """A page of 50 MB in small pieces, among which lie others that stay: a part of those of each page, as in C."""
+
+    def __init__(self, stay: list[bytearray]) -> None:
+        super().__init__()
+        self.own, self.pieces = self, []
+        for number in range(12_500):
+            self.pieces.append(bytearray(4000))
+            if number % 100 == 0:
+                stay.append(bytearray(4000))
+
+
+@pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="other libraries give memory back by themselves, or never"
+)
+def test_the_memory_of_closed_pages_goes_back_to_the_system() -> None:
+    from lfmesh.view.browser import sessions
+
+    stay: list[bytearray] = []
+
+    async def leave() -> tuple[float, float]:
+        all_pages = sessions.Sessions(lambda _server: Large(stay), lambda _server, _words: None)
+        page = all_pages._next()
+        held = memory_mb()
+        all_pages._give_up(page)
+        del page
+        await asyncio.sleep(2.0 * sessions.COLLECT_SECONDS)
+        return held, memory_mb()
+
+    with asyncio.Runner(loop_factory=Clock) as runner:
+        held, left = runner.run(leave())
+    assert held - left > 40.0
+
+
+def memory_mb() -> float:
+    """Return the memory that this process has of the system."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -209,7 +209,8 @@ def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable
         refuse_misfit(name, int(ends[-1]))
     data, indices, stderr = map(read, PER_ENTRY.values())
     matrix = csr_array((data, indices, ends), shape=(rows, voxels))
-    return ProjectionMatrix(matrix, stderr, *map(read, BY_ROW), grid, *numbers, warnings, (across, down))
+    row_stderr, dropped, pixels = map(read, BY_ROW)
+    return ProjectionMatrix(matrix, stderr, row_stderr, dropped, pixels, grid, *numbers, warnings, (across, down))
 
 
 def _header(array: Any) -> Header:

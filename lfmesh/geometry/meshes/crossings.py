@@ -30,6 +30,9 @@ BESIDE = 4.0
 BEHIND = 3.0
 """Distance of what is just behind a surface, in the distance within which surfaces touch."""
 
+ROUNDINGS = 32.0
+"""Roundings of the coordinates within which two facets lie in one plane: the line where those planes meet is noise."""
+
 AWAY = np.array([3.0, 5.0, 7.0]) / np.sqrt(83.0)
 """Direction of the lines that tell whether a point is in a shell: along no face of a box that stands upright."""
 
@@ -99,7 +102,9 @@ def segments(one: Array, other: Array) -> Segments:
     normals = _normals(a), _normals(b)
     heights = [np.einsum("nij,nj->ni", p - q[:, :1], n) for p, q, n in ((a, b, normals[1]), (b, a, normals[0]))]
     way = np.cross(*normals)
-    crossed = (way != 0.0).any(axis=1)
+    size = np.maximum(np.abs(a).max(axis=(1, 2), initial=0.0), np.abs(b).max(axis=(1, 2), initial=0.0))
+    tilt = np.maximum(*(np.abs(height).max(axis=1, initial=0.0) for height in heights))
+    crossed = (way != 0.0).any(axis=1) & (tilt > ROUNDINGS * np.finfo(np.float64).eps * size)
     for height in heights:
         crossed &= (height >= 0.0).any(axis=1) & (height < 0.0).any(axis=1)
     kept = np.flatnonzero(crossed)
@@ -243,7 +248,9 @@ def _beside(own: Array, normals: Array, facet: Index, ends: Array, distance: flo
     """Return points on both sides of segments in facets, (n, 3), as far as they are in the facet, and the facets."""
     way = ends[:, 1] - ends[:, 0]
     across = np.cross(normals[facet], way)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    length = np.linalg.norm(across, axis=1)
+    # A segment may end where another one crosses it: the piece between has no sides.
+    facet, ends, across = facet[length > 0.0], ends[length > 0.0], across[length > 0.0] / length[length > 0.0, None]
     middle = 0.5 * (ends[:, 0] + ends[:, 1])
     places = np.concatenate([middle + distance * across, middle - distance * across])
     facets = np.concatenate([facet, facet])

@@ -75,8 +75,8 @@ def widest_mm(
     entry_mm : float
         Height of the outermost ray in the plane of the first vertex, above 0.
     clear_mm : float or (surfaces,) float, mm
-        A beam that is proven to stay below is not followed more closely: its largest height lies between the returned value
-        and this.
+        A beam that is proven to stay below is not followed more closely: its largest height lies between the returned
+        value and this.
 
     Returns
     -------

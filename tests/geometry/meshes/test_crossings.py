@@ -106,6 +106,19 @@ def test_a_sheet_in_a_tank_is_in_what_it_reaches_into_not_in_what_it_touches(
     assert {tuple(row) for row in found.tolist()} == parts
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_what_fills_an_open_box_in_any_pose_is_in_no_part_outside_of_it(seed: int) -> None:
+    """The open ends lie in one plane but for rounding, where the line in which two planes meet is noise."""
+    draw = np.random.default_rng(seed)
+    turn = trimesh.transformations.random_rotation_matrix(draw.uniform(size=3))
+    turn[:3, 3] = draw.uniform(-200.0, 200.0, 3)
+    wall, liquid = trimesh.creation.box((100.0, 80.0, 60.0)), trimesh.creation.box((90.0, 70.0, 55.0))
+    liquid.apply_translation([0.0, 0.0, 2.5])
+    outer, inner = (facets(each.apply_transform(turn)) for each in (wall, liquid))
+    assert parts_in_shells(inner, [outer], 100.0 * TOUCHING)[0].tolist() == [[True]]
+    assert parts_in_shells(outer, [inner], 100.0 * TOUCHING)[0].tolist() == [[False]]
+
+
 def test_a_surface_far_from_all_shells_is_in_none() -> None:
     ball = facets(trimesh.creation.icosphere(1))
     np.testing.assert_array_equal(parts_in_shells(ball, [ball + 5.0], TOUCHING)[0], [[False]])

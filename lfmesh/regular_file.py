@@ -93,7 +93,7 @@ def without_mark(content: bytes) -> bytes:
 
 
 class Header(NamedTuple):
-    """What an array in numpy's format announces."""
+    """Shape and kind that an array in numpy's format announces."""
 
     shape: tuple[int, ...]
     in_columns: bool

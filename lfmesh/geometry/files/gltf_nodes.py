@@ -178,13 +178,17 @@ def not_read(path: Path, document: dict[str, Any], node: Node) -> Iterator[str]:
 
 
 def check_document(path: Path, document: dict[str, Any]) -> None:
-    """Raise if a part of the document is of another kind than glTF's, or an extension is required that goes unread.
+    """Raise if the document is of another version, a part of another kind, or an extension is required but not read.
 
     Raises
     ------
     MeshError
         Naming the part.
     """
+    asset = document.get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if isinstance(version, str) and version.partition(".")[0] in ("0", "1"):
+        raise MeshError(f"{path}: is glTF of version {version[:LONGEST_NAME]}; valid is 2: export it as glTF 2.0")
     for key in _LISTS_OF_OBJECTS:
         entries_of(path, document, key)
     waiting: list[tuple[str, Any]] = [("", document)]
@@ -199,10 +203,12 @@ def check_document(path: Path, document: dict[str, Any]) -> None:
                     kind = {dict: "an object", list: "a list", int: "a whole number"}[_KINDS[key]]
                     shown = reprlib.repr(item)[:LONGEST_NAME]
                     raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} is {shown}; valid is {kind}")
-                if key != "extras":
-                    inside = item.values() if key == "extensions" else ()
-                    if any(not isinstance(each, dict) for each in inside):
+                if key == "extensions":
+                    if any(not isinstance(each, dict) for each in item.values()):
                         raise MeshError(f"{path}: broken: {place[-LONGEST_NAME:]} holds one that is no object")
+                    # The keys of others are words of their own.
+                    item = {name: each for name, each in item.items() if name in TAKEN_EXTENSIONS}
+                if key != "extras":
                     waiting.append((place, item))
     for name in document.get("extensionsRequired", []):
         if name not in TAKEN_EXTENSIONS:

@@ -58,3 +58,23 @@ def test_a_buffer_that_has_gone_is_told_though_its_document_is_known(tmp_path: P
     buffer.unlink()
     with pytest.raises(MeshError, match=r"part\.bin is not there"):
         load_mesh(path)
+
+
+def test_words_of_an_extension_that_is_not_read_are_its_own(tmp_path: Path) -> None:
+    """EXT_meshopt_compression has a mode that is a text, and others have attributes that are lists."""
+    glb = Glb()
+    glb.node("part", mesh=glb.add("meshes", {"primitives": [glb.primitive(QUAD, SPLIT)]}))
+    words = {"EXT_meshopt_compression": {"mode": "TRIANGLES"}, "KHR_techniques_webgl": {"attributes": ["normal"]}}
+    glb.tree["bufferViews"][0]["extensions"] = words
+    glb.write(tmp_path / "part.glb")
+    assert load_mesh(tmp_path / "part.glb")
+    glb.tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+    glb.write(tmp_path / "part.glb")
+    with pytest.raises(MeshError, match="requires the extension 'EXT_meshopt_compression', which is not read"):
+        load_mesh(tmp_path / "part.glb")
+
+
+def test_a_file_of_the_first_version_is_refused_by_its_version(tmp_path: Path) -> None:
+    (tmp_path / "old.gltf").write_text('{"asset": {"version": "1.0"}, "nodes": {"part": {}}}')
+    with pytest.raises(MeshError, match=r"old\.gltf: is glTF of version 1\.0; valid is 2: export it as glTF 2\.0"):
+        load_mesh(tmp_path / "old.gltf")

@@ -183,12 +183,15 @@ def _of_each_type(types: int, conic: Sequence[float], asphere_mm: Sequence[Seque
 def _profile_depths(
     curvature: Array, conics: Array, terms: Array, corner: float, stretch: tuple[float, float]
 ) -> list[float]:
-    """Return bounds of the least and the largest sag of each type."""
+    """Return bounds of the least and the largest sag of each type, which it does not reach."""
     depths: list[float] = []
     for c, k, a in zip(curvature, conics, terms, strict=True):
         # The sag grows with the curvature at every distance.
         for bent in stretch:
-            depths += profile_extremes((c * bent, c * bent), k, powers_of(a), corner, (SAG,), DEPTH_WITHIN)
+            least, most = profile_extremes((c * bent, c * bent), k, powers_of(a), corner, (SAG,), DEPTH_WITHIN)
+            # Rays look for the face from there on: none begins on it.
+            clear = DEPTH_WITHIN * (most - least)
+            depths += [least - clear, most + clear]
     return depths
 
 

@@ -154,8 +154,8 @@ def refuse_maker(what: str, form: int, found: object, maker: object) -> None:
     """
     if other := f"format {found} in place of {form}" if found != form else difference(maker):
         raise FileError(
-            f"{what} was written by another program ({other[:200]}), which may have had other bits: begin anew elsewhere, "
-            "or go on with that program"
+            f"{what} was written by another program ({other[:200]}), which may have had other bits: begin anew "
+            "elsewhere, or go on with that program"
         )
 
 

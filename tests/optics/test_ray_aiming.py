@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lfmesh.optics.ray_aiming import ARRIVED, MOST_STEPS, TOLERANCE, aim_rays
+from lfmesh.optics.ray_aiming import ARRIVED, CORRECTIONS, MOST_STEPS, MOST_STRIDES, TOLERANCE, aim_rays, continue_rays
 
 Array = NDArray[np.float64]
 Which = NDArray[np.int64]
@@ -110,3 +110,16 @@ def test_empty_and_single_searches_work(count: int) -> None:
     targets = np.ones((count, 2))
     aimed = aim_rays(lambda start, _: 2.0 * start, targets, targets, np.tile(np.eye(2), (count, 1, 1)), 1.0)
     np.testing.assert_allclose(aimed.start, 0.5 * targets, atol=1e-12)
+
+
+def test_a_way_on_which_strides_stay_short_ends() -> None:
+    """Newton's method contracts only over strides of a ripple's length: some ten thousand on this way."""
+    calls = []
+
+    def miss(start: Array, share: Array, _: Which) -> Array:
+        calls.append(len(start))
+        return start + 0.7e-3 * np.sin(1e3 * start) - 10.0 * share[:, None]
+
+    found = continue_rays(miss, np.zeros((1, 2)), 1e-7, 1.0)
+    assert not found.arrived[0]
+    assert len(calls) <= 1 + MOST_STRIDES * (CORRECTIONS + 2)

@@ -95,11 +95,16 @@ def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array)
 
 def _met(surface: Surface, p: Array, d: Array) -> Array:
     p = p - (p[:, 2] / d[:, 2])[:, None] * d
+    last = np.full(len(p), np.inf)
     for _ in range(STEPS):
         normal = _normal(surface, p)
         above = p[:, 2] - surface.sag_at_mm(p[:, 0], p[:, 1])
         # The normal is the gradient of the height above the surface, times its z component.
-        p = p - (above * normal[:, 2] / (normal * d).sum(axis=1))[:, None] * d
+        step = above * normal[:, 2] / (normal * d).sum(axis=1)
+        p = p - step[:, None] * d
+        if not (np.abs(step) < 0.5 * last).any():
+            break  # no step shrinks any more, but for rounding
+        last = np.abs(step)
     return p
 
 

@@ -40,7 +40,7 @@ DIMENSIONLESS = {
     "geometry/objects/targets.py": {"FLAT"},
     "geometry/array/lenslets.py": {"DEPTH_WITHIN"},
     "geometry/surfaces/bends.py": {"BEFORE_END", "HEIGHT_WITHIN"},
-    "geometry/surfaces/bounds.py": {"ROUNDING"},
+    "optics/bounds.py": {"ROUNDING"},
     "geometry/surfaces/edges.py": {"TOUCHING"},
     "geometry/surfaces/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/meshes/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},

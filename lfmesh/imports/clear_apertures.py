@@ -4,16 +4,18 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
-
 from lfmesh.errors import SceneError
 from lfmesh.imports.prescription import FileSurface, KeptSurfaces, Prescription
 from lfmesh.imports.report import Report, Verdict
-from lfmesh.scene.camera.lens import Surface, gap_round_mm
+from lfmesh.scene.camera.gaps import room_mm
+from lfmesh.scene.camera.lens import Surface
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
 
 MARGIN = 0.05
 """Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
+
+BESIDE_AXIS = 1.0 / 256.0
+"""Share of a clear aperture up to which surfaces count as crossing beside the axis, where no aperture would help."""
 
 
 def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> float:
@@ -204,6 +206,6 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
 
 def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
     """Return the height, at most `most`, up to which two neighbours do not cross."""
-    heights = min(most, front.reach_mm, back.reach_mm) * np.arange(257) / 256
-    crossed = np.flatnonzero(-gap_round_mm(front, back, heights[1:]) > (front.thickness_mm or 0.0))
-    return float(heights[crossed[0]]) if crossed.size else math.inf
+    most = min(most, front.reach_mm, back.reach_mm)
+    room = room_mm(front, back, most)
+    return math.inf if room == most else room if room > BESIDE_AXIS * most else 0.0

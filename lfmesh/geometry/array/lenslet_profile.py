@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.ray import Ray
-from lfmesh.geometry.surfaces.bounds import ACROSS, ALONG, SLOPE, profile_extremes
 from lfmesh.geometry.surfaces.first_crossing import crossing_finder
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.bounds import ACROSS, ALONG, SLOPE, profile_extremes
 
 Array = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ from lfmesh.geometry.array.lenslet_profile import (
 )
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.ray import Ray
-from lfmesh.geometry.surfaces.bounds import SAG, profile_extremes
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
+from lfmesh.optics.bounds import SAG, profile_extremes
 
 if TYPE_CHECKING:
     pass

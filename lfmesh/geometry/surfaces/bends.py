@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from lfmesh.geometry.surfaces.bounds import (
+from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
+from lfmesh.geometry.surfaces.tessellation import last_radius
+from lfmesh.optics.bounds import (
     ACROSS,
     ALONG,
     SAG,
@@ -23,8 +25,6 @@ from lfmesh.geometry.surfaces.bounds import (
     scaled,
     times,
 )
-from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
-from lfmesh.geometry.surfaces.tessellation import last_radius
 
 WITHIN, WITHIN_BOTH = 0.005, 0.02
 """Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from lfmesh.optics.bounds import ACROSS, SAG, Range, profile_range
 from lfmesh.optics.glass import AIR, Medium
+from lfmesh.scene.camera.gaps import least_gap_mm, touching_mm
 from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
 from lfmesh.scene.camera.sections import (
@@ -52,9 +54,6 @@ the axis of the lens then still crosses the element's surfaces in their order.""
 
 STOP_SIZES = ("stop_semi_diameter_mm", "f_number", "epd_mm")
 """Keys that give the stop its size in place of the prescription."""
-
-# Sags of neighbouring surfaces are compared at this many heights.
-_HEIGHTS = 256
 
 
 class Surface(Model):
@@ -274,6 +273,20 @@ class Surface(Model):
         even = ((2 * j + 4, a) for j, a in enumerate(self.terms_mm))
         return (*even, *((2 * j + 3, a) for j, a in enumerate(self.odd_asphere_mm)))
 
+    def profile_ranges(self, height_mm: Range) -> tuple[Range, Range]:
+        """Return bounds of `sag_mm` between heights, in mm, and of its derivative over the height, in 1/mm.
+
+        Parameters
+        ----------
+        height_mm : Range
+            Two arrays.
+        """
+        curvature = (np.full(len(height_mm[0]), self.curvature_per_mm),) * 2
+        sag, across = (
+            profile_range(curvature, self.vertex_conic, self.powers_mm, height_mm, order) for order in (SAG, ACROSS)
+        )
+        return sag, across
+
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with this surface by itself."""
         if self.refractor is not None:
@@ -418,23 +431,8 @@ def _thickness_to_touch(front: Surface, back: Surface, apertures_mm: tuple[float
         highest, lowest = max(0.0, front.sag_mm(radius)), min(0.0, back.sag_mm(radius))
         if highest - lowest <= given:
             return given, 0.0
-    heights = radius * np.arange(_HEIGHTS + 1) / _HEIGHTS
-    gaps = gap_round_mm(front, back, heights)
-    return -float(gaps.min()), float(heights[gaps == gaps.min()][-1])
-
-
-def gap_round_mm(front: Surface, back: Surface, height_mm: Heights) -> Heights:
-    """Return the smallest difference of sags, back less front, at heights, over the azimuths that tell, in mm.
-
-    Parameters
-    ----------
-    front, back : Surface
-        Neighbours.
-    height_mm : float or array
-        Distance from the axis.
-    """
-    around = 1 if front.section_key is None and back.section_key is None else AZIMUTHS
-    return np.min(back.sags_mm(height_mm, around) - front.sags_mm(height_mm, around), axis=-1)
+    gap, height = least_gap_mm(front, back, 0.0, radius, -given)
+    return -gap, height
 
 
 def _term_mm(coefficient: float, height_mm: Heights, power: int) -> Heights:
@@ -745,8 +743,8 @@ class Lens(Model):
         """The first surface with another section in x than in y; None where all are surfaces of revolution."""
         return next((i for i, surface in enumerate(self.surfaces) if surface.section_key is not None), None)
 
-    def gap_mm(self, number: int, height_mm: Heights) -> Heights:
-        """Return the distance along z from surface `number` to the next at heights from the axis, in mm.
+    def gap_mm(self, number: int, height_mm: float) -> float:
+        """Return the distance along z from surface `number` to the next at a height from the axis, in mm.
 
         The smallest over all azimuths.
 
@@ -754,15 +752,15 @@ class Lens(Model):
         ----------
         number : int
             From 0, at the object's side; not the last.
-        height_mm : float or array
+        height_mm : float
 
         Returns
         -------
-        float or array
+        float
             mm; negative where the surfaces cross.
         """
         front, back = self.surfaces[number], self.surfaces[number + 1]
-        return (front.thickness_mm or 0.0) + gap_round_mm(front, back, height_mm)
+        return (front.thickness_mm or 0.0) + least_gap_mm(front, back, height_mm, height_mm)[0]
 
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""
@@ -775,7 +773,7 @@ class Lens(Model):
         needed, height = _thickness_to_touch(front, back, tuple(apertures))
         given = front.thickness_mm or 0.0
         # Elements may touch; what rounding makes of that is no crossing.
-        if needed > given + 1e-9 * (1 + given):
+        if needed > given + touching_mm(front):
             yield Fault(
                 ("surfaces", number, "thickness_mm"),
                 given,

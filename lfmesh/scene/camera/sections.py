@@ -5,13 +5,14 @@ Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`rad
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.optics.bounds import ACROSS, SAG, Array, Range, least, plus, profile_range, scaled, times
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Number, Radius
 
@@ -22,14 +23,10 @@ Heights = TypeVar("Heights", float, NDArray[np.float64])
 """One height, or coordinate, or an array of them."""
 
 AZIMUTHS = 33
-"""Azimuths in a quarter turn at which gaps between surfaces are measured that are not both of revolution."""
+"""Azimuths in a quarter turn at which surfaces are measured that are not of revolution."""
 
-PLACES, PASSES = 512, 3
-"""Places along y at which it is sought how far a toroid reaches, and how often, each time between the neighbours of the
-place found before."""
-
-BEFORE_END = 1e-5
-"""Share of that by which a toroid counts as ended before, for the places in between."""
+END_WITHIN = 1e-6
+"""Largest relative distance of a toroid's end from the height that it is proven to reach."""
 
 
 class Form(Model):
@@ -48,6 +45,22 @@ class Form(Model):
         surface : Surface
             Whose form it is: it has the keys of the section y–z.
         x_mm, y_mm : float or array
+        """
+        raise NotImplementedError
+
+    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
+        """Return bounds of its sag, in mm, and of the sag's derivatives by r² and by the azimuth.
+
+        They decide whether surfaces cross. See `lfmesh/optics/bounds.py` for sums and products of ranges.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+        square : Range
+            The least and the largest r² in each of a number of cells, mm².
+        sine, cosine : Range
+            x/r and y/r there, each of one sign.
         """
         raise NotImplementedError
 
@@ -93,6 +106,28 @@ class Biconic(Form):
         """
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
         return biconic_sag_mm(c_x, self.conic_x, c_y, surface.conic, x_mm, y_mm)
+
+    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
+        """Return bounds of its sag and of its derivatives.
+
+        With n = c_x x² + c_y y², a_x = (1 + k_x) c_x², a_y likewise and w² = 1 − a_x x² − a_y y², its sag is
+        n / (1 + w), and its derivative by x² is c_x / (1 + w) + a_x n / (2 w (1 + w)²).
+
+        Parameters
+        ----------
+        surface, square, sine, cosine
+            As for `Form`.
+        """
+        c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
+        a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
+        x2, y2 = (times(square, _squared(each)) for each in (sine, cosine))
+        bulge, dip = (plus(scaled(of_x, x2), scaled(of_y, y2)) for of_x, of_y in ((c_x, c_y), (a_x, a_y)))
+        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
+        share = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
+        with np.errstate(divide="ignore"):
+            steep = times(bulge, (0.5 * share[0] ** 2 / w[1], 0.5 * share[1] ** 2 / w[0]))
+        by_x2, by_y2 = (plus(scaled(c, share), scaled(a, steep)) for c, a in ((c_x, a_x), (c_y, a_y)))
+        return times(bulge, share), *_polar(by_x2, by_y2, square, sine, cosine)
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which the first of its conics turns back.
@@ -149,6 +184,28 @@ class Toroid(Form):
         """
         return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
 
+    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
+        """Return bounds of its sag and of its derivatives.
+
+        With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x², its sag is f + c_x x² / (u + v). Its derivatives by
+        x² and y² are c_x / (2 v) and f′ u / (2 y v).
+
+        Parameters
+        ----------
+        surface, square, sine, cosine
+            As for `Form`.
+        """
+        c_x = curvature(self.radius_x_mm)
+        x2, y2 = (times(square, _squared(each)) for each in (sine, cosine))
+        f, across = surface.profile_ranges((np.sqrt(y2[0]), np.sqrt(y2[1])))
+        u = _clipped(plus(_ones(f), scaled(-c_x, f)))
+        v2 = plus(times(u, u), scaled(-c_x * c_x, x2))
+        v = np.sqrt(np.maximum(v2[0], 0.0)), np.sqrt(np.maximum(v2[1], 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over, beyond = (0.5 / v[1], 0.5 / v[0]), (1.0 / (u[1] + v[1]), 1.0 / (u[0] + v[0]))
+            sag = plus(f, scaled(c_x, times(x2, beyond)))
+            return sag, *_polar(scaled(c_x, over), times(across, u, over), square, sine, cosine)
+
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which it turns back at some azimuth.
 
@@ -188,7 +245,30 @@ def reach_of_conic_mm(radius_mm: float, conic: float) -> float:
 @lru_cache(maxsize=256)
 def _toroid_reach_mm(surface: "Surface") -> float:
     most = reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
-    return toroid_reach_mm(surface.curvature_x_per_mm, surface.sag_mm, most)
+    conic = surface.curvature_per_mm, surface.vertex_conic
+    return toroid_reach_mm(surface.curvature_x_per_mm, *conic, surface.powers_mm, most)
+
+
+def _polar(by_x2: Range, by_y2: Range, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range]:
+    """Return the ranges of derivatives by r² and by the azimuth from those by x² and by y²."""
+    out = plus(times(_squared(sine), by_x2), times(_squared(cosine), by_y2))
+    return out, scaled(2.0, times(square, sine, cosine, plus(by_x2, scaled(-1.0, by_y2))))
+
+
+def _squared(each: Range) -> Range:
+    """Return the ranges of squares of what is of one sign."""
+    low, high = each[0] * each[0], each[1] * each[1]
+    return np.minimum(low, high), np.maximum(low, high)
+
+
+def _ones(like: Range) -> Range:
+    one = np.ones_like(like[0])
+    return one, one
+
+
+def _clipped(each: Range) -> Range:
+    """Return the ranges of what is 0 in place of negative."""
+    return np.maximum(each[0], 0.0), np.maximum(each[1], 0.0)
 
 
 def curvature(radius_mm: float) -> float:
@@ -227,26 +307,40 @@ def toroid_sag_mm(c_x: float, along_y_mm: Heights, x: Heights) -> Heights:
     return along_y_mm + c_x * x * x / divisor
 
 
-def toroid_reach_mm(c_x: float, curve: Callable[[NDArray[np.float64]], NDArray[np.float64]], most_mm: float) -> float:
-    """Return the height up to which a toroid exists at every azimuth, a little less than measured, in mm.
+def toroid_reach_mm(
+    c_x: float, c_y: float, conic: float, powers_mm: Sequence[tuple[int, float]], most_mm: float
+) -> float:
+    """Return a height up to which a toroid is proven to exist at every azimuth, in mm.
 
     It exists where c_x² x² < (1 − c_x f(y))², that is up to the least y² + (1/c_x − f(y))², squared.
 
     Parameters
     ----------
-    c_x : float, 1/mm
-    curve : function
-        Sags f of the section y–z by heights.
+    c_x, c_y : float, 1/mm
+        Curvatures.
+    conic : float
+    powers_mm : sequence of (int, float)
+        Exponents of y and their coefficients, beside the conic.
     most_mm : float
-        Where that section ends.
+        Where the section y–z ends.
     """
     if c_x == 0.0:
         return most_mm
-    least = min(most_mm, 1.0 / abs(c_x))
-    low, high = 0.0, least
-    for _ in range(PASSES):
-        y = np.linspace(low, high, PLACES + 1)
-        ends = np.hypot(y, np.maximum(0.0, 1.0 - c_x * curve(y)) / c_x)
-        k = int(ends.argmin())
-        low, high = y[max(k - 1, 0)], y[min(k + 1, PLACES)]
-    return min(least, float(ends.min())) * (1.0 - BEFORE_END)
+    end = min(most_mm, 1.0 / abs(c_x))
+
+    def ranges_of(low: Array, high: Array) -> tuple[Range, Range]:
+        """Return bounds of the square, times c_x², and of its derivative, by y²."""
+        y2 = low[:, 0], high[:, 0]
+        y, curved = (np.sqrt(y2[0]), np.sqrt(y2[1])), (np.full(len(low), c_y),) * 2
+        f, across = (profile_range(curved, conic, powers_mm, y, order) for order in (SAG, ACROSS))
+        u = _clipped(plus(_ones(f), scaled(-c_x, f)))
+        square = plus(scaled(c_x * c_x, y2), times(u, u))
+        return square, plus(scaled(c_x * c_x, _ones(f)), scaled(-c_x, times(u, across)))
+
+    enough = (c_x * end) ** 2
+    found, _ = least(ranges_of, [0.0], [end * end], enough, 0.25 * END_WITHIN * enough)
+    if found >= enough:
+        return end
+    reach = end * math.sqrt(found / enough) * (1.0 - END_WITHIN)
+    # Far inside, relative to the section that was looked at, it is sought once more.
+    return reach if reach > 0.5 * end else toroid_reach_mm(c_x, c_y, conic, powers_mm, 1.5 * reach)

@@ -3,11 +3,10 @@
 import math
 from typing import Any, TypeVar
 
-import numpy as np
-
 from lfmesh.errors import SceneError
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.camera.gaps import room_mm
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.lenslet_optics import lenslet_optics
 from lfmesh.scene.camera.mla import MicrolensArray
@@ -27,9 +26,6 @@ BEYOND = 1e-6
 
 SPARE = 0.05
 """Share by which solved clear apertures are wider than the beams that they pass."""
-
-HEIGHTS = 256
-"""At which the room between two surfaces is measured."""
 
 
 def solved(scene: Scene) -> Scene:
@@ -343,11 +339,10 @@ def _room_mm(lens: Lens, number: int, widest_mm: float) -> float:
     front, back = lens.surfaces[number], lens.surfaces[number + 1]
     if front.refractor is not None or back.refractor is not None:
         return widest_mm
-    heights = widest_mm * np.arange(1, HEIGHTS + 1) / HEIGHTS
     inside = min(front.reach_mm, back.reach_mm, front.semi_diameter_mm or math.inf, back.semi_diameter_mm or math.inf)
-    heights = heights[heights <= inside]
-    crossing = heights[~(lens.gap_mm(number, heights) > 0)]
-    return float(crossing[0]) * (1 - SPARE) if crossing.size else widest_mm
+    most = min(widest_mm, inside)
+    room = room_mm(front, back, most)
+    return room * (1 - SPARE) if room < most else widest_mm
 
 
 def _limiting_surface(camera: Camera, wavelength_nm: float) -> int:

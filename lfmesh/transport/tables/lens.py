@@ -19,9 +19,9 @@ from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_bends import control_points
 from lfmesh.geometry.meshes.patch_tree import patch_tree
 from lfmesh.geometry.surfaces.bends import height_range, powers_of
-from lfmesh.geometry.surfaces.bounds import SLOPE, profile_extremes
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH
+from lfmesh.optics.bounds import SLOPE, profile_extremes
 from lfmesh.optics.diffraction import HEXAGON, RECTANGLE, ROUND, airy_quantiles, hexagon_cells, sinc2_quantiles
 from lfmesh.scene import MicrolensArray, Scene
 from lfmesh.transport.packets.book import MOUNT, STOP, Book

@@ -57,16 +57,9 @@ def drawn_surface(draw, kind):
         return surface(radii[0], conics[0], kind=kind, radius_x_mm=radii[1], conic_x=conics[1]), draw.uniform(2.0, 8.5)
     terms = draw.normal(size=4) * 0.003 / 8.0 ** np.arange(3, 10, 2)
     of = surface(radii[0], conics[0], terms, kind=kind, radius_x_mm=radii[1])
-    y = surface(radii[0], conics[0], terms)
-    of["end"] = toroid_reach_mm(1.0 / radii[1], lambda r: curve_of(y, r), 8.9)
+    powers = [(4 + 2 * n, float(a)) for n, a in enumerate(terms)]
+    of["end"] = toroid_reach_mm(1.0 / radii[1], 1.0 / radii[0], conics[0], powers, 8.9)
     return of, draw.uniform(2.0, 8.5)
-
-
-def curve_of(of, r):
-    """Return the sag of a conic with even terms."""
-    c, k = float(of["curvature"]), float(of["conic"])
-    z = c * r**2 / (1.0 + np.sqrt(1.0 - (1.0 + k) * (c * r) ** 2))
-    return z + sum(a * r ** (4 + 2 * n) for n, a in enumerate(of["asphere"]))
 
 
 def sampled_bends(of):

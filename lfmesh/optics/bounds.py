@@ -29,6 +29,9 @@ HALVINGS = 48
 NEGLIGIBLE = 0.1
 """Size of an extreme, over that of the other one, below which it need not be bounded more closely."""
 
+MOST_OPEN = 1 << 13
+"""Cells beyond which neither `least` nor `first_below` divides any further."""
+
 ROUNDING = 1e-10
 """Relative margin of each term: more than float64 rounds it by, close to the end of a surface too."""
 
@@ -51,8 +54,7 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
     most_cells = MOST_CELLS[(lows < highs).sum() - 1]
     left_out, attained = np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     for _ in range(HALVINGS):
-        while len(lows) < FIRST_CELLS and (lows < highs).any():
-            lows, highs = _halved(lows, highs)
+        lows, highs = _first_cells(lows, highs)
         cells = len(lows)
         least, most = ranges_in(np.concatenate([lows, lows, highs]), np.concatenate([highs, lows, highs]))
         attained = np.array([min(attained[0], least[cells:].min()), max(attained[1], most[cells:].max())])
@@ -73,12 +75,122 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
     return float(min(left_out[0], least.min())), float(max(left_out[1], most.max()))
 
 
+def least(
+    ranges_of: Callable[[Array, Array], Sequence[Range]], low: Sequence[float], high: Sequence[float], enough: float,
+    within: float,
+) -> tuple[float, Array]:  # fmt: skip
+    """Return the least value of a function in a box, and its place.
+
+    Parameters
+    ----------
+    ranges_of : callable
+        Returns bounds of the function, (n,) each, and of its derivatives by each coordinate, in boxes given by two
+        corners, (n, d) each.
+    low, high : (d,) float
+        Corners of the box.
+    enough : float
+        It is not looked for any more closely when no value is below this.
+    within : float
+        Largest difference of what is returned from the least value that is below `enough`.
+    """
+    lows, highs, found, place = np.array([low], np.float64), np.array([high], np.float64), np.inf, np.array(high)
+    for _ in range(HALVINGS * len(low)):
+        lows, highs = _first_cells(lows, highs)
+        bounds, values, places, sides = _least_in(ranges_of, lows, highs)
+        # Of several, the outermost.
+        k = np.lexsort((-places[:, 0], values))[0]
+        if values[k] < found:
+            found, place = float(values[k]), places[k]
+        left = (bounds < min(enough, found - within)) & (lows < highs).any(axis=1)
+        if not left.any() or left.sum() > MOST_OPEN:
+            break
+        lows, highs = _halved_along(sides[left], lows[left], highs[left])
+    return found, place
+
+
+def first_below(
+    ranges_of: Callable[[Array, Array], Sequence[Range]], low: Sequence[float], high: Sequence[float], level: float,
+    within: float,
+) -> float:  # fmt: skip
+    """Return the first coordinate up to which no value of a function in a box is below a level.
+
+    Parameters
+    ----------
+    ranges_of, low, high
+        As for `least`.
+    level : float
+    within : float
+        Largest relative distance from the coordinate at which a value is.
+    """
+    lows, highs, first, end = np.array([low], np.float64), np.array([high], np.float64), float(low[0]), float(high[0])
+    for _ in range(HALVINGS * len(low)):
+        lows, highs = _first_cells(lows, highs)
+        bounds, values, places, sides = _least_in(ranges_of, lows, highs)
+        end = float(np.min(places[values < level, 0], initial=end))
+        left = (bounds < level) & (lows[:, 0] < end)
+        if not left.any():
+            return end
+        lows, highs, sides = lows[left], highs[left], sides[left]
+        first = float(lows[:, 0].min())
+        if first >= end * (1.0 - within):
+            break
+        inmost = np.argsort(lows[:, 0], kind="stable")
+        end = min(end, float(np.min(lows[inmost[MOST_OPEN:], 0], initial=end)))
+        inmost = inmost[:MOST_OPEN]
+        lows, highs = _halved_along(sides[inmost], lows[inmost], highs[inmost])
+    return first
+
+
+def _least_in(
+    ranges_of: Callable[[Array, Array], Sequence[Range]], lows: Array, highs: Array
+) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Return lower bounds of a function in cells, values of it with their places, and the sides to halve.
+
+    A value is least on the side of a cell towards which the function falls all through it. Along its other coordinates
+    the function falls from the middle by half the side times its largest derivative at most (mean value form).
+
+    Parameters
+    ----------
+    ranges_of
+        As for `least`.
+    lows, highs : (n, d) float64
+    """
+    values, *rates = ranges_of(lows, highs)
+    least_rate, most_rate = (np.stack([rate[end] for rate in rates], axis=-1) for end in (0, 1))
+    rises, falls = least_rate >= 0.0, most_rate <= 0.0
+    places = np.where(rises, lows, np.where(falls, highs, 0.5 * (lows + highs)))
+    (low, high), *_ = ranges_of(places, places)
+    with np.errstate(invalid="ignore"):
+        off = np.where(rises | falls, 0.0, 0.5 * (highs - lows) * np.maximum(-least_rate, most_rate))
+        # NaN where a derivative has no bound.
+        bounds = np.fmax(values[0], low - off.sum(axis=-1))
+    unknown = ~np.isfinite(off).all(axis=-1, keepdims=True) | (off.max(axis=-1, keepdims=True) <= 0.0)
+    sides = np.where(lows < highs, np.where(unknown, highs - lows, off), -1.0).argmax(axis=-1)
+    return bounds, high, places, sides
+
+
+def _first_cells(low: Array, high: Array) -> tuple[Array, Array]:
+    """Return boxes halved until they are `FIRST_CELLS` or more."""
+    while len(low) < FIRST_CELLS and (low < high).any():
+        low, high = _halved(low, high)
+    return low, high
+
+
 def _halved(low: Array, high: Array) -> tuple[Array, Array]:
     """Return the halves of boxes along all their sides; a side without length stays as it is."""
     for side in np.flatnonzero((low < high).any(axis=0)):
         middle = 0.5 * (low[:, side] + high[:, side])
         low, high = np.concatenate([low, low]), np.concatenate([high, high])
         low[len(middle) :, side] = high[: len(middle), side] = middle
+    return low, high
+
+
+def _halved_along(sides: NDArray[np.intp], low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the halves of boxes along one side of each."""
+    rows = np.arange(len(low))
+    middle = 0.5 * (low + high)[rows, sides]
+    low, high = np.concatenate([low, low]), np.concatenate([high, high])
+    low[len(rows) + rows, sides] = high[rows, sides] = middle
     return low, high
 
 

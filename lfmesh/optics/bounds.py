@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Range = tuple[Array, Array]
 
-SAG, SLOPE, ACROSS, ALONG = range(4)
-"""Of a profile z(r): z, z′, z′/r and z″. The last two are its second derivatives across the meridian and along it."""
+SAG, SLOPE, ACROSS, ALONG, ACROSS_RATE, ALONG_RATE = range(6)
+"""Of a profile z(r): z, z′, z′/r and z″, its second derivatives across the meridian and along it, and their
+derivatives."""
+
+RATES = {SAG: SLOPE, SLOPE: ALONG, ACROSS: ACROSS_RATE, ALONG: ALONG_RATE}
+"""Derivatives of each by r."""
 
 FIRST_CELLS = 64
 """Cells that a box is divided into before any is left out."""
@@ -50,17 +54,29 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
     within : float
         Largest distance of a bound from the extreme, over its size.
     """
+
+    def cells_in(lows: Array, highs: Array) -> tuple[Range, Range]:
+        """Return the ranges in cells, and the least and the largest value at two corners of each."""
+        ranges = ranges_in(np.concatenate([lows, lows, highs]), np.concatenate([highs, lows, highs]))
+        (least, *leasts), (most, *mosts) = (each.reshape(3, -1) for each in ranges)
+        return (least, most), (np.minimum(*leasts), np.maximum(*mosts))
+
+    return _extremes(cells_in, low, high, within)
+
+
+def _extremes(
+    cells_in: Callable[[Array, Array], tuple[Range, Range]], low: Sequence[float], high: Sequence[float], within: float
+) -> tuple[float, float]:
+    """Return bounds of the extremes of a function, given its ranges in cells and values that it has in them."""
     lows, highs = np.array([low], np.float64), np.array([high], np.float64)
     most_cells = MOST_CELLS[(lows < highs).sum() - 1]
     left_out, attained = np.array([np.inf, -np.inf]), np.array([np.inf, -np.inf])
     for _ in range(HALVINGS):
         lows, highs = _first_cells(lows, highs)
-        cells = len(lows)
-        least, most = ranges_in(np.concatenate([lows, lows, highs]), np.concatenate([highs, lows, highs]))
-        attained = np.array([min(attained[0], least[cells:].min()), max(attained[1], most[cells:].max())])
+        (least, most), values = cells_in(lows, highs)
+        attained = np.array([min(attained[0], values[0].min()), max(attained[1], values[1].max())])
         size = np.abs(attained)
         slack = within * np.maximum(size, NEGLIGIBLE * size.max())
-        least, most = least[:cells], most[:cells]
         divided = (least < attained[0] - slack[0]) | (most > attained[1] + slack[1])
         divided &= (lows < highs).any(axis=1)
         enough = divided.sum() > most_cells and np.isfinite(least).all() and np.isfinite(most).all()
@@ -71,7 +87,7 @@ def extremes(ranges_in: Callable[[Array, Array], Range], low: Sequence[float], h
         lows, highs = _halved(lows[~ended], highs[~ended])
         if not len(lows):
             return float(left_out[0]), float(left_out[1])
-    least, most = ranges_in(lows, highs)
+    (least, most), _ = cells_in(lows, highs)
     return float(min(left_out[0], least.min())), float(max(left_out[1], most.max()))
 
 
@@ -96,7 +112,7 @@ def least(
     lows, highs, found, place = np.array([low], np.float64), np.array([high], np.float64), np.inf, np.array(high)
     for _ in range(HALVINGS * len(low)):
         lows, highs = _first_cells(lows, highs)
-        bounds, values, places, sides = _least_in(ranges_of, lows, highs)
+        bounds, (_, values), places, sides = _least_in(ranges_of, lows, highs)
         # Of several, the outermost.
         k = np.lexsort((-places[:, 0], values))[0]
         if values[k] < found:
@@ -125,7 +141,8 @@ def first_below(
     lows, highs, first, end = np.array([low], np.float64), np.array([high], np.float64), float(low[0]), float(high[0])
     for _ in range(HALVINGS * len(low)):
         lows, highs = _first_cells(lows, highs)
-        bounds, values, places, sides = _least_in(ranges_of, lows, highs)
+        bounds, (values, _), places, sides = _least_in(ranges_of, lows, highs, narrows=True)
+        # Below within rounding: no smaller cells would tell.
         end = float(np.min(places[values < level, 0], initial=end))
         left = (bounds < level) & (lows[:, 0] < end)
         if not left.any():
@@ -142,9 +159,9 @@ def first_below(
 
 
 def _least_in(
-    ranges_of: Callable[[Array, Array], Sequence[Range]], lows: Array, highs: Array
-) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Return lower bounds of a function in cells, values of it with their places, and the sides to halve.
+    ranges_of: Callable[[Array, Array], Sequence[Range]], lows: Array, highs: Array, narrows: bool = False
+) -> tuple[Array, Range, Array, NDArray[np.intp]]:
+    """Return lower bounds of a function in cells, ranges of its values at places in them, these, and sides to halve.
 
     A value is least on the side of a cell towards which the function falls all through it. Along its other coordinates
     the function falls from the middle by half the side times its largest derivative at most (mean value form).
@@ -154,6 +171,8 @@ def _least_in(
     ranges_of
         As for `least`.
     lows, highs : (n, d) float64
+    narrows : bool
+        The first side is to become short, too, where the function rises or falls all along it.
     """
     values, *rates = ranges_of(lows, highs)
     least_rate, most_rate = (np.stack([rate[end] for rate in rates], axis=-1) for end in (0, 1))
@@ -161,12 +180,15 @@ def _least_in(
     places = np.where(rises, lows, np.where(falls, highs, 0.5 * (lows + highs)))
     (low, high), *_ = ranges_of(places, places)
     with np.errstate(invalid="ignore"):
-        off = np.where(rises | falls, 0.0, 0.5 * (highs - lows) * np.maximum(-least_rate, most_rate))
+        changes = 0.5 * (highs - lows) * np.maximum(-least_rate, most_rate)
+        off = np.where(rises | falls, 0.0, changes)
         # NaN where a derivative has no bound.
         bounds = np.fmax(values[0], low - off.sum(axis=-1))
-    unknown = ~np.isfinite(off).all(axis=-1, keepdims=True) | (off.max(axis=-1, keepdims=True) <= 0.0)
-    sides = np.where(lows < highs, np.where(unknown, highs - lows, off), -1.0).argmax(axis=-1)
-    return bounds, high, places, sides
+    if narrows:
+        off[:, 0] = changes[:, 0]
+    known = np.isfinite(off).all(axis=-1, keepdims=True)
+    sides = np.where(lows < highs, np.where(known, off, highs - lows), -1.0).argmax(axis=-1)
+    return bounds, (low, high), places, sides
 
 
 def _first_cells(low: Array, high: Array) -> tuple[Array, Array]:
@@ -231,7 +253,7 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
         Exponents of the radius and their coefficients.
     r : (n,) float64 each, mm
     order : int
-        SAG, SLOPE, ACROSS or ALONG.
+        SAG, SLOPE, ACROSS, ALONG, or a rate of the last two.
     """
     q = 1.0 + conic
     with np.errstate(divide="ignore"):
@@ -246,14 +268,23 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
         else:
             inner = np.minimum(np.abs(curvature[0]), np.abs(curvature[1])) * r[0]
             outer = np.maximum(np.abs(curvature[0]), np.abs(curvature[1])) * r[1]
-            one, other = (np.sqrt(np.maximum(1.0 - q * at * at, 0.0)) ** (1 if order == ACROSS else 3)
-                          for at in (inner, outer))  # fmt: skip
-            terms = [times(curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other)))]
+            root_power, of_rate = {ACROSS: (1, 0), ALONG: (3, 0), ACROSS_RATE: (3, 1), ALONG_RATE: (5, 3)}[order]
+            one, other = (np.sqrt(np.maximum(1.0 - q * at * at, 0.0)) ** root_power for at in (inner, outer))
+            factors = [curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other))]
+            if of_rate:
+                # c² r, as |c| times |c| r.
+                sizes = [np.sort(np.abs(curvature), axis=0), (inner, outer)]
+                factors.append(scaled(of_rate * q, times(*sizes)))
+            terms = [times(*factors)]
     if not powers:
         return plus(*terms)
     exponents, coefficients = np.array(powers).T
-    factors = coefficients * (1.0, exponents, exponents, exponents * (exponents - 1.0))[order]
-    inner, outer = (at[:, None] ** (exponents - (0.0, 1.0, 2.0, 2.0)[order]) for at in r)
+    across = exponents * (exponents - 2.0)
+    factors = coefficients * (
+        np.ones_like(exponents), exponents, exponents, exponents * (exponents - 1.0),
+        across, across * (exponents - 1.0),
+    )[order]  # fmt: skip
+    inner, outer = (at[:, None] ** (exponents - (0.0, 1.0, 2.0, 2.0, 3.0, 3.0)[order]) for at in r)
     slack = ROUNDING * (outer @ np.abs(factors))
     rising, falling = np.maximum(factors, 0.0), np.minimum(factors, 0.0)
     return plus(*terms, (inner @ rising + outer @ falling - slack, outer @ rising + inner @ falling + slack))
@@ -279,8 +310,36 @@ def profile_extremes(
         See `extremes`.
     """
 
-    def ranges_in(low: Array, high: Array) -> Range:
-        each = [profile_range((low[:, 1], high[:, 1]), conic, powers, (low[:, 0], high[:, 0]), n) for n in orders]
-        return np.min([low for low, _ in each], axis=0), np.max([high for _, high in each], axis=0)
+    def cells_in(low: Array, high: Array) -> tuple[Range, Range]:
+        """Return the ranges in cells, closer by their derivatives, and the least and the largest value at the ends."""
+        (inner, outer), curvature = (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
+        cells, values = [], []
+        for order in orders:
+            lows, highs = (each.reshape(3, -1) for each in profile_range(
+                (np.tile(curvature[0], 3), np.tile(curvature[1], 3)), conic, powers,
+                (np.concatenate([inner, inner, outer]), np.concatenate([outer, inner, outer])), order,
+            ))  # fmt: skip
+            least_rate, most_rate = profile_range(curvature, conic, powers, (inner, outer), RATES[order])
+            cells.append((
+                np.fmax(lows[0], _between_ends(lows[1], lows[2], least_rate, most_rate, outer - inner)),
+                np.fmin(highs[0], -_between_ends(-highs[1], -highs[2], -most_rate, -least_rate, outer - inner)),
+            ))  # fmt: skip
+            values.append((highs[1:].min(axis=0), lows[1:].max(axis=0)))
+        (cells_low, cells_high), (least, most) = (zip(*each, strict=True) for each in (cells, values))
+        return (
+            (np.min(cells_low, axis=0), np.max(cells_high, axis=0)), (np.min(least, axis=0), np.max(most, axis=0)),
+        )  # fmt: skip
 
-    return extremes(ranges_in, [0.0, min(curvatures)], [radius, max(curvatures)], within)
+    return _extremes(cells_in, [0.0, min(curvatures)], [radius, max(curvatures)], within)
+
+
+def _between_ends(at_inner: Array, at_outer: Array, least_rate: Array, most_rate: Array, length: Array) -> Array:
+    """Return lower bounds of a function between two places, by its values there and the range of its derivative.
+
+    It is nowhere below the two lines of the least and the largest slope through its ends. NaN: no bound.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cross = (at_inner - at_outer + most_rate * length) / (most_rate - least_rate)
+        place = np.where((least_rate < 0.0) & (most_rate > 0.0), cross, np.where(least_rate >= 0.0, 0.0, length))
+        place = np.clip(place, 0.0, length)
+        return np.maximum(at_inner + least_rate * place, at_outer - most_rate * (length - place))

@@ -21,7 +21,7 @@ def crest(at_mm, height_mm):
 
 @pytest.mark.parametrize("place", [20.5, 117.5, 130.37, 199.5])
 def test_a_crest_that_rises_between_all_regular_samples_crosses(place):
-    """Its top is 1e-6 mm higher than the gap, and no 256th of the aperture is as near to the top as that tells."""
+    """Its top is 1e-7 mm higher than the gap; at the nearest 256th of the aperture it is 1e-5 mm lower."""
     height, aperture = 1.0, 10.0
 
     def lens(gap_mm):

@@ -270,12 +270,12 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
             outer = np.maximum(np.abs(curvature[0]), np.abs(curvature[1])) * r[1]
             root_power, of_rate = {ACROSS: (1, 0), ALONG: (3, 0), ACROSS_RATE: (3, 1), ALONG_RATE: (5, 3)}[order]
             one, other = (np.sqrt(np.maximum(1.0 - q * at * at, 0.0)) ** root_power for at in (inner, outer))
-            factors = [curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other))]
+            parts: list[Range] = [curvature, (1.0 / np.maximum(one, other), 1.0 / np.minimum(one, other))]
             if of_rate:
                 # c² r, as |c| times |c| r.
-                sizes = [np.sort(np.abs(curvature), axis=0), (inner, outer)]
-                factors.append(scaled(of_rate * q, times(*sizes)))
-            terms = [times(*factors)]
+                least_size, most_size = np.sort(np.abs(curvature), axis=0)
+                parts.append(scaled(of_rate * q, times((least_size, most_size), (inner, outer))))
+            terms = [times(*parts)]
     if not powers:
         return plus(*terms)
     exponents, coefficients = np.array(powers).T

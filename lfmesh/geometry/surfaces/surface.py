@@ -421,7 +421,7 @@ def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, fro
     Parameters
     ----------
     s : SURFACE record
-        That has its bends, see `tessellation.set_bends`.
+        That has its bends, see `bends.set_bends`.
     ray : Ray
         From the vertex.
     sense : float

@@ -280,6 +280,11 @@ class Surface(Model):
         ----------
         height_mm : Range
             Two arrays.
+
+        Returns
+        -------
+        tuple of two Range
+            mm and 1/mm.
         """
         curvature = (np.full(len(height_mm[0]), self.curvature_per_mm),) * 2
         sag, across = (

@@ -61,6 +61,11 @@ class Form(Model):
             The least and the largest r² in each of a number of cells, mm².
         sine, cosine : Range
             x/r and y/r there, each of one sign.
+
+        Returns
+        -------
+        tuple of three Range
+            mm, 1/mm and mm.
         """
         raise NotImplementedError
 
@@ -117,6 +122,11 @@ class Biconic(Form):
         ----------
         surface, square, sine, cosine
             As for `Form`.
+
+        Returns
+        -------
+        tuple of three Range
+            mm, 1/mm and mm.
         """
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
         a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
@@ -194,6 +204,11 @@ class Toroid(Form):
         ----------
         surface, square, sine, cosine
             As for `Form`.
+
+        Returns
+        -------
+        tuple of three Range
+            mm, 1/mm and mm.
         """
         c_x = curvature(self.radius_x_mm)
         x2, y2 = (times(square, _squared(each)) for each in (sine, cosine))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.meshes.box_tree import box_tree
 from lfmesh.geometry.meshes.boxes import meets_box, part_inside
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
@@ -85,31 +86,8 @@ def patch_tree(patches: Array, corners: Array, bodies: NDArray[np.int64], chosen
     rows, hulls, folded = rows[usable], hulls[usable], int((~usable).sum())
     if not len(rows):
         return nothing._replace(folded=folded)
-    leaves = 1 << max(0, int(np.ceil(np.log2(len(rows) / LARGEST_LEAF))))
-    size = -(-len(rows) // leaves)
-    order = _in_leaves(hulls.mean(axis=1), leaves, size)
-    boxes = hulls[order].reshape(leaves, 6 * size, 3)
-    margin = MARGIN * float(np.ptp(boxes, axis=1).max())
-    low, high = np.zeros((2 * leaves, 3)), np.zeros((2 * leaves, 3))
-    low[leaves:], high[leaves:] = boxes.min(axis=1) - margin, boxes.max(axis=1) + margin
-    for first in (leaves >> level for level in range(1, leaves.bit_length())):
-        low[first : 2 * first] = low[2 * first : 4 * first].reshape(first, 2, 3).min(axis=1)
-        high[first : 2 * first] = high[2 * first : 4 * first].reshape(first, 2, 3).max(axis=1)
-    return PatchTree(low, high, rows[order], leaves, size, folded)
-
-
-def _in_leaves(middles: Array, leaves: int, size: int) -> NDArray[np.int64]:
-    """Return the order that puts neighbours into one leaf: each node's widest axis parts it in the middle."""
-    order = np.resize(np.arange(len(middles)), leaves * size)
-    nodes = 1
-    while nodes < leaves:
-        part = order.reshape(nodes, -1)
-        at = middles[part]
-        widest = np.ptp(at, axis=1).argmax(axis=1)
-        along = np.take_along_axis(at, widest[:, None, None], axis=2)[:, :, 0]
-        order = np.take_along_axis(part, np.argsort(along, axis=1, kind="stable"), axis=1).ravel()
-        nodes *= 2
-    return order
+    tree = box_tree(hulls.min(axis=1), hulls.max(axis=1), hulls.mean(axis=1), LARGEST_LEAF, MARGIN)
+    return PatchTree(tree.low, tree.high, rows[tree.order], tree.leaves, tree.size, folded)
 
 
 def _rows(patches: Array, corners: Array) -> tuple[NDArray[np.void], Array, NDArray[np.bool_]]:

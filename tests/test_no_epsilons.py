@@ -37,6 +37,7 @@ DIMENSIONLESS = {
     "geometry/files/step_surfaces.py": {"SI_PREFIXES", "SMALLEST"},
     "geometry/meshes/shell_tree.py": {"MARGIN"},
     "geometry/surfaces/surface.py": {"SETTLED"},
+    "geometry/objects/round_faces.py": {"MARGIN"},
     "geometry/objects/targets.py": {"FLAT"},
     "geometry/array/lenslets.py": {"DEPTH_WITHIN"},
     "geometry/surfaces/bends.py": {"BEFORE_END", "HEIGHT_WITHIN"},

@@ -8,7 +8,7 @@ Sizes are timed in turns; each one's peak memory is that of a process of its own
 that fits its times, time ∝ size^exponent, with its standard error. A render has a fixed cost of some hundredths of a
 second, mostly memory touched for the first time, so the sequential engine takes more samples throughout.
 
-`--series parts` and `facets` measure scenes of many things, see `bench_things`.
+`--series spheres`, `parts` and `facets` measure scenes of many things, see `bench_things`.
 
 Threads are held against a control: as many processes of one thread each, which render the same scene at the same time.
 They share the processor as the threads do, and nothing else; what the threads fall short of them is lfmesh's own loss.

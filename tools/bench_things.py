@@ -111,8 +111,25 @@ def lamps(number: int, _: Path) -> dict[str, Any]:
     }
 
 
+def spheres(number: int, _: Path) -> dict[str, Any]:
+    """Put spheres side by side, of three sizes."""
+    side = int(np.ceil(np.sqrt(number)))
+    step = ACROSS_MM / side
+    place = step * (np.stack(np.divmod(np.arange(number), side)[::-1], axis=1) - 0.5 * (side - 1))
+    return {
+        "targets": [
+            {
+                "shape": {"kind": "sphere", "radius_mm": step * (0.25, 0.35, 0.45)[i % 3]},
+                "position_mm": [*place[i].tolist(), -AWAY_MM],
+            }
+            for i in range(number)
+        ]
+    }
+
+
 THINGS = {
     "lamps": Things((1, 10, 100, 1_000, 10_000), (1, 20), lamps),
+    "spheres": Things((1, 30, 100, 500, 2_000), (1, 10), spheres),
     "parts": Things((1, 10, 100, 500, 2_000), (1, 10), parts),
     "facets": Things((100_000, 300_000, 1_000_000, 2_000_000, 4_000_000), (1_000, 10_000), facets),
 }

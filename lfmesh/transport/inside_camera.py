@@ -40,15 +40,21 @@ def refuse_objects_inside(scene: Scene, targets: list[TargetMesh], housing: Mesh
     rounding = 4.0 * np.finfo(np.float64).eps * np.abs(housing.vertices).max()
     barrel = radius[housing.vertices[:, 2] <= front + rounding].max()
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
+
     # A lamp between the first vertex and the plane of the rim may be in the first lens.
+    def beside(vertices: Array, first: float) -> bool:
+        """Tell whether some points, camera frame, are all on one side of the camera."""
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        return bool((low >= [barrel, barrel, end]).any() or (high <= [-barrel, -barrel, first]).any())
+
+    near = [i for i, target in enumerate(targets) if not beside(frame.points(to_camera, target.hull.vertices), front)]
     objects = (
-        *((_name(scene, i), target.mesh.vertices, target.mesh.faces, front) for i, target in enumerate(targets)),
+        *((_name(scene, i), (mesh := targets[i].mesh).vertices, mesh.faces, front) for i in near),
         *((*lamp, min(front, 0.0)) for lamp in _lamps(scene, to_camera, min(front, 0.0))),
     )
     for name, places, faces, first in objects:
         vertices = frame.points(to_camera, places)
-        beside = (vertices.min(axis=0) >= [barrel, barrel, end]) | (vertices.max(axis=0) <= [-barrel, -barrel, first])
-        if beside.any():
+        if beside(vertices, first):
             continue
         for polygon in _near(vertices[faces], barrel, first, end):
             within = _between(polygon, first, end)

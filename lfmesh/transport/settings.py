@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
-from lfmesh.geometry.meshes.mesh import distance_mm
 from lfmesh.transport.choice import engine_of
 from lfmesh.transport.packets.ledger import Ledger
 from lfmesh.transport.packets.packet import (
@@ -91,7 +90,7 @@ def _is_near_lens(world: World) -> bool:
     """Tell whether a target is so near that the lens throws some of its light back onto it."""
     (eye,) = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], np.zeros((1, 3)))
     near = NEAR_LENS * max(world.lens_shape.rims)
-    return any(distance_mm(body.mesh.vertices[body.mesh.faces], eye) < near for body in world.targets)
+    return any(body.distance_mm(eye) < near for body in world.targets)
 
 
 def ledger_of(book: NDArray[np.float64], counts: NDArray[np.int64], world: World, packets: int, unit: str) -> Ledger:

@@ -24,7 +24,7 @@ from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.flatness import in_one_plane
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, joined
-from lfmesh.geometry.objects.targets import TargetMesh, target_mesh
+from lfmesh.geometry.objects.targets import TargetMesh, target_body
 from lfmesh.geometry.surfaces.division import divided
 from lfmesh.geometry.surfaces.tessellation import element, revolved
 from lfmesh.notebook import Shown
@@ -192,15 +192,14 @@ class World(Shown):
     @cached_property
     def surroundings(self) -> Surroundings:
         """Bounds of lens, housing and targets, for rays that need not ask Embree."""
-        targets = [target.mesh for target in self.targets]
+        targets = [target.hull for target in self.targets]
         return surroundings_of(self.tables.lens, self.lens_shape, self.housing, targets, self.tables.frames)
 
     @cached_property
     def is_flat(self) -> bool:
         """True if all facets of all targets lie in one plane, so that no light goes from target to target."""
-        return in_one_plane(
-            np.concatenate([np.zeros((0, 3, 3)), *(t.mesh.vertices[t.mesh.faces] for t in self.targets)])
-        )
+        hulls = (target.hull for target in self.targets)
+        return in_one_plane(np.concatenate([np.zeros((0, 3, 3)), *(hull.vertices[hull.faces] for hull in hulls)]))
 
     @property
     def mesh_names(self) -> list[str]:
@@ -427,7 +426,7 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     lines = Lines.of(scene)
     wavelengths_nm = lines.wavelengths_nm
     shape = camera.lens_shape(rings)
-    targets = [target_mesh(target, scene) for target in scene.targets]
+    targets = [target_body(target, scene) for target in scene.targets]
     book = book_of(scene, shape)
 
     interfaces, known = interface_tables(scene, wavelengths_nm, book), MediumList.of(scene)
@@ -483,7 +482,8 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     cover = cover_tables(scene, wavelengths_nm, interfaces.cover, known, book)
     if cover is not None:
         tables = tables._replace(cover=cover, apparent=seen_moves)
-    finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, objects.facets["body"]))}
+    bodies_met = objects.facets["body"][: len(object_mesh.faces)]
+    finders = {LENS: Finder(lens_mesh), OBJECTS: Finder(*divided(object_mesh, bodies_met))}
     finders |= {station: Finder(mesh) for station, mesh in cells.items()}
     if scene.transport.method == "forward":
         tables = tables._replace(objects=with_seen_lamps(objects, report, moves, finders[OBJECTS]))

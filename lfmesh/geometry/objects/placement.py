@@ -18,7 +18,6 @@ from lfmesh.geometry.files.contents import counted, held
 from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, load_mesh
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array, facet_normals
-from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.targets import TargetMesh, named_target, target_mesh
 from lfmesh.scene import FirstOrder, Scene, Target
 from lfmesh.scene.advice import half_field_mm
@@ -236,7 +235,7 @@ def is_round(body: TargetMesh, eye: Array) -> bool:
     """Tell whether a closed body that hides what is behind it holds the camera's first vertex."""
     if not body.closed or body.alpha is not None:
         return False
-    return bool(winding(body.mesh.vertices[body.mesh.faces], eye)[0] != 0)
+    return body.holds(eye)
 
 
 def in_field(points: Array, facts: FirstOrder) -> Array:

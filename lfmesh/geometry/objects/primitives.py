@@ -7,6 +7,7 @@ print that shows through paper.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,19 +20,36 @@ from lfmesh.scene.objects.targets import Box, Cylinder, Disk, Plane, Shape, Sphe
 RINGS = 20
 """Of triangles, in a disk. Its 120 chords leave 3.4e-4 of the radius, a sphere's facets of 3° 6.9e-4."""
 
-AZIMUTHS = 6 * RINGS
+COARSE = 4
+"""Rings of a mesh that only has to enclose a round shape."""
+
+KEPT = 16
+"""Number of shapes whose meshes are kept."""
 
 
 class Primitive(NamedTuple):
-    """A mesh in its own frame, mm, and the place (m, 3, 2) of every facet's corners in a picture."""
+    """A mesh, mm, and the place (m, 3, 2) of every facet's corners in a picture; None: it has none."""
 
     mesh: Mesh
-    uv: Array
+    uv: Array | None
 
 
+@lru_cache(maxsize=KEPT)
 def primitive(shape: Shape) -> Primitive:
-    """Return the mesh of a shape in its own frame."""
+    """Return the mesh of a shape in its own frame; equal shapes share it."""
     return _MAKERS[type(shape)](shape)
+
+
+@lru_cache(maxsize=KEPT)
+def hull(shape: Disk | Sphere | Cylinder) -> Mesh:
+    """Return a coarse mesh in the shape's own frame that encloses it."""
+    if isinstance(shape, Sphere):
+        mesh = sphere(shape, COARSE).mesh
+        nearest = np.einsum("ij,ij->i", facet_normals(mesh)[0], mesh.vertices[mesh.faces[:, 0]]).min()
+        return Mesh(mesh.vertices * (shape.radius_mm / nearest), mesh.faces)
+    mesh = (cylinder(shape, COARSE) if isinstance(shape, Cylinder) else disk(shape, COARSE)).mesh
+    wider = 1.0 / np.cos(np.pi / _azimuths(COARSE))
+    return Mesh(mesh.vertices * [wider, wider, 1.0], mesh.faces)
 
 
 def plane(shape: Plane) -> Primitive:
@@ -40,9 +58,9 @@ def plane(shape: Plane) -> Primitive:
     return Primitive(Mesh(_at_height(corners, 0.0), _TWO_FACETS), _uv(_SQUARE)[_TWO_FACETS])
 
 
-def disk(shape: Disk) -> Primitive:
+def disk(shape: Disk, rings: int = RINGS) -> Primitive:
     """Return a disk that faces +z; its bounding square spans the picture."""
-    points, faces = _unit_disk()
+    points, faces = _unit_disk(rings)
     return Primitive(Mesh(_at_height(points * shape.radius_mm, 0.0), faces), _uv(points)[faces])
 
 
@@ -63,9 +81,9 @@ def box_of_glass(size_mm: tuple[float, float, float]) -> Mesh:
     return Mesh(mesh.vertices, mesh.faces, np.repeat(facet_normals(mesh)[0][:, None, :], 3, axis=1))
 
 
-def sphere(shape: Sphere) -> Primitive:
+def sphere(shape: Sphere, rings: int = RINGS) -> Primitive:
     """Return a sphere; its picture is an equirectangular map: centre towards +z, top towards +y."""
-    meridians, parallels = AZIMUTHS, AZIMUTHS // 2
+    meridians, parallels = _azimuths(rings), _azimuths(rings) // 2
     u, v = np.arange(meridians + 1) / meridians, np.arange(parallels + 1) / parallels
     longitude, latitude = np.pi * (2.0 * u - 1.0), np.pi * (v - 0.5)
     # The seam and the poles close exactly.
@@ -89,27 +107,29 @@ def sphere(shape: Sphere) -> Primitive:
     return Primitive(welded(Mesh(shape.radius_mm * unit.reshape(-1, 3), faces)), places[faces])
 
 
-def cylinder(shape: Cylinder) -> Primitive:
+def cylinder(shape: Cylinder, rings: int = RINGS) -> Primitive:
     """Return a closed cylinder along z.
 
     Its ends carry the picture as disks do. The wall carries it once round, with its middle towards +y and its top
     towards -z, as a box's face that looks along +y does: it stands, and faces the camera, when the cylinder is
     rotated by 90° about x.
     """
-    points, faces = _unit_disk()
+    points, faces = _unit_disk(rings)
+    azimuths = _azimuths(rings)
     half = 0.5 * shape.height_mm
     rim = shape.radius_mm
     # The polyline runs towards -z, so that the wall faces away from the axis.
-    wall = revolved(np.array([[rim, half], [rim, -half]]), AZIMUTHS)
+    wall = revolved(np.array([[rim, half], [rim, -half]]), azimuths)
     front, back = _at_height(points * rim, half), _at_height(points * rim, -half)
     uv_disk = _uv(points)
     # Seen from behind, the picture's right is -x.
     uv_back = _uv(points * [-1.0, 1.0])
-    # Seen from outside with -z on top, azimuths grow to the left. Where a facet ends at the seam, at -y, u is 1, not 0.
-    right = (_AZIMUTH_OF_SEAM - wall.faces % AZIMUTHS) % AZIMUTHS / AZIMUTHS
+    # Seen from outside with -z on top, azimuths grow to the left. Where a facet ends at the seam, at -y and three
+    # quarters of a turn, u is 1, not 0.
+    right = (3 * azimuths // 4 - wall.faces % azimuths) % azimuths / azimuths
     right = np.where((right == 0.0) & (right.max(axis=1, keepdims=True) > 0.5), 1.0, right)
     # `revolved` lays the circle at +z first.
-    uv_wall = np.stack([right, wall.faces >= AZIMUTHS], axis=-1).astype(np.float64)
+    uv_wall = np.stack([right, wall.faces >= azimuths], axis=-1).astype(np.float64)
     vertices = np.concatenate([front, back, wall.vertices])
     joint = np.concatenate([faces, faces[:, ::-1] + len(points), wall.faces + 2 * len(points)])
     uv = np.concatenate([uv_disk[faces], uv_back[faces[:, ::-1]], uv_wall])
@@ -129,9 +149,6 @@ _BOX_FACES = (
 )
 """Right and top of a picture on the faces that look along +z, -z, +x, -x, +y, -y."""
 
-_AZIMUTH_OF_SEAM = 3 * AZIMUTHS // 4
-"""Step of the round, from +x towards +y, at which it looks along -y."""
-
 _MAKERS: dict[type, Callable[[Any], Primitive]] = {
     Plane: plane,
     Disk: disk,
@@ -150,6 +167,11 @@ def _at_height(points: Array, z: float) -> Array:
     return np.column_stack([points, np.full(len(points), z)])
 
 
-def _unit_disk() -> tuple[Array, Index]:
-    ring, azimuth, faces = disk_pattern(RINGS)
-    return (ring / RINGS)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)]), faces
+def _azimuths(rings: int) -> int:
+    """Return the number of vertices on the outermost of some rings."""
+    return 6 * rings
+
+
+def _unit_disk(rings: int) -> tuple[Array, Index]:
+    ring, azimuth, faces = disk_pattern(rings)
+    return (ring / rings)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)]), faces

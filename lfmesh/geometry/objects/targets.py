@@ -10,20 +10,33 @@ from lfmesh.errors import FileError, MeshError
 from lfmesh.geometry.files.mesh_file import FARTHEST_MM, UNIT_OF_FORMAT, load_mesh
 from lfmesh.geometry.files.piece import Piece
 from lfmesh.geometry.frame import frame
-from lfmesh.geometry.meshes.mesh import Array, Index, Mesh, facet_corner_normals, facet_normals, joined
+from lfmesh.geometry.meshes.mesh import (
+    Array,
+    Index,
+    Mesh,
+    distance_mm,
+    facet_corner_normals,
+    facet_normals,
+    joined,
+)
 from lfmesh.geometry.meshes.vertex_normals import is_closed
 from lfmesh.geometry.meshes.weld import welded
+from lfmesh.geometry.meshes.winding import winding
 from lfmesh.geometry.objects.atlas import atlas
 from lfmesh.geometry.objects.gloss_pictures import GlossOnFacets, gloss_on_facets, without_even_gloss
-from lfmesh.geometry.objects.primitives import box_of_glass, primitive
+from lfmesh.geometry.objects.primitives import Primitive, box_of_glass, primitive
 from lfmesh.geometry.objects.refractors import solid_mesh
+from lfmesh.geometry.objects.round_body import ROUND_SHAPES, RoundBody
 from lfmesh.geometry.objects.texture import Texture, load_texture
 from lfmesh.geometry.objects.vertex_colours import with_colours_as_picture
 from lfmesh.optics.gltf_material import GltfMaterial
 from lfmesh.scene import Scene, Target
+from lfmesh.scene.objects.targets import Disk, Plane
 
 STEEPEST_DEG = 45.0
 """By which a vertex normal of a mesh file may stand off its facet's: more is a sharp edge, averaged by a program."""
+
+NO_FACETS = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
 FLAT = 1e-5
 """Angle in rad between a vertex normal and its facet's that float32 leaves on flat facets."""
@@ -31,15 +44,12 @@ FLAT = 1e-5
 
 @dataclass
 class TargetMesh:
-    """Triangle mesh of a target.
+    """Surface of a target.
 
     Attributes
     ----------
-    mesh : Mesh
-        World frame, mm; no facet is without area.
-    uv : (m, 3, 2) float64 or None
-        Place of each facet's corners in the texture, 0..1: (0, 0) is the bottom left of the picture, (0, 1)
-        the top left, where row 0 is. Repeats are unrolled, so a look-up need not wrap.
+    surface : Primitive or RoundBody
+        Mesh in the world frame, mm, of which no facet is without area; or a round surface that rays meet itself.
     texture : (h, w, 3) float32 or None
         Linear light, 0 to 1, that multiplies reflectance and radiance.
     alpha : (h, w) float32 or None
@@ -57,8 +67,7 @@ class TargetMesh:
         from both sides.
     """
 
-    mesh: Mesh
-    uv: Array | None
+    surface: Primitive | RoundBody
     texture: Texture | None
     closed: bool
     alpha: Texture | None = None
@@ -66,6 +75,84 @@ class TargetMesh:
     material_of: Index | None = None
     gloss: GlossOnFacets | None = None
     smooth: bool = False
+
+    @property
+    def round(self) -> RoundBody | None:
+        """Round surface that rays meet itself; None where they meet the mesh."""
+        return self.surface if isinstance(self.surface, RoundBody) else None
+
+    @property
+    def mesh(self) -> Mesh:
+        """Mesh in the world frame, mm; that of a round surface has its vertices on it, and is made at each use."""
+        return self.surface.meshed().mesh if isinstance(self.surface, RoundBody) else self.surface.mesh
+
+    @property
+    def uv(self) -> Array | None:
+        """Place (m, 3, 2) of each facet's corners in the texture, 0..1; None: there is none.
+
+        (0, 0) is the bottom left of the picture, (0, 1) the top left, where row 0 is. Repeats are unrolled, so a
+        look-up need not wrap.
+        """
+        return self.surface.meshed().uv if isinstance(self.surface, RoundBody) else self.surface.uv
+
+    @property
+    def met_mesh(self) -> Mesh:
+        """Mesh that rays meet; one without facets where they meet a round surface."""
+        return NO_FACETS if isinstance(self.surface, RoundBody) else self.surface.mesh
+
+    @property
+    def hull(self) -> Mesh:
+        """Mesh that encloses a round surface, of some hundred facets; else the mesh itself."""
+        return self.surface.hull() if isinstance(self.surface, RoundBody) else self.surface.mesh
+
+    @property
+    def box_mm(self) -> Array:
+        """Lowest and highest corner of the box round it, (2, 3), world frame."""
+        if isinstance(self.surface, RoundBody):
+            return self.surface.box_mm()
+        vertices = self.surface.mesh.vertices
+        return np.array([vertices.min(axis=0), vertices.max(axis=0)])
+
+    def holds(self, point: Array) -> bool:
+        """Tell whether a closed body holds a point (3,) of the world frame."""
+        if isinstance(self.surface, RoundBody):
+            return self.surface.holds(point)
+        return bool(winding(self.mesh.vertices[self.mesh.faces], point)[0] != 0)
+
+    def distance_mm(self, point: Array) -> float:
+        """Return the distance of its surface from a point (3,) of the world frame, mm."""
+        if isinstance(self.surface, RoundBody):
+            return self.surface.distance_mm(point)
+        return distance_mm(self.mesh.vertices[self.mesh.faces], point)
+
+
+def target_body(target: Target, scene: Scene) -> TargetMesh:
+    """Build a target as rays meet it: a round one as it is, every other by its mesh.
+
+    Raises
+    ------
+    MeshError, FileError
+        As of `target_mesh`.
+    """
+    if not isinstance(target.shape, ROUND_SHAPES) or not is_met_exactly(target, scene):
+        return target_mesh(target, scene)
+    texture, place = None, np.array([[0.0, 0.0], [1.0, 1.0]])
+    if target.material.texture is not None:
+        name = str(target.shape.kind)
+        picture = _picture(target, scene, False)
+        # Its corners lie in the texture where those of a rectangle do.
+        placed, texture = atlas(name, [_covered(Piece(*primitive(Plane(width_mm=1.0, height_mm=1.0))), picture, name)])
+        if placed is not None:
+            place = np.array([placed[0, 0], placed[0, 2] - placed[0, 0]])
+    body = RoundBody(target.shape, frame(target.rotation_deg, target.position_mm), place)
+    _refuse_too_far(target, body.box_mm())
+    return TargetMesh(body, texture, not isinstance(target.shape, Disk))
+
+
+def is_met_exactly(target: Target, scene: Scene) -> bool:
+    """Tell whether rays meet the round surface of a target itself, not a mesh of it."""
+    exact = scene.transport.surface == "exact" and target.material.opacity == 1.0
+    return exact and isinstance(target.shape, ROUND_SHAPES)
 
 
 def target_mesh(target: Target, scene: Scene) -> TargetMesh:
@@ -89,7 +176,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
             body = solid_mesh(
                 scene.resolve(str(glass.file)), glass.units, glass.crease_deg, glass.node, glass.tolerance_mm
             )
-        return TargetMesh(_stood(body, target), None, None, True)
+        return TargetMesh(Primitive(_stood(body, target), None), None, True)
     asks_alpha = target.material.opacity == "texture_alpha"
     taken = False
     if target.shape is not None:
@@ -135,7 +222,7 @@ def target_mesh(target: Target, scene: Scene) -> TargetMesh:
     mesh = Mesh(mesh.vertices, mesh.faces[solid], at_corners[solid] if at_corners is not None else None)
     mesh = _stood(mesh, target)
     placed = placed[solid] if placed is not None else None
-    made = TargetMesh(mesh, placed, texture, closed, alpha, smooth=at_corners is not None)
+    made = TargetMesh(Primitive(mesh, placed), texture, closed, alpha, smooth=at_corners is not None)
     if taken:
         _take_materials(made, name, pieces, solid)
     return made
@@ -182,11 +269,17 @@ def _stood(mesh: Mesh, target: Target) -> Mesh:
             low, high = turned.min(axis=0), turned.max(axis=0)
             foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
             made = replace(made, vertices=made.vertices - foot)
-    if np.abs(made.vertices[made.faces]).max() > FARTHEST_MM:
+    _refuse_too_far(target, made.vertices[made.faces])
+    return made
+
+
+def _refuse_too_far(target: Target, corners: Array) -> None:
+    """Refuse a target whose corners, mm, lie farther away than a scene may reach."""
+    if np.abs(corners).max() > FARTHEST_MM:
+        scale = 1.0 if target.scale is None else target.scale
         raise MeshError(
             f"{target.name or target.file or 'a target'}: scale = {scale:g} puts it beyond {FARTHEST_MM:g} mm"
         )
-    return made
 
 
 def _opaque(piece: Piece) -> Piece:

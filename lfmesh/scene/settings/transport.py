@@ -52,7 +52,7 @@ class Transport(Model):
     scene, or the image path with the one and the reflections with the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
     """Surface that a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
-    surface."""
+    surface. Opaque spheres, cylinders and disks of `[[targets]]` are exact with "exact", else fine meshes."""
     tessellation: Tessellation = Field(default_factory=Tessellation)
     """Fineness of the lens's meshes."""
     split: Literal["both", "roulette", "transmit"] = "both"

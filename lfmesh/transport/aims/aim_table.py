@@ -66,8 +66,8 @@ def shapes_in_camera(targets: list[TargetMesh], boxes: Array, moves: Array) -> S
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     pairs = np.stack(np.triu_indices(CORNERS, 1), axis=1)
     return (
-        *((frame.points(to_camera, t.mesh.vertices), t.mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
-          for t in targets),
+        *((frame.points(to_camera, hull.vertices), hull.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
+          for hull in (t.hull for t in targets)),
         *((boxes[first : first + CORNERS], pairs) for first in range(0, len(boxes), CORNERS)),
     )  # fmt: skip
 

@@ -61,8 +61,8 @@ def _shines_on(profile: LightProfile, light: Light, targets: list[TargetMesh]) -
         return True
     x, y, down = light.axes
     for target in targets:
-        corners = target.mesh.vertices[target.mesh.faces]
-        facets = np.concatenate([target.mesh.vertices, corners.mean(axis=1)])
+        hull = target.hull
+        facets = np.concatenate([hull.vertices, hull.vertices[hull.faces].mean(axis=1)])
         points = np.concatenate([facets - corner for corner in light.region.corners_mm])
         far = np.linalg.norm(points, axis=1)
         points = points[far > 0.0] / far[far > 0.0, None]

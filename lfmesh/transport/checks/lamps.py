@@ -133,10 +133,12 @@ def _hidden(world: World, region: Region) -> bool:
         target = world.scene.targets[number]
         if target.refractor is not None or body.alpha is not None or target.material.opacity != 1.0:
             continue
-        facets = body.mesh.vertices[body.mesh.faces]
-        if not crossings(facets, region.centre_mm, eye)[1].any():
+        if _is_beside(body.box_mm, region.centre_mm, eye, 0.0):
             continue
-        if len(corners) == 1 or not _any_before(_outline(body.mesh, eye), corners, eye):
+        mesh = body.mesh
+        if not crossings(mesh.vertices[mesh.faces], region.centre_mm, eye)[1].any():
+            continue
+        if len(corners) == 1 or not _any_before(_outline(mesh, eye), corners, eye):
             return True
     return False
 
@@ -205,14 +207,23 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
             continue
         start, end = region.centre_mm - region.spine_mm, region.centre_mm + region.spine_mm
         for target, body in enumerate(world.targets):
-            near = _distance_mm(body.mesh.vertices[body.mesh.faces], start, end, reach)
-            if world.scene.targets[target].refractor is None and near < reach:
+            if world.scene.targets[target].refractor is not None or _is_beside(body.box_mm, start, end, reach):
+                continue
+            mesh = body.mesh
+            near = _distance_mm(mesh.vertices[mesh.faces], start, end, reach)
+            if near < reach:
                 named += 1
                 yield HeavyPathsWarning(
                     f"lights[{number}] stands {plain(near, 2)} mm from {named_target(world.scene, target)}, of which "
                     "few samples meet the spot that it lights. The picture may be too dark, and its error too small. "
                     f'Move the lamp {plain(reach, 2)} mm or more away, take more samples, or method = "forward"'
                 )
+
+
+def _is_beside(box: Array, start: Array, end: Array, reach: float) -> bool:
+    """Tell whether a segment's own box keeps clear of a box, (2, 3) mm, by more than a reach."""
+    low, high = np.minimum(start, end) - reach, np.maximum(start, end) + reach
+    return bool((box[0] > high).any() or (box[1] < low).any())
 
 
 def _distance_mm(corners: Array, start: Array, end: Array, reach: float) -> float:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfmesh.geometry.objects.round_faces import place_in_picture, point_at, round_normal
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.facets import barycentric
 from lfmesh.transport.events.scattering import Point, emissivity, is_hot
@@ -43,8 +44,8 @@ def point_of(
     x, y, z = place
     texel = _texture_at(objects, prim, packet.colour, x, y, z)
     facet = objects.facets[prim]
-    normal = facet.normal
-    nx, ny, nz = side * normal[0], side * normal[1], side * normal[2]
+    nx, ny, nz = outward(objects, prim, x, y, z)
+    nx, ny, nz = side * nx, side * ny, side * nz
     model = objects.model[prim]
     if len(objects.varied.ranges) > 0:
         model = _drawn_model(objects, packet, prim, model, x, y, z)
@@ -55,6 +56,90 @@ def point_of(
         return Point(prim, x, y, z, nx, ny, nz, model, texel, False, nx, ny, nz, to_light, 0.0, 0.0)
     sx, sy, sz = _interpolated_normal(facet, side, x, y, z)
     return Point(prim, x, y, z, nx, ny, nz, model, texel, True, sx, sy, sz, to_light, 0.0, 0.0)
+
+
+@inlined
+def outward(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the unit normal of a facet, or of a round face at a point of it.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    prim : int
+    x, y, z : float, mm
+    """
+    return _outward(objects.rounds, objects, prim, x, y, z)
+
+
+@inlined
+def _outward(
+    rounds: Any, objects: ObjectTables, prim: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the result of `outward`; `rounds` : RoundFaces or None, of which numba then compiles nothing."""
+    # Two conditions: numba leaves the code out where the first alone is known not to hold.
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            return round_normal(rounds.faces[prim - rounds.first], x, y, z)
+    normal = objects.facets[prim].normal
+    return normal[0], normal[1], normal[2]
+
+
+@inlined
+def spread(objects: ObjectTables, prim: int, u: float, v: float) -> tuple[float, float]:
+    """Return where two random numbers, uniform in [0, 1), lie on a facet, by which they are spread evenly over it.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    prim : int
+    u, v : float
+
+    Returns
+    -------
+    b, c : float
+        Barycentric weights of the second and third corner; of a round face its parameters.
+    """
+    return _spread(objects.rounds, prim, u, v)
+
+
+@inlined
+def _spread(rounds: Any, prim: int, u: float, v: float) -> tuple[float, float]:
+    """Return the result of `spread`; `rounds` : RoundFaces or None."""
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            return u, v
+    return (1.0 - u, 1.0 - v) if u + v > 1.0 else (u, v)
+
+
+@inlined
+def place_on(objects: ObjectTables, prim: int, b: float, c: float) -> tuple[float, float, float]:
+    """Return a point of a facet, mm.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    prim : int
+    b, c : float
+        As of `spread`.
+    """
+    return _place_on(objects.rounds, objects, prim, b, c)
+
+
+@inlined
+def _place_on(
+    rounds: Any, objects: ObjectTables, prim: int, b: float, c: float
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return the result of `place_on`; `rounds` : RoundFaces or None."""
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            return point_at(rounds.faces[prim - rounds.first], b, c)
+    corner = objects.facets[prim].corners
+    a = 1.0 - b - c
+    return (
+        a * corner[0, 0] + b * corner[1, 0] + c * corner[2, 0],
+        a * corner[0, 1] + b * corner[1, 1] + c * corner[2, 1],
+        a * corner[0, 2] + b * corner[1, 2] + c * corner[2, 2],
+    )
 
 
 @kernel
@@ -160,7 +245,7 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
     if height == 0:
         return 1.0
     first, width = objects.texture[body, 0], objects.texture[body, 2]
-    row, column = _place_in(objects.facets[prim], objects.uv[prim], height, width, x, y, z)
+    row, column = _texel_at(objects.rounds, objects, prim, height, width, x, y, z)
     left, low = int(np.floor(column)), int(np.floor(row))
     right_share, low_share = column - left, row - low
     # No views of rows: a view counts its references, which costs more than what is read.
@@ -178,6 +263,18 @@ def _texture_at(objects: ObjectTables, prim: int, colour: int, x: float, y: floa
             else:
                 value += share * objects.texels[texel, colour]
     return value
+
+
+@inlined
+def _texel_at(
+    rounds: Any, objects: ObjectTables, prim: int, height: int, width: int, x: float, y: float, z: float
+) -> tuple[float, float]:
+    """Return row and column of a target's texture at a point, as `_place_in`; `rounds` : RoundFaces or None."""
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            u, v = place_in_picture(rounds.faces[prim - rounds.first], x, y, z)
+            return (1.0 - v) * height - 0.5, u * width - 0.5
+    return _place_in(objects.facets[prim], objects.uv[prim], height, width, x, y, z)
 
 
 @inlined

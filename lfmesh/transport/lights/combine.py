@@ -24,7 +24,7 @@ from lfmesh.transport.events.facets import EDGE, clear_of
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.scattering import Point, density, evaluate
 from lfmesh.transport.events.scattering_point import ScatteringPoint, scattered_at
-from lfmesh.transport.events.surface import point_of
+from lfmesh.transport.events.surface import outward, point_of
 from lfmesh.transport.events.travel import transmitted
 from lfmesh.transport.events.volume import Line, Passage, pass_through
 from lfmesh.transport.lights.emitting_facets import are_asked as facets_are_asked
@@ -316,8 +316,9 @@ def _scattered_along(volumes: Any, space: ObjectSpace, packet: Any, ray: Ray) ->
             return value, value * _kept(options, packet, packet.weight), 0.0
     ix, iy, iz = packet.dx, packet.dy, packet.dz
     own = objects.facets[packet.facet]
-    side = -1.0 if own.normal[0] * ix + own.normal[1] * iy + own.normal[2] * iz > 0.0 else 1.0
-    cosine = side * (own.normal[0] * ux + own.normal[1] * uy + own.normal[2] * uz)
+    nx, ny, nz = outward(objects, packet.facet, x, y, z)
+    side = -1.0 if nx * ix + ny * iy + nz * iz > 0.0 else 1.0
+    cosine = side * (nx * ux + ny * uy + nz * uz)
     if cosine <= EDGE:
         return 0.0, 0.0, 0.0
     point = point_of(objects, packet, packet.facet, (x, y, z), side, True)

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry.objects.round_faces import parameters_at
 from lfmesh.geometry.ray import Ray, along
 from lfmesh.kernels.decorators import inlined
 from lfmesh.transport.events.crossing import EMITTER_U, draw_two
 from lfmesh.transport.events.facets import barycentric, crosses
-from lfmesh.transport.events.surface import emitted_radiance, point_of
+from lfmesh.transport.events.surface import emitted_radiance, outward, place_on, point_of, spread
 from lfmesh.transport.lights.shadow import Way
 from lfmesh.transport.packets.packet import TO_FACET, Options
-from lfmesh.transport.tables.tables import Emitters, ObjectTables
+from lfmesh.transport.tables.tables import ObjectTables
 
 
 @inlined
@@ -48,16 +49,16 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     """
     u, v = draw_two(options, packet, EMITTER_U)
     prim, x, y, z, per_area = emitting_point(objects, u, v)
-    facet, normal = objects.facets[prim], objects.facets[prim].normal
+    nx, ny, nz = outward(objects, prim, x, y, z)
     ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
     distance2 = ux * ux + uy * uy + uz * uz
     distance = np.sqrt(distance2)
     drawn, away = 0.0, 0.0
     if prim != packet.facet and distance2 > 0.0:
         ux, uy, uz = ux / distance, uy / distance, uz / distance
-        away = normal[0] * ux + normal[1] * uy + normal[2] * uz
+        away = nx * ux + ny * uy + nz * uz
     # A facet in the point's own plane, to rounding, sends it no light.
-    if away < 0.0 or (away > 0.0 and not objects.one_sided[facet.body]):
+    if away < 0.0 or (away > 0.0 and not objects.one_sided[objects.facets[prim].body]):
         drawn = per_area * distance2 / abs(away)
     return Way(TO_FACET, prim, Ray(packet.x, packet.y, packet.z, ux, uy, uz), distance, 1.0, drawn)
 
@@ -78,13 +79,12 @@ def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z
     """
     if len(objects.emitters.until) == 0:
         return 0.0
-    facet = objects.facets[prim]
-    per_area = density_at(objects.emitters, facet, prim, x, y, z)
+    per_area = density_at(objects, prim, x, y, z)
     if per_area <= 0.0:
         return 0.0
     dx, dy, dz = x - packet.x, y - packet.y, z - packet.z
-    normal = facet.normal
-    cosine = abs(normal[0] * packet.dx + normal[1] * packet.dy + normal[2] * packet.dz)
+    nx, ny, nz = outward(objects, prim, x, y, z)
+    cosine = abs(nx * packet.dx + ny * packet.dy + nz * packet.dz)
     return per_area * (dx * dx + dy * dy + dz * dz) / cosine
 
 
@@ -100,9 +100,10 @@ def radiance(objects: ObjectTables, packet: Any, way: Way) -> float:
     way : Way
         From `sample`.
     """
-    ray, normal = way.ray, objects.facets[way.goal].normal
-    side = -1.0 if normal[0] * ray.dx + normal[1] * ray.dy + normal[2] * ray.dz > 0.0 else 1.0
-    there = point_of(objects, packet, way.goal, along(ray, way.reach), side, True)
+    ray, place = way.ray, along(way.ray, way.reach)
+    nx, ny, nz = outward(objects, way.goal, place[0], place[1], place[2])
+    side = -1.0 if nx * ray.dx + ny * ray.dy + nz * ray.dz > 0.0 else 1.0
+    there = point_of(objects, packet, way.goal, place, side, True)
     return emitted_radiance(objects, packet, there, -ray.dx, -ray.dy, -ray.dz)
 
 
@@ -127,22 +128,31 @@ def is_reached(objects: ObjectTables, packet: Any, prim: int) -> bool:
 
 
 @inlined
-def density_at(emitters: Emitters, facet: Any, prim: int, x: float, y: float, z: float) -> float:
+def density_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
     """Return the density, 1/mm², with which `emitting_point` draws a point of a facet.
 
     Parameters
     ----------
-    emitters : Emitters
-    facet : FACET
+    objects : ObjectTables
     prim : int
-        Its number.
+        Number of the facet.
     x, y, z : float, mm
         The point, object frame.
     """
-    first = emitters.first[prim]
+    first = objects.emitters.first[prim]
     if first < 0:
         return 0.0
-    b, c = barycentric(facet, x, y, z)
+    return objects.emitters.density[first + _piece_at(objects.rounds, objects, prim, x, y, z)]
+
+
+@inlined
+def _piece_at(rounds: Any, objects: ObjectTables, prim: int, x: float, y: float, z: float) -> int:
+    """Return the number of the piece of an emitting facet at a point; `rounds` : RoundFaces or None."""
+    emitters = objects.emitters
+    if rounds is not None:  # noqa: SIM102
+        if prim >= rounds.first:
+            return _square_at(rounds.faces[prim - rounds.first], emitters.level[prim], x, y, z)
+    b, c = barycentric(objects.facets[prim], x, y, z)
     piece = 0
     for _ in range(emitters.level[prim]):
         a = 1.0 - b - c
@@ -155,7 +165,21 @@ def density_at(emitters: Emitters, facet: Any, prim: int, x: float, y: float, z:
         else:
             digit, b, c = 0, 1.0 - 2.0 * b, 1.0 - 2.0 * c
         piece = 4 * piece + digit
-    return emitters.density[first + piece]
+    return piece
+
+
+@inlined
+def _square_at(face: Any, level: int, x: float, y: float, z: float) -> int:
+    """Return the number of the piece at a point among those of a round face, squares of its parameters."""
+    piece = 0
+    if level > 0:
+        s, t = parameters_at(face, x, y, z)
+        for _ in range(level):
+            s, t = 2.0 * s, 2.0 * t
+            right, up = 1 if s >= 1.0 else 0, 1 if t >= 1.0 else 0
+            s, t = s - right, t - up
+            piece = 4 * piece + 2 * up + right
+    return piece
 
 
 @inlined
@@ -182,16 +206,11 @@ def emitting_point(objects: ObjectTables, u: float, v: float) -> tuple[int, floa
     below = emitters.until[piece - 1] if piece > 0 else 0.0
     # What is left of the first number is a random number of its own.
     u = min((u - below) / (emitters.until[piece] - below), 1.0)
-    if u + v > 1.0:
-        u, v = 1.0 - u, 1.0 - v
     prim = emitters.facet[piece]
+    u, v = spread(objects, prim, u, v)
     b, c = (
         emitters.place[piece, 0] + emitters.place[piece, 2] * u,
         emitters.place[piece, 1] + emitters.place[piece, 2] * v,
     )
-    corner = objects.facets[prim].corners
-    a = 1.0 - b - c
-    x = a * corner[0, 0] + b * corner[1, 0] + c * corner[2, 0]
-    y = a * corner[0, 1] + b * corner[1, 1] + c * corner[2, 1]
-    z = a * corner[0, 2] + b * corner[1, 2] + c * corner[2, 2]
+    x, y, z = place_on(objects, prim, b, c)
     return prim, x, y, z, emitters.density[piece]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry.frame import move_direction, move_point
 from lfmesh.geometry.meshes.boxes import box_entry
 from lfmesh.geometry.meshes.patch_tree import patch_finder
+from lfmesh.geometry.objects.round_faces import first_round
 from lfmesh.geometry.ray import Ray, ray_of
 from lfmesh.kernels.decorators import inlined, kernel
 from lfmesh.transport.events.bodies import RANK, bodies_round, is_in
@@ -118,6 +119,10 @@ def shade_objects(
         if curved[0] >= 0:
             prim, t, along = _as_met(curved, dx, dy, dz)
             facet = facets[prim]
+        on_round = _first_round(objects.rounds, packet, t if t > 0.0 else np.inf)
+        if on_round[0] >= 0:
+            prim, t, along = on_round
+            facet, curved = facets[prim], (-1, t, 0.0, 0.0, 1.0)
         elif prim < 0 and packet.tries == 0 and _might_have_met(objects, packet):
             # Embree lets a ray pass that is aimed exactly at a vertex.
             requery(options, flow, frames, OBJECTS, packet, packet.query_from, True, LOST_OUTSIDE)
@@ -242,6 +247,33 @@ def _first_curved(glass: Any, objects: ObjectTables, packet: Any, until: float) 
         until = min(until, packet.limit)
     state = bodies_round(packet), objects.rank
     return _first_patch(glass.tree, state, ray_of(packet), 0.0, until)
+
+
+@inlined
+def _first_round(rounds: Any, packet: Any, until: float) -> tuple[int, float, float]:
+    """Return the first round face that a packet meets before a distance, that distance, and normal · direction.
+
+    Parameters
+    ----------
+    rounds : RoundFaces or None
+        None: there are none, and numba compiles nothing but the first line.
+    packet : PACKET
+    until : float, mm
+
+    Returns
+    -------
+    prim : int
+        Its number among the facets; −1: it meets none.
+    t : float, mm
+    along : float
+    """
+    if rounds is None:
+        return -1, until, 0.0
+    if packet.kind == SHADOW and packet.light == TO_LAMP:
+        # To a facet that shines it goes up to that itself.
+        until = min(until, packet.limit)
+    number, t, along = first_round(rounds, ray_of(packet), packet.facet - rounds.first, until)
+    return (number + rounds.first if number >= 0 else -1), t, along
 
 
 @inlined

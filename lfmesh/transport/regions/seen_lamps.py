@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.objects.round_faces import RoundFaces, first_round, round_normal
+from lfmesh.geometry.ray import Ray, along
 from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import FirstOrder
 from lfmesh.scene.advice import half_field_mm
@@ -78,7 +80,26 @@ def _seen_places(
         t = (offset - np.einsum("ij,ij->i", normal, start)) / cosine
     seen = (found >= 0) & (facets["body"] >= 0) & np.isfinite(t) & (t > 0.0)
     facing = -np.sign(cosine)[:, None] * normal
+    if objects.rounds is not None:
+        t = np.where((found >= 0) & np.isfinite(t) & (t > 0.0), t, np.inf)
+        _meet_rounds(objects.rounds, start, d, t, facing, seen)
     return (start + t[:, None] * d)[seen], facing[seen]
+
+
+@kernel
+def _meet_rounds(
+    rounds: RoundFaces, starts: Array, directions: Array, t: Array, facing: Array, seen: NDArray[np.bool_]
+) -> None:
+    """Enter the round faces that rays meet before a distance: their distance, normal towards the start, and `seen`."""
+    for i in range(len(starts)):
+        ray = Ray(starts[i, 0], starts[i, 1], starts[i, 2], directions[i, 0], directions[i, 1], directions[i, 2])
+        number, nearest, steepness = first_round(rounds, ray, -1, t[i])
+        if number >= 0:
+            x, y, z = along(ray, nearest)
+            nx, ny, nz = round_normal(rounds.faces[number], x, y, z)
+            side = -1.0 if steepness > 0.0 else 1.0
+            t[i], seen[i] = nearest, True
+            facing[i, 0], facing[i, 1], facing[i, 2] = side * nx, side * ny, side * nz
 
 
 @kernel

@@ -18,6 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from lfmesh.geometry.objects.targets import is_met_exactly
 from lfmesh.kernels.accelerator import private
 from lfmesh.kernels.cache import is_cached
 from lfmesh.scene import Scene
@@ -59,7 +60,7 @@ import gc, os, sys
 gc.disable()
 sys.path[:] = {path!r}
 from {module} import compile_stations
-compile_stations({stations!r}, glass={glass!r}, done=lambda: os.write(1, b"."))
+compile_stations({stations!r}, glass={glass!r}, rounds={rounds!r}, done=lambda: os.write(1, b"."))
 os._exit(0)
 """
 
@@ -116,7 +117,8 @@ class Ahead:
         if processors() > 1 and usual and not cached:
             stations = ON_IMAGE_PATH if alone else EVERYWHERE
             glass = len(scene.bodies()) > 0
-            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, glass=glass)
+            rounds = any(is_met_exactly(target, scene) for target in scene.targets)
+            code = _CHILD.format(path=sys.path, module=__name__, stations=stations, glass=glass, rounds=rounds)
             try:
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", code],
@@ -201,6 +203,7 @@ def compile_stations(
     stations: tuple[tuple[int, bool], ...],
     *,
     glass: bool = False,
+    rounds: bool = False,
     done: Callable[[], object] = object,
 ) -> None:
     """Compile the kernels of stations by a wave without packets at each; the camera has nothing that is aimed at.
@@ -211,10 +214,13 @@ def compile_stations(
         As `EVERYWHERE`.
     glass : bool
         Whether the scene has bodies of glass.
+    rounds : bool
+        Whether rays meet spheres, cylinders or disks of the scene themselves.
     done : callable
         Called after each station.
     """
-    world = build(Scene.model_validate(BARE | {"targets": [GLASS if glass else WALL]}), aimed=False)
+    targets = [GLASS if glass else WALL, *([BALL] if rounds else [])]
+    world = build(Scene.model_validate(BARE | {"targets": targets}), aimed=False)
     options = options_of(world)
     work = Workspace(world, options, 1)
     work.begin(Film.empty(0, 1), 0)
@@ -245,4 +251,5 @@ WALL: dict[str, Any] = {
     "shape": {"kind": "plane", "width_mm": 1.0, "height_mm": 1.0},
     "position_mm": [0.0, 0.0, -500.0],
 }
+BALL: dict[str, Any] = {"shape": {"kind": "sphere", "radius_mm": 1.0}, "position_mm": [0.0, 0.0, -550.0]}
 GLASS: dict[str, Any] = {"refractor": {"box_mm": [1.0, 1.0, 1.0], "index": 1.5}, "position_mm": [0.0, 0.0, -500.0]}

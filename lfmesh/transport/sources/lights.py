@@ -22,7 +22,7 @@ from lfmesh.transport.events.crossing import record
 from lfmesh.transport.events.object_space import ObjectSpace
 from lfmesh.transport.events.polarisation import polarise_as_light
 from lfmesh.transport.events.scattering import albedo
-from lfmesh.transport.events.surface import emission_of, opacity_at, point_of
+from lfmesh.transport.events.surface import emission_of, opacity_at, place_on, point_of, spread
 from lfmesh.transport.events.volume import coefficients
 from lfmesh.transport.lights.media_emitters import drawn_point
 from lfmesh.transport.packets.book import EMITTED, ESCAPED
@@ -204,14 +204,8 @@ def _from_facet(space: ObjectSpace, packet: Any, prim: int, weight: float) -> No
     """Emit a packet from a uniform point of a facet; of a sheet with two sides, from either."""
     flow, objects, key = space.flow, space.objects, packet.key
     body = objects.facets[prim].body
-    u, v = start(key, PLACE_U), start(key, PLACE_V)
-    if u + v > 1.0:
-        u, v = 1.0 - u, 1.0 - v
-    corner = objects.facets[prim].corners
-    w = 1.0 - u - v
-    x = w * corner[0, 0] + u * corner[1, 0] + v * corner[2, 0]
-    y = w * corner[0, 1] + u * corner[1, 1] + v * corner[2, 1]
-    z = w * corner[0, 2] + u * corner[1, 2] + v * corner[2, 2]
+    b, c = spread(objects, prim, start(key, PLACE_U), start(key, PLACE_V))
+    x, y, z = place_on(objects, prim, b, c)
     side = 1.0
     if not objects.one_sided[body] and start(key, SIDE) < 0.5:
         side = -1.0

@@ -23,7 +23,7 @@ MOST_AT_ONCE = 1 << 22
 """Pairs of facets that are compared at a time, to bound the memory."""
 
 
-def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, Index, float]:
+def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_], facets: int) -> tuple[Index, Index, float]:
     """Return the facets that may be in contact with each facet, and the distance within which they are.
 
     Parameters
@@ -31,6 +31,8 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     meshes : list of Mesh
         Meshes of all targets; facets are numbered through, one mesh after the other.
     is_glass : (targets,) bool
+    facets : int
+        Number of facets in object space.
 
     Returns
     -------
@@ -55,8 +57,8 @@ def contacts(meshes: list[Mesh], is_glass: NDArray[np.bool_]) -> tuple[Index, In
     if not len(both):
         return none, none, near
     both = both[np.argsort(both[:, 0], kind="stable")]
-    # The housing's facets come last and touch nothing.
-    first = np.searchsorted(both[:, 0], np.arange(begins[-1] + 1))
+    # The housing's facets and round faces come last and touch nothing.
+    first = np.searchsorted(both[:, 0], np.arange(facets + 1))
     return first, np.ascontiguousarray(both[:, 1]), near
 
 

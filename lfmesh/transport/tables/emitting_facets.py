@@ -3,13 +3,15 @@
 A facet is divided into 4ⁿ equal triangles, its pieces, so that those of a textured facet follow the texture. They are
 numbered as Basu & Owen's triangular van der Corput points (SIAM J. Numer. Anal. 53, 743, 2015): of the four triangles
 that the midpoints of the edges make, the base-4 digit 0 is the middle one and 1 + k that at corner k. Neighbours in
-number are neighbours in place, so evenly spread random numbers give evenly spread points.
+number are neighbours in place, so evenly spread random numbers give evenly spread points. The pieces of a round face
+are squares of its parameters, numbered along Morton's curve.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.objects.round_faces import places_in_picture
 from lfmesh.transport.tables.scattering import mean_emission
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
@@ -34,6 +36,8 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     facets = objects.facets
     edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
+    if objects.rounds is not None:
+        area[objects.rounds.first :] = objects.rounds.faces["area"]
     emission = np.append(mean_emissions(objects).mean(axis=2), [[0.0, 0.0]], axis=0)[facets["body"]]
     bright = np.flatnonzero(np.maximum(emission[:, 0], emission.sum(axis=1)) * area > 0.0)
     if not len(bright):
@@ -49,8 +53,8 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     share = power / power.sum()
     until = np.cumsum(share)
     begin = np.searchsorted(until, np.arange(len(until)) / len(until), side="right")
-    corners = np.concatenate([corner_weights(int(each)) for each in level])
-    place = np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
+    triangles = bright < _first_round(objects)
+    place = np.concatenate([_places(int(each), plain) for each, plain in zip(level, triangles.tolist(), strict=True)])
     return Emitters(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
 
 
@@ -86,6 +90,7 @@ def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int6
     texture = objects.texture[objects.facets["body"][bright]]
     texels = objects.uv[bright] * texture[:, None, :0:-1]
     across = np.linalg.norm(texels - np.roll(texels, 1, axis=1), axis=2).max(axis=1)
+    across = np.where(bright < _first_round(objects), across, texture[:, 1:].max(axis=1))
     wanted = np.ceil(np.log2(np.maximum(across / TEXELS_ACROSS, 1.0))).astype(np.int64)
     level = np.zeros_like(wanted)
     for most in range(int(wanted.max()), 0, -1):
@@ -106,6 +111,37 @@ def corner_weights(level: int) -> Array:
     return pieces
 
 
+def square_corners(level: int) -> Array:
+    """Return the lower left corners of the squares that a square from 0 to 1 is divided into, (4**level, 2)."""
+    corners, size = np.zeros((1, 2)), 1.0
+    for _ in range(level):
+        size *= 0.5
+        corners = (corners[:, None] + size * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])).reshape(-1, 2)
+    return corners
+
+
+def _places(level: int, triangles: bool) -> Array:
+    """Return the places of the pieces of a facet, or of a round face, see `Emitters`."""
+    if not triangles:
+        return np.column_stack([square_corners(level), np.full(4**level, 0.5**level)])
+    corners = corner_weights(level)
+    return np.column_stack([corners[:, 0, 1:], corners[:, 1, 1] - corners[:, 0, 1]])
+
+
+def _first_round(objects: ObjectTables) -> int:
+    """Return the number of the first round face among the facets."""
+    return len(objects.facets) if objects.rounds is None else objects.rounds.first
+
+
+def _in_texture(objects: ObjectTables, facet: int, level: int) -> Array:
+    """Return the places in the texture of the middles of a facet's pieces, (4**level, 2)."""
+    first = _first_round(objects)
+    if facet < first:
+        return corner_weights(level).mean(axis=1) @ objects.uv[facet]
+    s, t = (square_corners(level) + 0.5 * 0.5**level).T
+    return places_in_picture(objects.rounds.faces[facet - first], s, t)
+
+
 def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDArray[np.int64]) -> Array:
     """Return the mean of the texture over each piece, and over the wavelengths; 1 without a texture."""
     texture = objects.texture[objects.facets["body"][bright]]
@@ -119,7 +155,7 @@ def _texture_means(objects: ObjectTables, bright: NDArray[np.int64], level: NDAr
             texels = objects.texels[start : start + height * width]
             pictures[start] = (texels.mean(axis=1) if weights is None else texels @ weights).reshape(height, width)
         values = pictures[start]
-        u, v = (corner_weights(int(level[number]) + PROBES).mean(axis=1) @ objects.uv[bright[number]]).T
+        u, v = _in_texture(objects, int(bright[number]), int(level[number]) + PROBES).T
         # The nearest texel: a mean over many needs no interpolation.
         column = np.clip((u * width).astype(np.int64), 0, width - 1)
         row = np.clip(((1.0 - v) * height).astype(np.int64), 0, height - 1)

@@ -61,7 +61,7 @@ def facet_models(
     )
     of_facets = [np.zeros(0, np.int64)]
     for i, target in enumerate(targets):
-        chosen = np.full(len(target.mesh.faces), i)
+        chosen = np.full(len(target.met_mesh.faces), i)
         if target.material_of is not None:
             chosen = np.append([rows[each, around[i][0]] for each in target.materials], i)[target.material_of]
         of_facets.append(chosen)

@@ -32,7 +32,7 @@ def media_round_gloss(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> 
         if hosts.medium[i] != OPAQUE or (given.material.gloss is None and not target.materials):
             found.append((AIR,))
             continue
-        bodies = hosts.top_along(target.mesh.vertices[target.mesh.faces])
+        bodies = hosts.along(target)
         for body in bodies:
             _refuse_lower_index(scene, i, target, hosts, body)
         media = sorted({hosts.number_of(body) for body in bodies})

@@ -72,6 +72,12 @@ class Hosts(NamedTuple):
         parts = [surface, *(self.corners[body] for body in bodies)]
         return CUT * min(float(np.ptp(corners, axis=(0, 1)).max()) for corners in parts)
 
+    def along(self, target: TargetMesh) -> list[int | None]:
+        """Return the bodies in which parts of a target's surface are, as `top_along` does."""
+        if not self.rank.any():
+            return [None]
+        return self.top_along(target.mesh.vertices[target.mesh.faces])
+
     def top_along(self, surface: Array, *, just_inside: bool = False) -> list[int | None]:
         """Return the bodies in which parts of a surface are, of several in one place that of the highest rank.
 

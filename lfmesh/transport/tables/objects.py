@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 from lfmesh.errors import SceneError
 from lfmesh.geometry.lens.lens_shape import LensShape
 from lfmesh.geometry.meshes.levels import PATCH, SURFACE_LEVEL
-from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_normals, facet_table, joined
+from lfmesh.geometry.meshes.mesh import FACET, Array, Mesh, facet_normals, facet_table, joined
 from lfmesh.geometry.meshes.patch_tree import patch_tree
+from lfmesh.geometry.objects.round_faces import ROUND, RoundFaces, round_faces
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.objects.texture import Texture, is_grey
 from lfmesh.geometry.surfaces.surface import is_revolved
@@ -40,6 +41,7 @@ from lfmesh.transport.tables.tables import (
     LensTables,
     ObjectTables,
 )
+from lfmesh.transport.tables.varied_gloss import VariedGloss
 from lfmesh.transport.tables.volumes import Volumes, reach_of, volume_tables
 
 
@@ -47,8 +49,8 @@ def middle_of(targets: list[TargetMesh]) -> Array:
     """Return the middle of the targets' bounding box in the world frame."""
     if not targets:
         return np.zeros(3)
-    vertices = np.concatenate([t.mesh.vertices for t in targets])
-    return np.asarray(0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+    boxes = np.array([target.box_mm for target in targets])
+    return np.asarray(0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0)))
 
 
 def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
@@ -103,26 +105,28 @@ def object_tables(
     """
     wavelengths_nm = lines.wavelengths_nm
     to_object = moves[WORLD_FRAME, OBJECT_FRAME]
-    parts = [t.mesh.moved(to_object) for t in targets]
+    parts = [t.met_mesh.moved(to_object) for t in targets]
     mesh = joined([*parts, housing.moved(moves[CAMERA_FRAME, OBJECT_FRAME])])
-    bodies = np.repeat([*range(len(parts)), -1], [len(m.faces) for m in (*parts, housing)])
-    facets = facet_table(mesh, bodies.astype(np.int64))
-    uv = np.zeros((len(mesh.faces), 3, 2))
+    rounds = _rounds(targets, to_object, len(mesh.faces))
+    facets = _facets(mesh, [*parts, housing], rounds)
+    bodies = facets["body"]
+    uv = np.zeros((len(facets), 3, 2))
     texture = np.zeros((len(targets), 3), np.int64)
     weights = np.array([primary_reflectances(w) for w in wavelengths_nm])
     texels: list[NDArray[np.float32]] = []
     filled = 0
     for i, target in enumerate(targets):
-        if target.texture is None or target.uv is None:
+        if target.texture is None or (target.round is None and target.uv is None):
             continue
-        uv[bodies == i] = target.uv
+        if target.round is None:
+            uv[bodies == i] = target.uv
         height, width = target.texture.shape[:2]
         texture[i] = filled, height, width
         texels.append(_texels(target.texture, weights, lines.in_bands))
         filled += height * width
     materials = [t.material for t in scene.targets]
     alphas = [t.alpha.ravel() if t.alpha is not None else np.zeros(0, np.float32) for t in targets]
-    radius = max((float(np.linalg.norm(m.vertices, axis=1).max()) for m in parts), default=0.0)
+    radius = _radius(targets, parts, moves[OBJECT_FRAME, WORLD_FRAME][:, 3])
     glasses = [t.refractor for t in scene.targets]
     medium = np.array([known.of_body(g) if g is not None else OPAQUE for g in glasses], dtype=np.int64)
     level = np.array([SURFACE_LEVEL[g.level] if g is not None else 0 for g in glasses], dtype=np.int64)
@@ -130,7 +134,7 @@ def object_tables(
     # Target of each rank, from 1; the entry of rank 0 is not used.
     by_rank = np.zeros(int(ranks.max(initial=0)) + 1, np.int64)
     by_rank[ranks[ranks > 0]] = np.flatnonzero(ranks)
-    first, partners, near = contacts([target.mesh for target in targets], ranks > 0)
+    first, partners, near = contacts([target.met_mesh for target in targets], ranks > 0, len(facets))
     _refuse_touched_finishes(scene, bodies, first)
     reflectances = [reflectance_at(scene, i, wavelengths_nm) for i in range(len(targets))]
     radiance = np.array([radiance_at(scene, i, lines) for i in range(len(targets))]).reshape(-1, len(wavelengths_nm))
@@ -167,8 +171,8 @@ def object_tables(
             dtype=np.bool_,
         ),
         scattering=models.scattering,
-        model=np.append(models.of_facets, np.zeros(len(housing.faces), np.int64)),
-        varied=models.varied,
+        model=_models(models.of_facets, len(housing.faces), rounds),
+        varied=_with_rounds(models.varied, len(housing.faces), rounds),
         smooth=np.array([t.smooth for t in targets], dtype=np.bool_),
         radiance=radiance,
         emission_spectra=np.divide(radiance, largest, out=np.zeros_like(radiance), where=largest > 0.0),
@@ -191,21 +195,76 @@ def object_tables(
         emitters=no_emitters(),
         sources=np.zeros(0, SOURCE),
         radius=radius,
-        outer_radius=float(np.linalg.norm(mesh.vertices, axis=1).max()),
+        outer_radius=max(radius, float(np.linalg.norm(mesh.vertices, axis=1).max())),
         lit_middle=np.zeros(3),
         lit_radius=radius,
         glass=glass if (medium != OPAQUE).any() else None,
+        rounds=rounds,
     )
     tables = with_volumes(tables, scene, targets, moves, book, lines)
     sources = _sources([*_lamps(tables), *_emitting_facets(tables, mesh), *_emitting_volumes(scene, tables.volumes)])
     return mesh, tables._replace(emitters=emitter_table(tables), sources=sources)
 
 
+def _rounds(targets: list[TargetMesh], to_object: Array, first: int) -> RoundFaces | None:
+    """Return the round faces that rays meet, object frame, numbered from `first` on; None if there are none."""
+    none = np.zeros(0, ROUND)
+    return round_faces([none if t.round is None else t.round.faces() for t in targets], to_object, first)
+
+
+def _facets(mesh: Mesh, parts: list[Mesh], rounds: RoundFaces | None) -> NDArray[np.void]:
+    """Return the facets of targets and housing, (m,) FACET, and a row for each round face, which no ray crosses.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of all parts.
+    parts : list of Mesh
+        Of the targets and, the last, of the housing.
+    rounds : RoundFaces or None
+    """
+    bodies = np.repeat([*range(len(parts) - 1), -1], [len(part.faces) for part in parts])
+    facets = facet_table(mesh, bodies.astype(np.int64))
+    if rounds is None:
+        return facets
+    rows = np.zeros(len(rounds.faces), FACET)
+    rows["body"] = rounds.faces["body"]
+    return np.concatenate([facets, rows])
+
+
+def _models(of_facets: NDArray[np.int64], housing: int, rounds: RoundFaces | None) -> NDArray[np.int64]:
+    """Return the rows of scattering models of all facets: after those of the targets 0 for the housing, round faces."""
+    own = np.zeros(0, np.int64) if rounds is None else rounds.faces["body"]
+    return np.concatenate([of_facets, np.zeros(housing, np.int64), own])
+
+
+def _with_rounds(varied: VariedGloss, housing: int, rounds: RoundFaces | None) -> VariedGloss:
+    """Return the tables of varied gloss with rows for the round faces, which have none."""
+    if rounds is None or not len(varied.ranges):
+        return varied
+    return varied._replace(range_of=np.append(varied.range_of, np.full(housing + len(rounds.faces), -1)))
+
+
+def _radius(targets: list[TargetMesh], parts: list[Mesh], middle: Array) -> float:
+    """Return the radius of a sphere round the origin of the object frame that holds the targets, mm.
+
+    Parameters
+    ----------
+    targets : list of TargetMesh
+    parts : list of Mesh
+        That rays meet, object frame.
+    middle : (3,) float64, mm
+        The origin in the world frame.
+    """
+    meshed = (float(np.linalg.norm(part.vertices, axis=1).max()) for part in parts if len(part.vertices))
+    return max(*meshed, *(t.round.farthest_mm(middle) for t in targets if t.round is not None), 0.0, 0.0)
+
+
 def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> NDArray[np.bool_]:
     """Tell which targets the forward method starts light at in bodies of glass, (targets,)."""
     forward = scene.transport.method == "forward"
     found = [
-        forward and each.material.emits and hosts.top_along(target.mesh.vertices[target.mesh.faces]) != [None]
+        forward and each.material.emits and hosts.along(target) != [None]
         for each, target in zip(scene.targets, targets, strict=True)
     ]
     return np.array(found, np.bool_)
@@ -388,9 +447,12 @@ def _emitting_facets(objects: ObjectTables, mesh: Mesh) -> list[Entry]:
     emission = mean_emissions(objects)
     most = np.maximum(emission[:, 0], emission.sum(axis=1)).max(axis=1, initial=0.0)
     largest = objects.radiance.max(axis=1, initial=0.0)
+    areas = facet_normals(mesh)[1]
+    if objects.rounds is not None:
+        areas = np.append(areas, objects.rounds.faces["area"])
     for facet in np.flatnonzero(np.append(most > 0.0, False)[objects.facets["body"]]):
         body = objects.facets["body"][facet]
-        area, sides = np.pi * facet_normals(mesh)[1][facet] * MM2, 1.0 if objects.one_sided[body] else 2.0
+        area, sides = np.pi * areas[facet] * MM2, 1.0 if objects.one_sided[body] else 2.0
         entries.append((-1, int(facet), most[body] * area, largest[body] * area * sides))
     return entries
 

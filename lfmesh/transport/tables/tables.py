@@ -173,7 +173,9 @@ class Emitters(NamedTuple):
     facet: NDArray[np.int64]  # (n,) facet of each piece
     until: Array  # (n,) cumulative chance of the pieces
     begin: NDArray[np.int64]  # (n,) the piece with which a search for a number in [k / n, (k + 1) / n) begins
-    place: Array  # (n, 3) barycentric weights of the facet's corners 1 and 2 at each piece's corner 0, and its size
+    # (n, 3) barycentric weights of the facet's corners 1 and 2 at each piece's corner 0, and its size; of a round face
+    # its parameters
+    place: Array
     density: Array  # (n,) chance of each piece over its area, 1/mm²
     first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four
@@ -216,7 +218,8 @@ class GlassTables(NamedTuple):
 class ObjectTables(NamedTuple):
     """Targets, lights and the camera's housing in the object frame: world axes about the targets' middle."""
 
-    facets: Records  # (m,) FACET; body: target t ≥ 0, or −1 for the housing
+    # (m,) FACET; body: target t ≥ 0, or −1 for the housing. The last rows, without a normal, stand for `rounds`.
+    facets: Records
     uv: Array  # (m, 3, 2)
     one_sided: NDArray[np.bool_]  # (targets,) scatters and emits on the side of its normals only; the other absorbs
     scattering: ScatteringTables
@@ -251,6 +254,8 @@ class ObjectTables(NamedTuple):
     glass: Any = None
     # Volumes of media that absorb, emit or scatter, else None, likewise.
     volumes: Any = None
+    # RoundFaces where rays meet spheres, cylinders or disks themselves, else None, likewise.
+    rounds: Any = None
 
 
 @by_address

@@ -58,8 +58,9 @@ def varied_gloss(targets: list[TargetMesh], around: list[tuple[int, ...]], row_o
     rows: list[int] = []
     for i, target in enumerate(targets):
         if target.gloss is None:
-            range_of.append(np.full(len(target.mesh.faces), -1))
-            uv.append(np.zeros((len(target.mesh.faces), 3, 2)))
+            facets = len(target.met_mesh.faces)
+            range_of.append(np.full(facets, -1))
+            uv.append(np.zeros((facets, 3, 2)))
             continue
         gloss = target.gloss
         range_of.append(np.where(gloss.range_of < 0, -1, gloss.range_of + len(ranges)))

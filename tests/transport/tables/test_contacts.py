@@ -18,7 +18,7 @@ def cube(x: float, turned: float = 0.0) -> Mesh:
 
 def touching(meshes: list[Mesh], *glass: bool) -> set[tuple[int, int]]:
     """Return the pairs of facets that lie on each other, each as (mesh and facet counted on, ...)."""
-    first, partners, _ = contacts(meshes, np.array(glass or [True] * len(meshes)))
+    first, partners, _ = contacts(meshes, np.array(glass or [True] * len(meshes)), sum(len(m.faces) for m in meshes))
     if not len(first):
         return set()
     assert len(first) == 1 + sum(len(mesh.faces) for mesh in meshes)

@@ -18,7 +18,7 @@ from lfmesh.geometry.files.contents import counted, held
 from lfmesh.geometry.files.mesh_file import UNIT_OF_FORMAT, load_mesh
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array, facet_normals
-from lfmesh.geometry.objects.targets import TargetMesh, named_target, target_mesh
+from lfmesh.geometry.objects.targets import TargetMesh, is_met_exactly, named_target, target_mesh
 from lfmesh.scene import FirstOrder, Scene, Target
 from lfmesh.scene.advice import half_field_mm
 from lfmesh.scene.light.lights import Light
@@ -53,6 +53,7 @@ class Placement:
     share : float
         Of the field of view that the box round its picture fills, 0..1.
     facets : int
+        0 where rays meet its round surface itself.
     picture : tuple of int, or None
         Width and height of its texture.
     lit_by : tuple of str, or None
@@ -83,7 +84,7 @@ class Placement:
         texture = f", texture {self.picture[0]} × {self.picture[1]}" if self.picture else ""
         lamps = [] if self.lit_by is None else [f"  lit by               {_named(self.lit_by) or 'no lamp'}"]
         return [
-            f"{self.name}: {self.facets} facets{texture}",
+            f"{self.name}: {f'{self.facets} facets' if self.facets else 'exact'}{texture}",
             *([f"  its file holds       {self.contents}"] if self.contents else []),
             f"  box in the world     {box} mm",
             f"  before the lens      {self.nearest_mm:.5g} mm to {self.farthest_mm:.5g} mm",
@@ -129,7 +130,7 @@ def _placement(scene: Scene, facts: FirstOrder, number: int) -> Placement:
         float(-seen[:, 2].max()),
         float(-seen[:, 2].min()),
         share,
-        len(body.mesh.faces),
+        0 if is_met_exactly(target, scene) else len(body.mesh.faces),
         (body.texture.shape[1], body.texture.shape[0]) if body.texture is not None else None,
         lit_by,
         _contents(scene, target),

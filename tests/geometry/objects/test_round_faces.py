@@ -7,6 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+import lfmesh as lf
+from lfmesh.assets import asset_path
 from lfmesh.geometry.frame import IDENTITY, frame, inverse, points
 from lfmesh.geometry.meshes.mesh import distance_mm, facet_normals
 from lfmesh.geometry.objects.primitives import primitive
@@ -23,9 +25,11 @@ from lfmesh.geometry.objects.round_faces import (
     round_faces,
     round_normal,
 )
+from lfmesh.geometry.objects.targets import target_body, target_mesh
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.decorators import kernel
 from lfmesh.scene import Cylinder, Disk, Sphere
+from tests.cameras import camera_without_array
 
 Array = NDArray[np.float64]
 
@@ -229,3 +233,25 @@ def test_bodies_know_their_boxes_distances_and_insides_from_points_of_their_surf
             r, z = np.hypot(local[0], local[1]), abs(local[2])
             inside = {"sphere": np.hypot(r, z) < 2.0, "cylinder": r < 1.5 and z < 2.0, "disk": False}[kind]
             assert own.holds(point) == inside
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_picture_lies_on_a_round_target_as_on_its_mesh(kind: str) -> None:
+    material = {"texture": str(asset_path("charts/chart.png"))}
+    scene = lf.Scene(
+        camera=camera_without_array(), targets=[{"shape": SHAPES[kind].model_dump(), "material": material}]
+    )
+    exact, meshed = target_body(scene.targets[0], scene), target_mesh(scene.targets[0], scene)
+    assert exact.round is not None
+    assert meshed.round is None
+    np.testing.assert_array_equal(exact.texture, meshed.texture)
+    np.testing.assert_allclose(exact.uv, meshed.uv, atol=1e-14)
+    assert (exact.closed, exact.alpha) == (meshed.closed, meshed.alpha)
+
+
+@pytest.mark.parametrize("changed", [{"targets[0].material.opacity": 0.5}, {"transport.surface": "flat"}])
+def test_a_sheer_target_and_flat_facets_have_a_mesh(changed: dict[str, Any]) -> None:
+    scene = lf.Scene(camera=camera_without_array(), targets=[{"shape": SHAPES["sphere"].model_dump()}])
+    assert target_body(scene.targets[0], scene).round is not None
+    scene = scene.changed(changed)
+    assert target_body(scene.targets[0], scene).round is None

@@ -19,6 +19,7 @@ SIGNATURES = """
 import json
 import lfmesh as lf
 from lfmesh.assets import asset_path
+from lfmesh.geometry.objects.targets import is_met_exactly
 from lfmesh.transport.regions import lens, mla, mla_plate, objects, sensor
 from lfmesh.transport.render.compile_ahead import EVERYWHERE, ON_IMAGE_PATH, compile_launches, compile_stations
 from lfmesh.transport.sources import pixels
@@ -34,7 +35,8 @@ small = {{"camera.sensor.pixels": [8, 8], "transport.samples": 4, "transport.rep
 scene = lf.load(asset_path("scenes/{scene}.toml")).changed(small)
 alone = "{split}" == "transmit"
 glass = len(scene.bodies()) > 0
-compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, glass=glass)
+rounds = any(is_met_exactly(target, scene) for target in scene.targets)
+compile_stations(ON_IMAGE_PATH if alone else EVERYWHERE, glass=glass, rounds=rounds)
 compile_launches(build(scene))
 before = [len(kernel.signatures) for kernel in regions + launches]
 lf.render(scene)
@@ -127,18 +129,19 @@ def test_the_process_ends_with_a_build_that_fails(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("changes", "asked"),
     [
-        ({}, (compile_ahead.EVERYWHERE, False)),
-        ({"transport.split": "transmit"}, (((2, False), (0, True)), False)),
-        ({"targets[0]": compile_ahead.GLASS}, (compile_ahead.EVERYWHERE, True)),
+        ({}, (compile_ahead.EVERYWHERE, False, False)),
+        ({"transport.split": "transmit"}, (((2, False), (0, True)), False, False)),
+        ({"targets[0]": compile_ahead.GLASS}, (compile_ahead.EVERYWHERE, True, False)),
+        ({"targets[0]": compile_ahead.BALL}, (compile_ahead.EVERYWHERE, False, True)),
     ],
-    ids=["all paths", "image path", "glass"],
+    ids=["all paths", "image path", "glass", "ball"],
 )
 def test_only_what_the_scene_needs_is_compiled(
-    changes: dict[str, Any], asked: tuple[Any, bool], monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any], asked: tuple[Any, bool, bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     started = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel: False)
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
     Ahead(scene_of().changed({"transport.split": "both"} | changes))
-    stations, glass = asked
-    assert f"compile_stations({stations!r}, glass={glass}, " in started[0][-1]
+    stations, glass, rounds = asked
+    assert f"compile_stations({stations!r}, glass={glass}, rounds={rounds}, " in started[0][-1]

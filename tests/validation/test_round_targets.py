@@ -111,6 +111,23 @@ def test_what_comes_first_is_met_where_balls_cut_a_table_and_each_other() -> Non
     np.testing.assert_allclose(place, starts + first[:, None] * ways, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_ball_in_glass_and_one_behind_a_pane_are_met_where_they_stand(inside: bool) -> None:
+    """Along the normals of the glass, which bends nothing."""
+    deep, glass = (40.0, PLACE) if inside else (4.0, PLACE + np.array([0.0, 0.0, 20.0]))
+    world = world_of(
+        {"shape": {"kind": "sphere", "radius_mm": 5.0}, "position_mm": PLACE.tolist()},
+        {"refractor": {"box_mm": [60.0, 60.0, deep], "index": 1.5}, "position_mm": glass.tolist()},
+    )
+    x, y = 20.0 * (np.random.default_rng(2).random((2, 400)) - 0.5)
+    starts = PLACE + np.stack([x, y, np.full(len(x), 100.0)], axis=1)
+    met, place = ends(world, starts, np.broadcast_to(-BACK, starts.shape).copy())
+    on = np.hypot(x, y) < 5.0
+    np.testing.assert_array_equal(met, on)
+    height = np.sqrt(25.0 - x[on] ** 2 - y[on] ** 2)
+    np.testing.assert_allclose(place[on], starts[on] - (100.0 - height)[:, None] * BACK, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("angle", [20.0, 60.0, 100.0])
 def test_a_lit_sphere_shows_lamberts_phase_law(angle: float) -> None:
     """At an angle α from parallel light a sphere shines 2 / (3 π) (sin α + (π − α) cos α) times as a facing disk.

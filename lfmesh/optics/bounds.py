@@ -229,9 +229,14 @@ def times(*factors: Range) -> Range:
 
 
 def plus(*terms: Range) -> Range:
-    """Return the ranges of sums of independent terms, with a margin for rounding."""
-    low = np.asarray(sum(term[0] - ROUNDING * np.abs(term[0]) for term in terms))
-    return low, np.asarray(sum(term[1] + ROUNDING * np.abs(term[1]) for term in terms))
+    """Return the ranges of sums of independent terms, with a margin for rounding; without bounds where unknown."""
+    with np.errstate(invalid="ignore"):
+        low, high = (
+            np.asarray(sum(term[end] + sense * ROUNDING * np.abs(term[end]) for term in terms))
+            for end, sense in ((0, -1.0), (1, 1.0))
+        )
+    # Of terms without a bound on the side in question.
+    return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
 
 def scaled(factor: float, each: Range) -> Range:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.kernels.decorators import inlined
 
 
 class BoxTree(NamedTuple):
@@ -45,6 +46,19 @@ def box_tree(low: Array, high: Array, middles: Array, largest_leaf: int, margin:
         lows[first : 2 * first] = lows[2 * first : 4 * first].reshape(first, 2, 3).min(axis=1)
         highs[first : 2 * first] = highs[2 * first : 4 * first].reshape(first, 2, 3).max(axis=1)
     return BoxTree(lows, highs, order, leaves, size)
+
+
+@inlined
+def next_node(node: int) -> int:
+    """Return the next node of a tree that is not below a node; 0: there is none.
+
+    Parameters
+    ----------
+    node : int
+    """
+    while node & 1:
+        node >>= 1
+    return node + 1 if node > 0 else 0
 
 
 def _in_leaves(middles: Array, leaves: int, size: int) -> NDArray[np.int64]:

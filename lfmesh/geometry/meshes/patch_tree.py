@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.meshes.box_tree import box_tree
+from lfmesh.geometry.meshes.box_tree import box_tree, next_node
 from lfmesh.geometry.meshes.boxes import meets_box, part_inside
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
@@ -250,10 +250,7 @@ def patch_finder(sense_of: Any) -> Any:
                     met, t, mx, my, mz = _crosses(patch, sense, ray, begin, nearest)
                     if met and t < nearest:
                         found, nearest, nx, ny, nz = patch.facet, t, mx, my, mz
-            # On to the next node that is not below this one.
-            while node & 1:
-                node >>= 1
-            node += 1 if node > 0 else 0
+            node = next_node(node)
         return found, nearest, nx, ny, nz
 
     return first_patch

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import Frame, points
-from lfmesh.geometry.meshes.box_tree import box_tree
+from lfmesh.geometry.meshes.box_tree import box_tree, next_node
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
@@ -141,10 +141,7 @@ def first_round(rounds: RoundFaces, ray: Ray, left: int, until: float) -> tuple[
                 t, along = _meets(rounds.faces[number], ray, number == left)
                 if t < nearest:
                     found, nearest, steepness = number, t, along
-        # On to the next node that is not below this one.
-        while node & 1:
-            node >>= 1
-        node += 1 if node > 0 else 0
+        node = next_node(node)
     return found, nearest, steepness
 
 

@@ -138,10 +138,10 @@ def _beyond(parts: Array, radius: float) -> NDArray[np.bool_]:
 def _least_heights(parts: Array, height: Array, bends: tuple[Array, Array], surface: Any, side: float) -> Array:
     """Return lower bounds (n,) of the height of edges or facets over a surface, mm: the largest of several.
 
-    Where the height bends upwards by m at most, it falls below its least value at a corner by m ρ² / 2 at most. Here ρ
-    is the radius of a ball round the part: by Jung's theorem ρ² is d / (2 d + 2) times the square of the longest side,
-    in d dimensions. Where it bends downwards by m at most, it changes from a corner by its gradient there, less
-    m s² / 2 at most at a distance s. That is a concave function, and least at a corner.
+    A height that bends upwards by m at most falls below its least value at a corner by m ρ² / 2 at most. Here ρ is the
+    radius of a ball round the part: by Jung's theorem ρ² is d / (2 d + 2) times the square of the longest side, in d
+    dimensions. A height that bends downwards by m at most changes from a corner by its gradient there, less m s² / 2 at
+    most at a distance s. That is a concave function, and least at a corner.
 
     Parameters
     ----------

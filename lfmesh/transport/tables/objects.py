@@ -257,7 +257,7 @@ def _radius(targets: list[TargetMesh], parts: list[Mesh], middle: Array) -> floa
         The origin in the world frame.
     """
     meshed = (float(np.linalg.norm(part.vertices, axis=1).max()) for part in parts if len(part.vertices))
-    return max(*meshed, *(t.round.farthest_mm(middle) for t in targets if t.round is not None), 0.0, 0.0)
+    return max([*meshed, *(t.round.farthest_mm(middle) for t in targets if t.round is not None)], default=0.0)
 
 
 def _emitters_inside(scene: Scene, targets: list[TargetMesh], hosts: Hosts) -> NDArray[np.bool_]:

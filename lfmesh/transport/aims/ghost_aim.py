@@ -1,5 +1,7 @@
 """Sampling of ghosts by the light that each sequence brings, as a coarse trace finds it.
 
+Light that leaves the camera past all that is in the scene counts little.
+
 The trace decides only how often a sequence is followed, never what light there is: each is drawn by every ray with some
 chance, and weighted by its inverse. So are the directions in which some leave their pixels anew.
 """
@@ -9,12 +11,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.levels import EXACT
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
+from lfmesh.transport.aims.ghost_trace import (
+    RAYS_OF_A_KIND,
+    RAYS_OF_A_SINE,
+    CoarseTrace,
+    coarse_trace,
+    meeting,
+    projected_angles,
+    rms_weights,
+)
 from lfmesh.transport.aims.kept import Kept, digest_of
+from lfmesh.transport.aims.lenslet_view import RINGS, by_rings
 from lfmesh.transport.packets.packet import BACK_FRAME, CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME
-from lfmesh.transport.sequences.follower import RAY_ENDED, RAY_WEIGHT, route_of
+from lfmesh.transport.sequences.follower import route_of
 from lfmesh.transport.sequences.ghosts import (
     ANGLES,
     HEIGHTS,
@@ -22,15 +33,11 @@ from lfmesh.transport.sequences.ghosts import (
     SINES,
     GhostTables,
 )
-from lfmesh.transport.sequences.ray_tables import faces_of, follow_route
+from lfmesh.transport.sequences.ray_tables import faces_of
 from lfmesh.transport.sequences.sequences import ARRAY_LEG, LENS_LEG, Faces, Itinerary
 from lfmesh.transport.tables.tables import AimTables, Tables
 
 Array = NDArray[np.float64]
-
-RAYS_OF_A_KIND, RAYS_OF_A_SINE = 16, 256
-"""Rays of the coarse trace for each kind of ray that is told apart, and in each interval of the sine of the angle at
-which they leave the sensor."""
 
 WITHIN_OPENING = 4
 """Number of the intervals of the distance at the lens that lie in its opening, which may be small."""
@@ -55,10 +62,16 @@ at the same distance from the axis at the lens, and over all kinds. Lenslets ref
 kind come back to the lens; without an array a sequence may show a small pupil of its own, to few of the kinds."""
 
 
-_kept: Kept[GhostTables | None] = Kept()
+LEAST_SHOWN = 0.02
+"""Least light of a ring at the lens, over that of the brightest, by which lenslets are chosen that show it."""
+
+MOST_SEARCHED = 4.0
+"""Largest distance, in pitches, from the chief ray of a pixel at which lenslets are looked for that show ghosts."""
+
+_kept: Kept[tuple[GhostTables, CoarseTrace] | None] = Kept()
 
 
-def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
+def ghost_tables(tables: Tables, boxes: Array | None, max_events: int) -> GhostTables | None:
     """Return how ghosts are drawn; None where they are not followed by sequence.
 
     That is where a surface of the lens is none of revolution, or a thin lens, and where no light comes along any of the
@@ -68,17 +81,20 @@ def ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     ----------
     tables : Tables
         With the aim.
+    boxes : (targets, 2, 3) float64, mm, optional
+        Lowest and highest corners, world frame, of all that ghosts can show; left out where that is everywhere.
     max_events : int
         As in `Options`.
     """
     camera, own = tables.camera, [CAMERA_FRAME, MLA_FRAME, SENSOR_FRAME, BACK_FRAME]
-    # Where objects are does not matter.
+    # Where objects are does not matter to what gets out of the camera.
     key = digest_of(camera._replace(frames=camera.frames[np.ix_(own, own)]), tables.aim.exit, max_events)
-    return _kept.of(key, lambda: _ghost_tables(tables, max_events))
+    found = _kept.of(key, lambda: _traced(tables, max_events))
+    return None if found is None else with_chances(tables, boxes, *found)
 
 
-def _ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
-    """Return how ghosts are drawn, found anew."""
+def _traced(tables: Tables, max_events: int) -> tuple[GhostTables, CoarseTrace] | None:
+    """Return the sequences of a camera without chances, and what gets out along them; None as for `ghost_tables`."""
     lens = tables.lens
     known = (lens.surfaces["level"] == EXACT) & (lens.surfaces["kind"] == CONIC_AND_EVEN)
     if not known.all() or lens.interfaces.thin or lens.interfaces.rough:
@@ -89,19 +105,43 @@ def _ghost_tables(tables: Tables, max_events: int) -> GhostTables | None:
     if not paths:
         return None
     ghosts = _without_chances(tables, of, image_path, paths)
-    light, anew = _light(tables, ghosts), _light_anew(tables, ghosts)
-    if not (light.any() or anew[0].any() or anew[1].any()):
-        return None
+    trace = coarse_trace(tables, ghosts)
+    return (ghosts, trace) if any(len(rays.ray) for rays in trace[:3]) else None
+
+
+def with_chances(tables: Tables, boxes: Array | None, ghosts: GhostTables, trace: CoarseTrace) -> GhostTables:
+    """Return the tables with the chances of the sequences, by the light that meets anything in the scene.
+
+    Parameters
+    ----------
+    tables, boxes
+        As for `ghost_tables`.
+    ghosts : GhostTables
+        The sequences.
+    trace : CoarseTrace
+        Made of them.
+    """
+    counted = [meeting(tables, boxes, rays) for rays in trace[:3]]
+    of_kinds, at_sines, to_array = counted
+    sequences = len(ghosts.lengths)
+    light = rms_weights(trace.of_kinds, of_kinds, sequences, RAYS_OF_A_KIND).T
     area = _areas(ghosts)
     weighted = light.reshape(RADII, HEIGHTS, ANGLES, -1) * area[:, None, :, None]
     of_all = weighted.sum(axis=(0, 1, 2))
-    ghosts = _drawn_anew(ghosts, *anew, _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS)
+    if ghosts.anew.any():
+        ghosts = _drawn_anew(
+            ghosts,
+            rms_weights(trace.at_sines, at_sines, sequences, RAYS_OF_A_SINE),
+            rms_weights(trace.to_array, to_array, sequences, trace.to_array.rays, trace.solid_angles)[:, 0],
+            _seen_by_sensor(tables, ghosts) * float(of_all.sum()) / HEIGHTS,
+        )
     others = ~ghosts.anew
     return ghosts._replace(
         until=_cumulative(
             light, _shares(of_all, others), others, ghosts.from_pixel & others, array=bool(tables.mla.present)
         ),
         cells=_cells(weighted.sum(axis=3), area),
+        shown=np.sqrt(np.square(light.sum(axis=1)).reshape(RADII, -1).mean(axis=1)),
     )
 
 
@@ -142,6 +182,7 @@ def _without_chances(tables: Tables, of: Faces, image_path: Itinerary, paths: li
             np.linspace(opening**2, tables.aim.exit.wide_radius**2, RADII - WITHIN_OPENING + 1),
         ),
         height=height,
+        shown=np.zeros(RADII),
     )
 
 
@@ -163,136 +204,6 @@ def _opening(aim: AimTables) -> float:
     return min(float((np.abs(disks.middle) + disks.radius)[seen].max()), within) if seen.any() else within
 
 
-def _light(tables: Tables, ghosts: GhostTables) -> Array:
-    """Return the root mean square of the weights of rays of each kind along each sequence, (kinds, sequences).
-
-    It is 0 along those whose packets leave their pixels in new directions.
-    """
-    return _found(tables, ghosts, ~ghosts.anew, *_rays(ghosts), RAYS_OF_A_KIND).T
-
-
-def _light_anew(tables: Tables, ghosts: GhostTables) -> tuple[Array, Array]:
-    """Return the same along the other sequences, for rays from the sensor.
-
-    Returns
-    -------
-    at_sines : (sequences, SINES) float64
-    to_array : (sequences,) float64, sr
-        For rays to anywhere on the array, of weight and inverse density in projected solid angle together.
-    """
-    if not ghosts.anew.any():
-        return np.zeros((len(ghosts.lengths), SINES)), np.zeros(len(ghosts.lengths))
-    at_sines = _found(tables, ghosts, ghosts.anew, *_rays_from_sensor(tables), RAYS_OF_A_SINE)
-    p, d, solid_angles = _rays_to_array(tables)
-    return at_sines, _found(tables, ghosts, ghosts.anew, p, d, len(p), solid_angles)[:, 0]
-
-
-def _found(
-    tables: Tables, ghosts: GhostTables, those: NDArray[np.bool_], p: Array, d: Array, of_a_kind: int,
-    factors: Array | float = 1.0,
-) -> Array:  # fmt: skip
-    """Return the root mean square of the weights of rays of each kind along some of the sequences, (sequences, kinds).
-
-    Parameters
-    ----------
-    those : (sequences,) bool
-        Whether a sequence is followed.
-    p, d : (kinds · of_a_kind, 3) float64
-        Position, mm, and unit direction, camera frame: behind the lens and towards it, where they come on the image
-        path; from the sensor, where the sequences' packets leave it in new directions.
-    of_a_kind : int
-    factors : (kinds · of_a_kind,) float64, optional
-        On the weights.
-    """
-    turning = ghosts.from_pixel & ~ghosts.anew & those
-    as_given = np.arange(len(p)), _starts(p, d)
-    turned = _turned_back_at_sensor(tables, ghosts, p, d) if turning.any() else as_given
-    weights = np.zeros((len(ghosts.lengths), len(p)))
-    for sequence in np.flatnonzero(those):
-        numbers, rays = turned if turning[sequence] else as_given
-        found = _follow(tables, ghosts, rays, *ghosts.first[sequence : sequence + 2])
-        weights[sequence, numbers] = np.where(found[RAY_ENDED] == 0.0, found[RAY_WEIGHT], 0.0)
-    return np.asarray(np.sqrt(((factors * weights).reshape(len(weights), -1, of_a_kind) ** 2).mean(axis=2)))
-
-
-def _turned_back_at_sensor(tables: Tables, ghosts: GhostTables, p: Array, d: Array) -> tuple[NDArray[np.int64], Array]:
-    """Take rays that come to the lens back to their pixels; return which get there, and these as they leave again."""
-    t = (ghosts.plane_z - p[:, 2]) / d[:, 2]
-    ends = _follow(tables, ghosts, _starts(p + t[:, None] * d, -d), ghosts.to_lens, ghosts.first[0])
-    passing = np.flatnonzero(ends[RAY_ENDED] == 0.0)
-    x, along = ends[:3, passing].T, ends[3:6, passing].T
-    move = tables.frames[CAMERA_FRAME, SENSOR_FRAME]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = -frame.points(move, x)[:, 2] / frame.directions(move, along)[:, 2]
-        return passing, _starts(x + t[:, None] * along, -along)
-
-
-def _starts(p: Array, d: Array) -> Array:
-    """Return rays of weight 1 as `follow_rays` takes them."""
-    rays = np.ones((7, len(p)))
-    rays[:3], rays[3:6] = p.T, d.T
-    return rays
-
-
-def _follow(tables: Tables, ghosts: GhostTables, rays: Array, first: int, last: int) -> Array:
-    """Return the ends of rays along legs of the sequences, see `follow_rays`."""
-    colour = tables.lens.media.indices.shape[1] // 2
-    return follow_route(tables.camera, ghosts.route, rays, (first, last), colour)
-
-
-def _rays(ghosts: GhostTables) -> tuple[Array, Array]:
-    """Return some rays of each kind to the lens: positions and directions (kinds · RAYS_OF_A_KIND, 3), camera frame."""
-    shape = (RADII, HEIGHTS, ANGLES, RAYS_OF_A_KIND)
-    draw = np.random.default_rng(0)
-    at = np.indices(shape)[:3] + draw.random((3, *shape))
-    r = np.sqrt(np.interp(at[0].ravel(), np.arange(RADII + 1), ghosts.rings))
-    height = ghosts.height * np.sqrt(at[1].ravel() / HEIGHTS)
-    angle = np.arccos(1.0 - 2.0 * at[2].ravel() / ANGLES) * draw.choice([-1.0, 1.0], r.shape)
-    turn = 2.0 * np.pi * draw.random(r.shape)
-    p = np.column_stack([height * np.cos(turn), height * np.sin(turn), np.full_like(r, ghosts.from_z)])
-    to = np.column_stack([r * np.cos(turn + angle), r * np.sin(turn + angle), np.full_like(r, ghosts.plane_z)])
-    d = to - p
-    return p, d / np.linalg.norm(d, axis=1)[:, None]
-
-
-def _rays_from_sensor(tables: Tables) -> tuple[Array, Array]:
-    """Return some rays of each sine from the sensor: positions and directions (SINES · RAYS_OF_A_SINE, 3)."""
-    draw = np.random.default_rng(1)
-    move, count = tables.frames[SENSOR_FRAME, CAMERA_FRAME], SINES * RAYS_OF_A_SINE
-    at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
-    low = (np.repeat(np.arange(SINES), RAYS_OF_A_SINE) / SINES) ** 2
-    squared = low + draw.random(count) * np.repeat(_projected(), RAYS_OF_A_SINE)
-    sine, turn = np.sqrt(squared), 2.0 * np.pi * draw.random(count)
-    d = np.column_stack([sine * np.cos(turn), sine * np.sin(turn), -np.sqrt(1.0 - squared)])
-    return frame.points(move, at), frame.directions(move, d)
-
-
-def _rays_to_array(tables: Tables) -> tuple[Array, Array, Array]:
-    """Return some rays from the sensor to the array, as above, with their inverse densities (n,), sr, as projected."""
-    draw, lenslets, count = np.random.default_rng(2), tables.mla.lenslets, SINES * RAYS_OF_A_SINE
-    half = np.array(lenslets.lattice.half_extent)
-    at = _on_sensor(tables, draw.uniform(-1.0, 1.0, (count, 2)))
-    to = np.column_stack([half * draw.uniform(-1.0, 1.0, (count, 2)), np.full(count, 0.5 * lenslets.thickness)])
-    way = frame.points(tables.frames[MLA_FRAME, SENSOR_FRAME], to) - at
-    length = np.linalg.norm(way, axis=1)
-    d = way / length[:, None]
-    at_array = frame.directions(tables.frames[SENSOR_FRAME, MLA_FRAME], d)[:, 2]
-    projected = 4.0 * half.prod() * np.abs(at_array) * np.maximum(-d[:, 2], 0.0) / length**2
-    move = tables.frames[SENSOR_FRAME, CAMERA_FRAME]
-    return frame.points(move, at), frame.directions(move, d), projected
-
-
-def _on_sensor(tables: Tables, at: Array) -> Array:
-    """Return points of the sensor (n, 3), sensor frame, from places (n, 2) between −1 and 1."""
-    sensor = tables.sensor
-    return np.column_stack([0.5 * sensor.pixel * np.array([sensor.columns, sensor.rows]) * at, np.zeros(len(at))])
-
-
-def _projected() -> Array:
-    """Return the projected solid angles of the intervals of the sine, over π, (SINES,)."""
-    return np.diff((np.arange(SINES + 1) / SINES) ** 2)
-
-
 def _seen_by_sensor(tables: Tables, ghosts: GhostTables) -> float:
     """Return about the projected solid angle, sr, in which the sensor sees the disk at the lens."""
     return math.pi / (1.0 + ((ghosts.from_z - ghosts.plane_z) / tables.aim.exit.wide_radius) ** 2)
@@ -305,14 +216,13 @@ def _drawn_anew(ghosts: GhostTables, light: Array, to_array: Array, of_others: f
     ----------
     ghosts : GhostTables
     light : (sequences, SINES) float64
+        Root mean square of the weights of rays at each interval of the sine.
     to_array : (sequences,) float64, sr
-        See `_light_anew`.
+        The same of rays to anywhere on the array, of weight and inverse density in projected solid angle together.
     of_others : float, sr
         As `to_array`, for all other sequences together and rays over all of the lens.
     """
-    if not ghosts.anew.any():
-        return ghosts
-    projected = _projected()
+    projected = projected_angles()
     padded = np.pad(light, ((0, 0), (1, 1)), mode="edge")
     found = projected * ((1.0 - SHARE_AROUND) * light + 0.5 * SHARE_AROUND * (padded[:, :-2] + padded[:, 2:]))
     total = found.sum(axis=1, keepdims=True)
@@ -420,9 +330,10 @@ def _cells(light: Array, area: Array) -> Array:
 
 
 def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
-    """Return where the packets of ghosts are aimed: without an array, at the cells of the lens that they come from.
+    """Return where the packets of ghosts are aimed: at where on the lens they come from, as the coarse trace has found.
 
-    Through an array they go where those of the image path go, and to the wide disk.
+    Without an array these are the cells at the lens. Through an array rays go to the lenslets that show the disk from
+    which ghosts come, wider than the opening, each by the light that comes from the ring that it shows.
 
     Parameters
     ----------
@@ -430,7 +341,24 @@ def aim_at_ghosts(tables: Tables, ghosts: GhostTables) -> AimTables:
         With the aim.
     ghosts : GhostTables
     """
-    if tables.mla.present:
-        return tables.aim
-    # The cells hold all of the lens.
-    return tables.aim._replace(exit=tables.aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0))
+    aim = tables.aim
+    if not tables.mla.present:
+        # The cells hold all of the lens.
+        return aim._replace(exit=aim.exit._replace(ghosts=ghosts, wide_share=0.0, share_without_aim=0.0))
+    lit = np.flatnonzero(ghosts.shown)
+    lenslets, opening = aim.lenslets, _opening(aim)
+    if not (len(lit) and opening > 0.0 and lenslets.search > 0.0):
+        return aim
+    growth = math.sqrt(ghosts.rings[lit[-1] + 1]) / opening
+    growth = max(1.0, min(growth, MOST_SEARCHED / lenslets.search))
+    middles = (np.arange(RINGS) + 0.5) / RINGS * (growth * opening) ** 2
+    ring = np.minimum(np.searchsorted(ghosts.rings, middles, side="right"), RADII) - 1
+    light = np.maximum(ghosts.shown[ring], LEAST_SHOWN * ghosts.shown.max())
+    seen = lenslets.slope_radius2 > 0.0
+    return aim._replace(
+        lenslets=lenslets._replace(
+            slope_radius2=np.where(seen, growth * growth * lenslets.slope_radius2, lenslets.slope_radius2),
+            search=growth * lenslets.search,
+            shown=by_rings(light),
+        )
+    )

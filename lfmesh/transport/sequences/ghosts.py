@@ -88,6 +88,7 @@ class GhostTables(NamedTuple):
     from_z: float  # mm, the plane that they come from: of the array or, without one, of the sensor
     rings: Array  # (RADII + 1,) mm², squared distances at which the intervals of the distance begin and end at the lens
     height: float  # mm, at which the intervals of the distance end where they come from
+    shown: Array  # (RADII,) root mean square of the light that comes to each ring at the lens, over all heights
 
 
 class GhostRoom(NamedTuple):

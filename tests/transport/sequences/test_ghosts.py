@@ -14,6 +14,7 @@ from scipy import stats
 
 import lfmesh as lf
 from lfmesh.transport.aims import ghost_aim
+from lfmesh.transport.aims.ghost_trace import Passing, coarse_trace
 from lfmesh.transport.checks import ghost_check
 from lfmesh.transport.engine import Workspace
 from lfmesh.transport.packets.packet import PIXEL_MASK, PLATE
@@ -309,18 +310,24 @@ def test_every_sample_may_leave_its_pixel_in_a_new_direction() -> None:
     assert (waiting["start"] > 0.0).all()
 
 
+def _dark(rays: Passing) -> Passing:
+    """Return the same rays without light."""
+    return rays._replace(weight=0.0 * rays.weight)
+
+
 @pytest.mark.parametrize("from_pixel", [False, True], ids=["from behind the lens", "from the pixel"])
 def test_sequences_of_which_the_coarse_trace_finds_nothing_keep_a_chance(
     from_pixel: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world, found = lf.build(scene(CAMERAS["two"])), ghost_aim._found
+    world = lf.build(scene(CAMERAS["two"]))
 
-    def missed(tables: Any, ghosts: Any, those: Any, *rays: Any) -> Any:
-        light = found(tables, ghosts, those, *rays)
-        return 0.0 * light if (those == ghosts.anew).all() == from_pixel else light
+    def missed(tables: Any, ghosts: Any) -> Any:
+        trace = coarse_trace(tables, ghosts)
+        names = ("at_sines", "to_array") if from_pixel else ("of_kinds",)
+        return trace._replace(**{name: _dark(getattr(trace, name)) for name in names})
 
-    monkeypatch.setattr(ghost_aim, "_found", missed)
-    ghosts = ghost_aim.ghost_tables(world.aimed_tables, 64)
+    monkeypatch.setattr(ghost_aim, "coarse_trace", missed)
+    ghosts = ghost_aim.ghost_tables(world.aimed_tables, None, 64 + from_pixel)
     assert ghosts is not None
     assert 0.0 < ghosts.share_anew < 1.0
     assert (np.diff(ghosts.until[:-1], prepend=0.0, axis=1) > 0.0).all(axis=0).tolist() == (~ghosts.anew).tolist()
@@ -331,11 +338,12 @@ def test_sequences_of_which_the_coarse_trace_finds_nothing_keep_a_chance(
 def test_light_that_one_way_of_drawing_directions_has_missed_counts_by_the_other(missed: int) -> None:
     world = lf.build(scene(CAMERAS["two"]))
     assert world.ghosts is not None
-    found = list(ghost_aim._light_anew(world.aimed_tables, world.ghosts))
-    found[missed] = 0.0 * found[missed]
-    one = ghost_aim._drawn_anew(world.ghosts, *found, 1e-4)
-    assert one.share_anew > ghost_aim.LEAST_ANEW
-    assert ghost_aim._drawn_anew(world.ghosts, *(0.0 * each for each in found), 1e-4).share_anew == ghost_aim.LEAST_ANEW
+    trace = coarse_trace(world.aimed_tables, world.ghosts)
+    dark = trace._replace(at_sines=_dark(trace.at_sines), to_array=_dark(trace.to_array))
+    one = dark._replace(to_array=trace.to_array) if missed == 0 else dark._replace(at_sines=trace.at_sines)
+    tables = world.aimed_tables, None, world.ghosts
+    assert ghost_aim.with_chances(*tables, one).share_anew > ghost_aim.LEAST_ANEW
+    assert ghost_aim.with_chances(*tables, dark).share_anew == ghost_aim.LEAST_ANEW
 
 
 @pytest.mark.parametrize("dz", [-1e-12, -1e-160, -5e-324])

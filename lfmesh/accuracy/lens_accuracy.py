@@ -177,7 +177,7 @@ def lens_scene(file: Path) -> Scene:
         }
     }
     camera = solved_camera(Scene.model_validate(draft))
-    lens, focal_length = camera.scene.camera.lens, camera.report.efl_mm
+    lens, focal_length = camera.scene.camera.lens, camera.facts.efl_mm
     pixels = int(2 * np.tan(np.deg2rad(25.0)) * focal_length / 0.005)
     draft["camera"]["focus_mm"] = 20.0 * focal_length
     draft["camera"]["sensor"] = {"pixels": [pixels, pixels], "pixel_mm": 0.005}
@@ -198,7 +198,7 @@ def bundle(scene: Scene, rays: int, seed: int = 0) -> Bundle:
     seed : int
     """
     known = solved_camera(scene)
-    report, lens, camera = known.report, known.paraxial, scene.camera
+    report, lens, camera = known.facts, known.paraxial, scene.camera
     image = (camera.mla or camera.sensor).distance_mm or 0.0
     distance = abs(lens.object_mm(image))
     pupil_z, pupil_radius = report.entrance_pupil_z_mm, 0.55 * report.entrance_pupil_diameter_mm

@@ -513,7 +513,7 @@ def _write_all(image: Image, folder: Path, home: Path) -> None:
 
 def _micro_images(scene: Scene) -> Lattice | None:
     """Return the nominal lattice of micro-images in pixels; None for a camera without array."""
-    mla, pitch_px = scene.camera.mla, solved_camera(scene).report.micro_image_pitch_px
+    mla, pitch_px = scene.camera.mla, solved_camera(scene).facts.micro_image_pitch_px
     if mla is None or pitch_px is None:
         return None
     return Lattice(mla.layout == "hexagonal", pitch_px, columns=mla.count[0], rows=mla.count[1])

@@ -14,7 +14,7 @@ from lfmesh.errors import MeshError, SceneError
 from lfmesh.geometry.files.gltf_left_out import left_out, left_out_of_scene
 from lfmesh.geometry.files.gltf_nodes import Node, node_called, nodes_of, not_read, primitives_of
 from lfmesh.geometry.files.mesh_file import MM_PER_UNIT, gltf_document
-from lfmesh.geometry.lens.solved_camera import first_order
+from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.imports.gltf_lights import light_of
 from lfmesh.imports.report import Report, Verdict
@@ -218,7 +218,7 @@ def with_gltf(scene: Scene, keys: GltfKeys) -> Scene:
         lamps = of("lights", shone.file)
         changes["lights"] = _named("lights", shone.file, lambda: lamps.lights(shone.lighting, scene))
     if (stood := keys.pose) is not None:
-        pupil = first_order(scene).entrance_pupil_z_mm
+        pupil = solved_camera(scene).facts.entrance_pupil_z_mm
         if not np.isfinite(pupil):
             raise SceneError(
                 f'camera.pose.file = "{stood.file}": the entrance pupil lies at infinity, so that no camera can stand '

@@ -93,7 +93,8 @@ class World(Shown):
     ----------
     scene : Scene
         With its lens solved.
-    first_order : FirstOrder
+    facts : FirstOrder
+        The first-order report without its warnings.
     tables : Tables
         As kernels read them, without an aim: rays are sent all over the lens.
     warnings : tuple of PictureWarning
@@ -106,7 +107,7 @@ class World(Shown):
         find_aim: Callable[[], tuple[AimTables, AimProof | None]], how: dict[str, Any],
     ) -> None:  # fmt: skip
         self.scene = scene
-        self.first_order = report
+        self.facts = report
         self.tables = tables
         self.finders = finders
         self.book = book
@@ -148,6 +149,11 @@ class World(Shown):
     def _aim_and_proof(self) -> tuple[AimTables, AimProof | None]:
         return self._find_aim()
 
+    @property
+    def first_order(self) -> FirstOrder:
+        """The first-order report."""
+        return solved_camera(self.scene).report
+
     @cached_property
     def aim(self) -> AimTables:
         """Aim of rays that have to pass the lens, found when first asked for: given rays need none."""
@@ -164,7 +170,9 @@ class World(Shown):
         if self.tables.mla.apertures is not None:
             # Sequences know no random numbers.
             return None
-        return ghost_tables(self.aimed_tables, self.scene.transport.max_events)
+        everywhere = bool(self.scene.media) or not self.targets
+        boxes = None if everywhere else np.array([target.box_mm for target in self.targets])
+        return ghost_tables(self.aimed_tables, boxes, self.scene.transport.max_events)
 
     @property
     def aimed_tables(self) -> Tables:
@@ -416,7 +424,7 @@ def world_of(scene: Scene, given: World | None = None) -> World:
 def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     """Build a scene; see `build`."""
     camera = solved_camera(scene)
-    scene, report = camera.scene, camera.report
+    scene, report = camera.scene, camera.facts
     form = scene.camera.mla.form if scene.camera.mla is not None else None
     if form is not None and scene.transport.surface != "exact" and (form.decenter_mm or form.radius_error):
         raise SceneError(

@@ -202,7 +202,7 @@ def _(world: World) -> Rows:
     targets = [target.name or f"targets[{i}]" for i, target in enumerate(world.scene.targets)]
     return [
         ("scene", world.scene.name or "without a name"),
-        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.first_order.efl_mm:.4g} mm"),
+        ("lens", f"{len(world.lens_shape.elements)} elements, f = {world.facts.efl_mm:.4g} mm"),
         ("array", "none" if mla is None else f"{mla.count[0]} × {mla.count[1]} lenslets"),
         ("sensor", "{} × {} pixels".format(*world.scene.camera.sensor.pixels)),
         ("targets", ", ".join(targets) or "none"),

@@ -184,11 +184,11 @@ def first_look(world: World) -> list[str]:
 
     Where a target stands before one, the point lies on that.
     """
-    distance = world.first_order.object_distance_mm
-    half = 0.5 * world.first_order.field_of_view_mm[1]
+    distance = world.facts.object_distance_mm
+    half = 0.5 * world.facts.field_of_view_mm[1]
     if not 0.0 < distance < np.inf:
         sensor = world.scene.camera.sensor.size_mm[1]
-        distance = FAR * abs(world.first_order.efl_mm)
+        distance = FAR * abs(world.facts.efl_mm)
         half = 0.5 * sensor * FAR
     points = [[0.0, -INSIDE * field * half, -distance] for field in FIELDS]
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
@@ -283,7 +283,7 @@ def middle_pixel(world: World) -> tuple[int, int]:
     The corner of four lenslets, which stands before the middle of an array of even numbers, lies in the dark.
     """
     columns, rows = world.scene.camera.sensor.pixels
-    pitch_px = world.first_order.micro_image_pitch_px
+    pitch_px = world.facts.micro_image_pitch_px
     if pitch_px is None:
         return rows // 2, columns // 2
     tables, lattice = world.tables, world.tables.mla.lenslets.lattice

@@ -40,7 +40,7 @@ def _proof(scene: Scene) -> Outcome:
 def _pinhole(radius: float) -> Outcome:
     scene = lens_scene(_behind_stop(radius), sensor_mm=20.0, distance=SENSOR_MM)
     world = build(scene)
-    report = solved_camera(scene).report
+    report = solved_camera(scene).facts
     z = scene.camera.lens.vertices_mm[-1] + SENSOR_MM
     found = opening_from(world.aim.exit.opening, (0.0, 0.0, z))[2]
     # The exit pupil is the stop itself; seen from the sensor's middle in the lens's last plane.

@@ -62,7 +62,7 @@ class CameraArray:
         LfmeshError
             The camera is focused at infinity, or telecentric on the object side.
         """
-        model, pupil = field.model, solved_camera(field.scene).report.entrance_pupil_z_mm
+        model, pupil = field.model, solved_camera(field.scene).facts.entrance_pupil_z_mm
         focus = model.distance_mm(0.0)
         if not (math.isfinite(focus + pupil) and focus + pupil > 0.0):
             raise LfmeshError(

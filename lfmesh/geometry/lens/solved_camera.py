@@ -17,9 +17,10 @@ from lfmesh.geometry.lens.lens_shape import PIXEL_SHARE, LensShape, lens_shape
 from lfmesh.geometry.objects.refractors import face_lines, measured
 from lfmesh.geometry.objects.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
+from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.files import with_lens_file
-from lfmesh.scene.first_order.compute import report_of_solved
+from lfmesh.scene.first_order.compute import without_warnings
 from lfmesh.scene.inputs import file_stamp, files_of
 from lfmesh.scene.literals import plain
 
@@ -45,7 +46,12 @@ class SolvedCamera:
     @cached_property
     def report(self) -> FirstOrder:
         """The first-order report."""
-        return report_of_solved(self.scene)
+        return replace(self.facts, warnings=warnings(self.scene, self.facts))
+
+    @cached_property
+    def facts(self) -> FirstOrder:
+        """The first-order report without its warnings, which take longest."""
+        return without_warnings(self.scene)
 
     @cached_property
     def paraxial(self) -> Paraxial:

@@ -30,7 +30,7 @@ def foreseen(world: World) -> list[PictureWarning]:
         *lamps_at_targets(world),
         *map(MissedLightWarning, hardly_aimed(world)),
         *_without_reflections(world),
-        *doubtful(world.scene, world.first_order),
+        *doubtful(world.scene, world.facts),
     ]
 
 

@@ -66,7 +66,7 @@ def _near_field(world: World, beside: float = 0.0) -> list[int]:
     beside : float
         Distance from the field that is near, over the geometric mean of its width and height there.
     """
-    lamps, facts = world.tables.objects.lamps.rows, world.first_order
+    lamps, facts = world.tables.objects.lamps.rows, world.facts
     placed = np.flatnonzero(lamps["placed"])
     if not len(placed):
         return []
@@ -96,7 +96,7 @@ def _in_field(world: World, ends: Array, beside_mm: float) -> bool:
     Between the planes in focus and of the pupil, and the planes of the axis, all edges of the field are straight lines.
     """
     start, way = ends[0], ends[1] - ends[0]
-    facts = world.first_order
+    facts = world.facts
     planes = [(2, z) for z in (0.0, -facts.object_distance_mm, facts.entrance_pupil_z_mm)]
     with np.errstate(divide="ignore", invalid="ignore"):
         cuts = np.array([(z - start[axis]) / way[axis] for axis, z in (*planes, (0, 0.0), (1, 0.0))])
@@ -199,7 +199,7 @@ def lamps_at_targets(world: World) -> Iterator[PictureWarning]:
         if region is None or named == MOST_NAMED:
             continue
         ends = _spine(world, region)
-        half = np.max([half_field_mm(float(z), world.first_order) for z in ends[:, 2]], axis=0)
+        half = np.max([half_field_mm(float(z), world.facts) for z in ends[:, 2]], axis=0)
         lit = ENOUGH_ON_SPOT / samples * 4.0 * half.prod()
         strip = 2.0 * np.pi * float(np.linalg.norm(ends[1] - ends[0]))
         reach = 2.0 * lit / (strip + np.sqrt(strip**2 + 32.0 * np.pi * lit)) if lit > 0.0 else 0.0

@@ -85,7 +85,7 @@ def unseen(world: World) -> list[str]:
 
 
 def _media(world: World) -> Iterator[MediumPlace]:
-    volumes, facts = world.tables.objects.volumes, world.first_order
+    volumes, facts = world.tables.objects.volumes, world.facts
     colour = int(np.argmin(np.abs(np.array(world.lines.wavelengths_nm) - world.scene.primary_nm)))
     for number, medium in enumerate(world.scene.media):
         row = volumes.rows[number]
@@ -112,7 +112,7 @@ def _particles(world: World) -> Iterator[MediumPlace]:
     move = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     for group in world.particles:
         seen = frame.points(move, group.points)
-        share = float((np.abs(in_field(seen, world.first_order)) <= 1.0).all(axis=1).mean())
+        share = float((np.abs(in_field(seen, world.facts)) <= 1.0).all(axis=1).mean())
         reach = float(-seen[:, 2].max()), float(-seen[:, 2].min())
         yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} that shine", reach, share, None)
 

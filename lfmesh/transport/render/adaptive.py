@@ -110,7 +110,7 @@ def second_stage(mean: Array, variance: Array, scene: Scene) -> tuple[Counts, fl
 
 def same_place(scene: Scene) -> list[tuple[tuple[int, int], ...]]:
     """Return the steps (rows, columns) to the same place in the neighbouring micro-images, if there are any."""
-    mla, pitch = scene.camera.mla, solved_camera(scene).report.micro_image_pitch_px
+    mla, pitch = scene.camera.mla, solved_camera(scene).facts.micro_image_pitch_px
     if mla is None or pitch is None or pitch < 2.0:
         return []
     angles = np.deg2rad(np.arange(0, 360, 60 if mla.layout == "hexagonal" else 90))

@@ -350,8 +350,8 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
     if scene.lights and scene.targets:
         launches.append(["light", "light"])
     launches.append(["run", "as in a run"])
-    distance = world.first_order.object_distance_mm
-    z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.first_order.efl_mm)
+    distance = world.facts.object_distance_mm
+    z = -distance if 0.0 < distance < np.inf else -FAR * abs(world.facts.efl_mm)
     row, column = middle_pixel(world)
     known = [wavelength for _, wavelength in launch.wavelengths_of(world)]
     several = [ALL] if len(known) > 1 else []

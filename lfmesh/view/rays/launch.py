@@ -368,9 +368,7 @@ def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, flo
     """Return the disk that rays from a point (camera frame) are aimed at: middle x, y, z and radius."""
     lens = world.tables.lens
     wide = widest_disk(lens, point[None], front=True)
-    opening = opening_seen(
-        world.first_order, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True
-    )
+    opening = opening_seen(world.facts, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True)
     decentre = world.aim.entrance.opening.far.decentre * [[1.0], [0.0]]
     opening = opening._replace(far=opening.far._replace(decentre=decentre))
     x, y, radius = opening_from(opening, (point[0], point[1], point[2]))

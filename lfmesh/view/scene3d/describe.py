@@ -106,7 +106,7 @@ def _stop(world: World) -> Rows:
     return [
         ("stop", f"surface {number}, z = {lens.vertices_mm[number]:.6g} mm"),
         ("semi-diameter", f"{radius:.6g} mm"),
-        ("working f-number", f"{world.first_order.working_f_number:.4g}"),
+        ("working f-number", f"{world.facts.working_f_number:.4g}"),
     ]
 
 

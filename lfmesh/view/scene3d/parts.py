@@ -399,7 +399,7 @@ def tick_mm(world: World) -> float:
 def _axis(world: World) -> tuple[float, float]:
     """Return where the optical axis is drawn: from the plane in focus, or some way before the lens, to the sensor."""
     end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
-    distance = world.first_order.object_distance_mm
+    distance = world.facts.object_distance_mm
     return (-distance if 0.0 < distance < np.inf else -end), end
 
 
@@ -416,8 +416,8 @@ def _signs(world: World) -> Iterator[Part]:
     thin = {"color": "#8796a8", "line_width": 1, "lighting": False}
     placed = frames.points(to_world, ends.reshape(-1, 3)).reshape(-1, 2, 3)
     yield Part("axis", "sign", line_segments(placed), thin)
-    if world.first_order.object_distance_mm == -start:
-        x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
+    if world.facts.object_distance_mm == -start:
+        x, y = (0.5 * size for size in world.facts.field_of_view_mm)
         corners = frames.points(to_world, [[-x, -y, start], [x, -y, start], [x, y, start], [-x, y, start]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         yield Part("plane in focus", "sign", line_segments(sides), {**thin, "color": "#49c3b1"})

@@ -156,11 +156,11 @@ def _camera(world: World) -> Array:
 def _object(world: World) -> Array:
     """Return what the camera looks at: its targets as far as it sees them, or its field in the plane in focus."""
     seen = [points for target in world.targets if len(points := _in_field(world, target))]
-    distance = world.first_order.object_distance_mm
+    distance = world.facts.object_distance_mm
     if seen:
         return np.concatenate(seen)
     if 0.0 < distance < np.inf:
-        x, y = (0.5 * size for size in world.first_order.field_of_view_mm)
+        x, y = (0.5 * size for size in world.facts.field_of_view_mm)
         return _box([-x, -y, -distance], [x, y, -distance])
     length = np.ptp(_camera(world)[:, 2])
     rim = max(world.lens_shape.rims)
@@ -171,12 +171,12 @@ def _in_field(world: World, target: TargetMesh) -> Array:
     """Return the corners of a target's box, those out of the field of view moved to its border."""
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
     z = np.clip(points[:, 2], -np.inf, 0.0)
-    distance = world.first_order.object_distance_mm
-    widest = np.array(world.first_order.field_of_view_mm)
+    distance = world.facts.object_distance_mm
+    widest = np.array(world.facts.field_of_view_mm)
     if 0.0 < distance < np.inf:
         half = 0.5 * FIELDS * widest * (-z[:, None] / distance) + max(world.lens_shape.rims)
     else:
-        focal = world.first_order.object_index * world.first_order.efl_mm
+        focal = world.facts.object_index * world.facts.efl_mm
         slope = 0.5 * np.array(world.scene.camera.sensor.size_mm) / abs(focal)
         half = FIELDS * slope * -z[:, None] + max(world.lens_shape.rims)
     points[:, :2] = np.clip(points[:, :2], -half, half)

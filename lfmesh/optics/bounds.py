@@ -244,6 +244,24 @@ def scaled(factor: float, each: Range) -> Range:
     return (factor * each[0], factor * each[1]) if factor >= 0.0 else (factor * each[1], factor * each[0])
 
 
+def squared(each: Range) -> Range:
+    """Return the ranges of squares."""
+    one, other = each[0] * each[0], each[1] * each[1]
+    return np.where((each[0] < 0.0) & (each[1] > 0.0), 0.0, np.minimum(one, other)), np.maximum(one, other)
+
+
+def quotient(each: Range, divisor: Range) -> Range:
+    """Return the ranges of quotients; without bounds where the divisor may vanish."""
+    divides = (divisor[0] > 0.0) | (divisor[1] < 0.0)
+    low, high = times(each, (1.0 / np.where(divides, divisor[1], 1.0), 1.0 / np.where(divides, divisor[0], 1.0)))
+    return np.where(divides, low, -np.inf), np.where(divides, high, np.inf)
+
+
+def overlap(one: Range, other: Range) -> Range:
+    """Return what two ranges of the same have in common; NaN is no bound."""
+    return np.fmax(one[0], other[0]), np.fmin(one[1], other[1])
+
+
 def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, float]], r: Range, order: int) -> Range:
     """Return the ranges of the sag of a profile, or of one of its derivatives, over intervals of the radius.
 
@@ -264,7 +282,7 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
     with np.errstate(divide="ignore"):
         if order in (SAG, SLOPE):
             corners = []
-            for c, at in product(curvature, r):
+            for c, at in product(curvature[:1] if curvature[0] is curvature[1] else curvature, r):
                 root = np.sqrt(np.maximum(1.0 - q * (c * at) ** 2, 0.0))
                 corners.append(
                     c * at * at / (1.0 + root) if order == SAG else times((c * at,) * 2, (1.0 / root,) * 2)[0]

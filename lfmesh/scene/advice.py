@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import length_in_words, reach_in_words
 from lfmesh.scene.first_order.axial_beam import beam_heights_mm
+from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import beam_mm
 from lfmesh.scene.first_order.paraxial import Paraxial, quotient
@@ -237,26 +238,39 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
     distance = facts.object_distance_mm
     radius = surfaces[lens.stop].semi_diameter_mm or math.nan
     marginal = lens.marginal_ray(distance, radius)
-    heights = lens.heights_mm(marginal)
+    paraxial = lens.heights_mm(marginal)
+    beam = Beam(paraxial, paraxial)
     clears = [surface.semi_diameter_mm or math.inf for surface in surfaces]
     if not camera.lens.has_meshes and math.isfinite(marginal.height_mm) and marginal.height_mm:
         try:
             if camera.lens.number_off_revolution is None:
-                heights = beam_mm(camera.lens, wavelength, distance, marginal.height_mm, clears)
+                beam = beam_mm(camera.lens, wavelength, distance, marginal.height_mm, clears)
             else:
                 heights = beam_heights_mm(camera.lens, wavelength, distance)
+                beam = Beam(heights, heights)
         except (OverflowError, ValueError):
             # Coefficients beyond all bounds leave no real ray to be followed, and nothing to be said of it.
             return
-    for number, height in enumerate(heights):
+    for number, (found, proven) in enumerate(zip(beam.found_mm, beam.proven_mm, strict=True)):
         clear = clears[number]
-        if number != lens.stop and abs(height) > clear * (1 + 1e-6):
+        if math.isinf(found):
             yield (
-                f"the stop is larger than a clear aperture: its axial beam is {2 * abs(height):.4g} mm wide "
+                f"rays of the stop's axial beam end at surfaces[{number}]: they miss it, or it reflects them totally; "
+                "that surface limits the light, not the stop"
+            )
+        elif number != lens.stop and abs(found) > clear * (1 + CLOSE):
+            yield (
+                f"the stop is larger than a clear aperture: its axial beam is {2 * abs(found):.4g} mm wide "
                 f"on surfaces[{number}], whose clear aperture is {2 * clear:.4g} mm; that surface limits the "
                 "light, not the stop"
             )
-    if not heights:
+        elif number != lens.stop and abs(proven) > clear * (1 + CLOSE):
+            yield (
+                f"surfaces[{number}] may limit the light, not the stop: rays of the axial beam fill "
+                f"{2 * abs(found):.4g} mm of its clear aperture of {2 * clear:.4g} mm, but it is not proven that none "
+                "lies farther out"
+            )
+    if not beam.found_mm:
         yield "the stop is larger than the glass: no ray along the axis reaches its edge, which limits no light"
 
 

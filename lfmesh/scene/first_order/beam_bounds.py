@@ -4,7 +4,7 @@ A zone is an interval of heights in the plane of the first vertex. Every number 
 are derivatives by the height at which rays enter: a height lies within that of the middle ray plus the derivative's
 bounds times half the zone (mean value form: R. E. Moore, R. B. Kearfott and M. J. Cloud, Introduction to Interval
 Analysis, 2009, chapter 6). The place on a surface is enclosed by the interval Newton method (chapter 8 there), which
-proves that there is one. Bounds are not rounded outwards: they hold up to some roundings of float64.
+proves that there is one. Intervals without ends stand for rays that may end before.
 """
 
 import math
@@ -13,13 +13,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfmesh.optics.bounds import (
+    ALONG,
+    SAG,
+    SLOPE,
+    Array,
+    Range,
+    overlap,
+    plus,
+    profile_range,
+    quotient,
+    scaled,
+    squared,
+    times,
+)
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
 
-Array = NDArray[np.float64]
-
-STEPS = 12
-"""Of Newton's method towards a surface, for the middles of zones."""
+STEPS = 24
+"""Of the secant method towards a surface, for the middles of zones, at most."""
 
 WIDENINGS = 4
 """Largest number of trials to enclose the places at which the rays of a zone meet a surface."""
@@ -28,42 +40,58 @@ WIDER = 1.5
 """By how much each is wider than the one before."""
 
 ZONES, HALVINGS, MOST_OPEN = 16, 18, 4096
-"""Zones of a beam at first, how often they are divided in two at most, and how many at a time."""
+"""Zones of a beam at first, how often they are divided in two at most, and how many are left to divide at most."""
 
 CLOSE = 1e-6
-"""Relative error of the width of a beam."""
+"""Relative error of the width of a beam, and the share of its light that may remain undecided."""
 
-ENDED = 6
-"""Number of halvings from which on a zone is taken to end where the rays on both of its edges do."""
+
+class Beam(NamedTuple):
+    """Largest heights of the rays of a beam at each surface of a lens.
+
+    Attributes
+    ----------
+    found_mm : list of float
+        Of rays that were followed. 0: none reaches the surface. inf: some end there, as they miss the surface or are
+        totally reflected by it; what lies behind it is not looked at.
+    proven_mm : list of float
+        No ray is higher, but for `CLOSE`; inf where nothing is proven. An aperture in between may clip the beam.
+    """
+
+    found_mm: list[float]
+    proven_mm: list[float]
 
 
 class Zones(NamedTuple):
-    """Rays of zones at the surfaces of a lens; NaN from where not all rays of a zone are known to come.
+    """Rays of zones at the surfaces of a lens.
 
     Attributes
     ----------
     heights_mm : (surfaces, 2, n) float64
-        Lower and upper bounds.
+        Lower and upper bounds; infinite from where not all rays of a zone are known to come.
     slopes : (surfaces, 2, n) float64
         Of the derivatives of heights by the height at which rays enter.
+    pass_on : (surfaces, n) bool
+        All rays of the zone are known to meet the surface, and to go on behind it.
     """
 
     heights_mm: Array
     slopes: Array
+    pass_on: NDArray[np.bool_]
 
 
 class _Rays(NamedTuple):
-    """Heights in a plane, angles to the axis, and their derivatives by the entries: intervals, (2, n) each."""
+    """Heights in a plane, angles to the axis, and their derivatives by the entries: two arrays (n,) each."""
 
-    height: Array
-    angle: Array
-    height_by: Array
-    angle_by: Array
+    height: Range
+    angle: Range
+    height_by: Range
+    angle_by: Range
 
 
 def widest_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, entry_mm: float, clear_mm: ArrayLike = 0.0
-) -> list[float]:
+) -> Beam:  # fmt: skip
     """Return the largest height at each surface of the rays up to one that pass the stop, no aperture in their way.
 
     Zones are divided until no ray of any can be higher, by more than `CLOSE`, than one that was found.
@@ -75,13 +103,8 @@ def widest_mm(
     entry_mm : float
         Height of the outermost ray in the plane of the first vertex, above 0.
     clear_mm : float or (surfaces,) float, mm
-        A beam that is proven to stay below is not followed more closely: its largest height lies between the returned
-        value and this.
-
-    Returns
-    -------
-    list of float
-        mm; 0 at surfaces that no ray reaches.
+        A beam that is proven to stay below is not followed more closely: its largest height lies between that of the
+        rays that were followed and this.
     """
     stop = lens.stop_index or 0
     radius = (1.0 + CLOSE) * (lens.surfaces[stop].semi_diameter_mm or math.nan)
@@ -93,23 +116,31 @@ def widest_mm(
         zones = followed(
             lens, wavelength_nm, object_mm, np.concatenate([low, high, low]), np.concatenate([low, high, high])
         )
-        *ends, heights = np.split(np.abs(zones.heights_mm), 3, axis=2)
-        passing = [np.where(each[stop].max(axis=0) <= radius, each.max(axis=1), np.nan) for each in ends]
-        widest = np.fmax(widest, np.fmax.reduce(np.fmax(*passing), axis=1, keepdims=True))
+        count = len(low)
+        highest = np.abs(zones.heights_mm).max(axis=1)
+        beside = (zones.heights_mm[stop, 0] > radius) | (zones.heights_mm[stop, 1] < -radius)
+        inside = highest[stop] <= radius
+        # A ray that passes the stop and goes on from no surface behind it ends at the first such.
+        going = np.logical_and.accumulate(np.concatenate([np.ones_like(inside)[None], zones.pass_on]))
+        reached = np.where(going[1:], highest, np.where(going[:-1], np.inf, 0.0))[:, : 2 * count]
+        widest = np.maximum(widest, np.max(np.where(inside[: 2 * count], reached, 0.0), axis=1, keepdims=True))
+        bounds = np.where(zones.pass_on, highest, np.inf)[:, 2 * count :]
         # Heights that rise or fall all through a zone are largest on an edge.
-        steady = (zones.slopes[:, 0] * zones.slopes[:, 1] >= 0.0)[:, 2 * len(low) :]
-        passes = steady[stop] & np.isfinite(passing[0][stop] + passing[1][stop])
-        settled = steady & (passes | (heights[stop].max(axis=0) <= radius))
-        settled |= heights.max(axis=1) <= np.maximum(widest * (1.0 + CLOSE), clear)
-        settled |= heights[stop].min(axis=0) > radius
-        if halving >= ENDED:
-            settled |= np.isnan(ends[0] + ends[1]).any(axis=1)
-        low, high = (each[~settled.all(axis=0)][:MOST_OPEN] for each in (low, high))
-        if not len(low):
+        steady = (zones.slopes[:, 0] * zones.slopes[:, 1] >= 0.0)[:, 2 * count :] & (bounds < np.inf)
+        whole = inside[2 * count :] | (steady[stop] & inside[:count] & inside[count : 2 * count])
+        low_enough = (bounds < np.inf) & (bounds <= np.maximum(widest * (1.0 + CLOSE), clear))
+        settled = low_enough | (steady & whole) | beside[2 * count :] | (np.maximum.accumulate(widest) == np.inf)
+        open_ = ~settled.all(axis=0)
+        low, high = low[open_], high[open_]
+        if halving == HALVINGS or not 0 < 2 * len(low) <= MOST_OPEN:
             break
         middle = 0.5 * (low + high)
         low, high = np.append(low, middle), np.append(middle, high)
-    return [float(each) for each in widest[:, 0]]
+    proven = widest[:, 0].copy()
+    # Zones round a ray that ends stay open, and hold hardly any light. Of more than that, bounds are all that is known.
+    if float((high - low) @ (high + low)) > CLOSE * entry_mm**2:
+        proven = np.maximum(proven, np.where(settled, 0.0, bounds)[:, open_].max(axis=1))
+    return Beam([float(each) for each in widest[:, 0]], [float(each) for each in proven])
 
 
 def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, high_mm: Array) -> Zones:
@@ -128,137 +159,142 @@ def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, 
     count, half = len(low_mm), 0.5 * (high_mm - low_mm)
     middle = low_mm + half
     # The middle rays of all zones follow these.
-    entry = np.stack([np.append(low_mm, middle), np.append(high_mm, middle)])
+    entry = np.append(low_mm, middle), np.append(high_mm, middle)
     vergence = 1.0 / object_mm
-    one = np.ones_like(entry)
-    angle, angle_by = np.arctan(vergence * entry), vergence / (1.0 + np.square(vergence * entry))
-    rays = _Rays(entry, np.sort(angle, axis=0), one, np.sort(angle_by, axis=0))
-    heights, slopes = [], []
-    index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
-    gaps = np.append(np.diff(lens.vertices_mm), 0.0)
     with np.errstate(all="ignore"):
+        steep = scaled(vergence, entry)
+        angle = np.arctan(steep[0]), np.arctan(steep[1])
+        rays = _Rays(entry, angle, _ones(entry), quotient(scaled(vergence, _ones(entry)), _one_and_square(steep)))
+        heights, slopes, pass_on = [], [], []
+        index, *behind = (refractive_index(medium, wavelength_nm) for medium in lens.media)
+        gaps = np.append(np.diff(lens.vertices_mm), 0.0)
         for surface, gap, after in zip(lens.surfaces, gaps, behind, strict=True):
             met, met_by, rays = _through(surface, rays, index / after, float(gap), half)
-            heights.append(met[:, :count])
-            slopes.append(met_by[:, :count])
+            heights.append([end[:count] for end in met])
+            slopes.append([end[:count] for end in met_by])
+            pass_on.append(np.isfinite(rays.angle[1] - rays.angle[0])[:count])
             index = index if surface.paraxial else after
-    return Zones(np.stack(heights), np.stack(slopes))
+    return Zones(np.array(heights), np.array(slopes), np.array(pass_on))
 
 
-def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Array) -> tuple[Array, Array, _Rays]:
+def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Array) -> tuple[Range, Range, _Rays]:
     """Return heights at a surface, their derivatives, and the rays in the vertex plane of the next one."""
-    steep = np.tan(rays.angle)
+    steep = _tangent(rays.angle)
     met = _met(surface, rays.height, steep)
-    sag, rise, bend = _shape(surface, met)
-    steep_by = _times(rays.angle_by, 1.0 + _square(steep))
-    met_by = _over(rays.height_by + _times(sag, steep_by), 1.0 - _times(rise, steep)[::-1])
+    sag, rise, _ = _shape(surface, met)
+    steep_by = times(rays.angle_by, _one_and_square(steep))
+    met_by = quotient(plus(rays.height_by, times(sag, steep_by)), _one_less(times(rise, steep)))
     met = _tightened(met, met_by, half)
     sag, rise, bend = _shape(surface, met)
     if surface.paraxial:
         power = surface.thin_lens_power_per_mm
-        steep_behind = steep - _scaled(met, power)[::-1]
-        angle = np.arctan(steep_behind)
-        angle_by = _over(steep_by - _scaled(met_by, power)[::-1], 1.0 + _square(steep_behind))
+        steep_behind = plus(steep, scaled(-power, met))
+        angle = np.arctan(steep_behind[0]), np.arctan(steep_behind[1])
+        angle_by = quotient(plus(steep_by, scaled(-power, met_by)), _one_and_square(steep_behind))
     else:
-        turn, turn_by = np.arctan(rise), _times(_over(bend, 1.0 + _square(rise)), met_by)
-        inside = rays.angle + turn
-        inside = np.where(np.abs(inside).max(axis=0) < 0.5 * math.pi, inside, np.nan)
-        # Beyond total reflection the arc sine is NaN.
-        outside = np.arcsin(ratio * np.sin(inside))
-        bent = ratio * _over(_cosine(inside), _cosine(outside))
-        angle = outside - turn[::-1]
-        angle_by = _times(bent, rays.angle_by + turn_by) - turn_by[::-1]
-    angle = _tightened(np.where(np.isnan(angle).any(axis=0), np.nan, angle), angle_by, half)
-    steep = np.tan(angle)
-    way = gap - sag[::-1]
-    height = met + _times(way, steep)
-    height_by = _times(met_by, 1.0 - _times(rise, steep)[::-1]) + _times(way, _times(angle_by, 1.0 + _square(steep)))
+        turn = np.arctan(rise[0]), np.arctan(rise[1])
+        turn_by = times(quotient(bend, _one_and_square(rise)), met_by)
+        inside = plus(rays.angle, turn)
+        sines = [ratio * np.sin(end) for end in inside]
+        # Beyond a right angle the surface is met from behind; beyond a sine of one there is total reflection.
+        bends = (inside[0] > -0.5 * math.pi) & (inside[1] < 0.5 * math.pi) & (sines[0] >= -1.0) & (sines[1] <= 1.0)
+        inside = _known(inside, bends)
+        outside = _known([np.arcsin(each) for each in sines], bends)
+        bent = scaled(ratio, quotient(_cosine(inside), _cosine(outside)))
+        angle = plus(outside, scaled(-1.0, turn))
+        angle_by = plus(times(bent, plus(rays.angle_by, turn_by)), scaled(-1.0, turn_by))
+    angle = _tightened(angle, angle_by, half)
+    steep = _tangent(angle)
+    way = plus(scaled(gap, _ones(sag)), scaled(-1.0, sag))
+    height = plus(met, times(way, steep))
+    height_by = plus(times(met_by, _one_less(times(rise, steep))), times(way, times(angle_by, _one_and_square(steep))))
     return met, met_by, _Rays(_tightened(height, height_by, half), angle, height_by, angle_by)
 
 
-def _met(surface: Surface, height: Array, steep: Array) -> Array:
-    """Return an interval that holds the one height at which each ray meets a surface; NaN where that is not proven."""
-    h, t = height.mean(axis=0), steep.mean(axis=0)
-    middle = h.copy()
+def _met(surface: Surface, height: Range, steep: Range) -> Range:
+    """Return an interval that holds the one height at which each ray meets a surface; without ends if unproven."""
+    h, t = (0.5 * (each[0] + each[1]) for each in (height, steep))
+    before, middle = h, h + surface.sag_mm(h) * t
+    off_before = before - h - surface.sag_mm(before) * t
     for _ in range(STEPS):
-        sag, rise, _ = (each[0] for each in _shape(surface, np.stack([middle, middle])))
-        middle = middle - (middle - h - sag * t) / (1.0 - rise * t)
-    at_middle = np.stack([middle, middle])
-    sag, rise, _ = _shape(surface, at_middle)
-    off = middle - height[::-1] - _times(sag, steep)[::-1]
-    spare = WIDER * np.abs(off).max(axis=0) / np.abs(1.0 - rise[0] * t) + np.spacing(np.abs(middle)) * 1024.0
-    found = np.full_like(height, np.nan)
+        off = middle - h - surface.sag_mm(middle) * t
+        step = np.nan_to_num(off * (middle - before) / (off - off_before), nan=0.0, posinf=0.0, neginf=0.0)
+        before, off_before, middle = middle, off, middle - step
+        if not (np.abs(step) > np.spacing(np.abs(middle))).any():
+            break
+    _, rise, _ = _shape(surface, (middle, middle))
+    sag = surface.sag_mm(middle)
+    apart = plus((middle, middle), scaled(-1.0, height), scaled(-1.0, times((sag, sag), steep)))
+    spare = WIDER * np.maximum(-apart[0], apart[1]) / np.abs(1.0 - rise[0] * t) + np.spacing(np.abs(middle)) * 1024.0
+    found = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
     open_ = np.ones(len(middle), np.bool_)
     for _ in range(WIDENINGS):
-        trial = at_middle + np.array([[-1.0], [1.0]]) * spare
-        trial = np.where(np.abs(trial).max(axis=0) <= surface.reach_mm, trial, np.nan)
+        trial = _known((middle - spare, middle + spare), np.abs(middle) + spare <= surface.reach_mm)
         _, rise, _ = _shape(surface, trial)
-        newton = middle - _over(off, 1.0 - _times(rise, steep)[::-1])[::-1]
-        holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1])
-        found[:, holds] = newton[:, holds]
+        newton = plus((middle, middle), scaled(-1.0, quotient(apart, _one_less(times(rise, steep)))))
+        holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1]) & np.isfinite(trial[0])
+        for end, of_newton in zip(found, newton, strict=True):
+            end[holds] = of_newton[holds]
         open_ &= ~holds
-        spare = WIDER * np.maximum(spare, np.abs(newton - middle).max(axis=0))
+        spare = WIDER * np.maximum(spare, np.maximum(middle - newton[0], newton[1] - middle))
         if not open_.any():
             break
     return found
 
 
-def _shape(surface: Surface, height: Array) -> tuple[Array, Array, Array]:
-    """Return bounds of the sag at heights (2, n), and of its first and second derivative."""
-    out = np.abs(height)
-    out = np.stack([np.where(height[0] * height[1] <= 0.0, 0.0, out.min(axis=0)), out.max(axis=0)])
-    c = surface.curvature_per_mm
-    bulge = (1.0 + surface.vertex_conic) * c * c
-
-    def root(of: Array) -> Array:
-        return np.sqrt(1.0 - bulge * np.square(of))
-
-    # Each of these rises or falls all the way, so that its bounds are its values at the ends.
-    sags, rises = [c * np.square(out) / (1.0 + root(out))], [c * height / root(height)]
-    bends = [c / root(out) ** 3]
-    for power, factor in surface.powers_mm:
-        if factor:
-            sags.append(factor * out**power)
-            rises.append(factor * power * np.sign(height) * np.abs(height) ** (power - 1))
-            bends.append(factor * power * (power - 1) * out ** (power - 2))
-    return _sum(sags), _sum(rises), _sum(bends)
+def _shape(surface: Surface, height: Range) -> tuple[Range, Range, Range]:
+    """Return bounds of the sag at heights, and of its first and second derivative; without ends where it may end."""
+    known = np.isfinite(height[0]) & np.isfinite(height[1])
+    crosses = (height[0] < 0.0) & (height[1] > 0.0)
+    ends = np.abs(np.where(known, height, 0.0))
+    r = np.where(crosses, 0.0, ends.min(axis=0)), ends.max(axis=0)
+    curvature = (np.full_like(r[0], surface.curvature_per_mm),) * 2
+    sag, slope, bend = (
+        profile_range(curvature, surface.vertex_conic, surface.powers_mm, r, order) for order in (SAG, SLOPE, ALONG)
+    )
+    # The slope is odd.
+    mirrored = scaled(-1.0, slope)
+    rise = (
+        np.where(crosses, np.minimum(slope[0], mirrored[0]), np.where(height[1] > 0.0, slope[0], mirrored[0])),
+        np.where(crosses, np.maximum(slope[1], mirrored[1]), np.where(height[1] > 0.0, slope[1], mirrored[1])),
+    )
+    return _known(sag, known), _known(rise, known), _known(bend, known)
 
 
-def _sum(parts: list[Array]) -> Array:
-    """Return the sum of intervals, whose ends may be in either order."""
-    return np.asarray(np.sort(np.stack(parts), axis=1).sum(axis=0))
+def _known(each: Range | list[Array], known: NDArray[np.bool_]) -> Range:
+    """Return ranges, without ends where they are not known."""
+    return np.where(known, each[0], -np.inf), np.where(known, each[1], np.inf)
 
 
-def _tightened(value: Array, slope: Array, half: Array) -> Array:
-    """Return intervals (2, 2 n) within those of the mean value form; the second half are those of middle rays."""
+def _tightened(value: Range, slope: Range, half: Array) -> Range:
+    """Return ranges (2 n,) within those of the mean value form; the second half are those of middle rays."""
     count = len(half)
-    reach = half * np.abs(slope[:, :count]).max(axis=0)
-    low = np.maximum(value[0, :count], value[0, count:] - reach)
-    high = np.minimum(value[1, :count], value[1, count:] + reach)
-    return np.stack([np.append(low, value[0, count:]), np.append(high, value[1, count:])])
+    reach = half * np.maximum(-slope[0], slope[1])[:count]
+    reach = np.where(half > 0.0, reach, 0.0)
+    low, high = overlap((value[0][:count], value[1][:count]), (value[0][count:] - reach, value[1][count:] + reach))
+    return np.append(low, value[0][count:]), np.append(high, value[1][count:])
 
 
-def _times(one: Array, other: Array) -> Array:
-    products = np.stack([one[0] * other[0], one[0] * other[1], one[1] * other[0], one[1] * other[1]])
-    return np.stack([products.min(axis=0), products.max(axis=0)])
+def _ones(like: Range) -> Range:
+    one = np.ones_like(like[0])
+    return one, one
 
 
-def _scaled(of: Array, by: float) -> Array:
-    return np.sort(of * by, axis=0)
+def _one_less(each: Range) -> Range:
+    return plus(_ones(each), scaled(-1.0, each))
 
 
-def _over(one: Array, other: Array) -> Array:
-    """Return quotients; NaN where the divisor may be zero."""
-    divides = other[0] * other[1] > 0.0
-    return _times(one, 1.0 / np.where(divides, other[::-1], np.nan))
+def _one_and_square(each: Range) -> Range:
+    return plus(_ones(each), squared(each))
 
 
-def _square(of: Array) -> Array:
-    square = np.sort(np.square(of), axis=0)
-    return np.stack([np.where(of[0] * of[1] <= 0.0, 0.0, square[0]), square[1]])
+def _tangent(angle: Range) -> Range:
+    inside = (angle[0] > -0.5 * math.pi) & (angle[1] < 0.5 * math.pi)
+    return _known((np.tan(angle[0]), np.tan(angle[1])), inside)
 
 
-def _cosine(of: Array) -> Array:
+def _cosine(of: Range) -> Range:
     """Return the cosine of angles within a right angle."""
-    cosine = np.sort(np.cos(of), axis=0)
-    return np.stack([cosine[0], np.where(of[0] * of[1] <= 0.0, 1.0, cosine[1])])
+    one, other = np.cos(of[0]), np.cos(of[1])
+    cosine = np.minimum(one, other), np.where((of[0] <= 0.0) & (of[1] >= 0.0), 1.0, np.maximum(one, other))
+    return np.nan_to_num(cosine[0], nan=0.0), np.nan_to_num(cosine[1], nan=1.0)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.first_order.beam_bounds import widest_mm
+from lfmesh.scene.first_order.beam_bounds import Beam, widest_mm
 
 STEPS = 50
 """Of Newton's method towards a surface."""
@@ -63,7 +63,7 @@ def heights_mm(lens: Lens, wavelength_nm: float, object_mm: float, height_mm: fl
 
 def beam_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float, clear_mm: Sequence[float] | float = 0.0
-) -> list[float]:
+) -> Beam:
     """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
 
     Spherical aberration can carry rays from within the stop farther out than those from its edge.
@@ -77,12 +77,12 @@ def beam_mm(
 
     Returns
     -------
-    list of float
-        mm; empty where no ray reaches the edge of the stop.
+    Beam
+        Without heights where no ray reaches the edge of the stop.
     """
     entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
     if not edge:
-        return []
+        return Beam([], [])
     return widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
 
 

@@ -262,6 +262,11 @@ def overlap(one: Range, other: Range) -> Range:
     return np.fmax(one[0], other[0]), np.fmin(one[1], other[1])
 
 
+def known_where(known: NDArray[np.bool_], each: Sequence[Array]) -> Range:
+    """Return ranges, without bounds where they are not known."""
+    return np.where(known, each[0], -np.inf), np.where(known, each[1], np.inf)
+
+
 def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, float]], r: Range, order: int) -> Range:
     """Return the ranges of the sag of a profile, or of one of its derivatives, over intervals of the radius.
 
@@ -311,6 +316,34 @@ def profile_range(curvature: Range, conic: float, powers: Sequence[tuple[int, fl
     slack = ROUNDING * (outer @ np.abs(factors))
     rising, falling = np.maximum(factors, 0.0), np.minimum(factors, 0.0)
     return plus(*terms, (inner @ rising + outer @ falling - slack, outer @ rising + inner @ falling + slack))
+
+
+def meridian_ranges(
+    curvature: float, conic: float, powers: Sequence[tuple[int, float]], height: Range
+) -> tuple[Range, Range, Range]:
+    """Return bounds of the sag of a profile at heights of either sign, and of its first and second derivative.
+
+    Parameters
+    ----------
+    curvature : float, 1/mm
+    conic, powers
+        As for `profile_range`.
+    height : (n,) float64 each, mm
+        Without bounds, so are the results.
+    """
+    known = np.isfinite(height[0]) & np.isfinite(height[1])
+    crosses = (height[0] < 0.0) & (height[1] > 0.0)
+    ends = np.abs(np.where(known, height, 0.0))
+    r = np.where(crosses, 0.0, ends.min(axis=0)), ends.max(axis=0)
+    curved = (np.full_like(r[0], curvature),) * 2
+    sag, slope, bend = (profile_range(curved, conic, powers, r, order) for order in (SAG, SLOPE, ALONG))
+    # The slope is odd.
+    mirrored = scaled(-1.0, slope)
+    rise = (
+        np.where(crosses, np.minimum(slope[0], mirrored[0]), np.where(height[1] > 0.0, slope[0], mirrored[0])),
+        np.where(crosses, np.maximum(slope[1], mirrored[1]), np.where(height[1] > 0.0, slope[1], mirrored[1])),
+    )
+    return known_where(known, sag), known_where(known, rise), known_where(known, bend)
 
 
 def profile_extremes(

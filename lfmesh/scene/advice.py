@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from lfmesh.errors import DiffractionWarning, MissedLightWarning, PictureWarning, in_order
 from lfmesh.scene.distance import length_in_words, reach_in_words
-from lfmesh.scene.first_order.axial_beam import beam_heights_mm
+from lfmesh.scene.first_order import axial_beam
 from lfmesh.scene.first_order.beam_bounds import CLOSE, Beam
 from lfmesh.scene.first_order.focused import middle_of
 from lfmesh.scene.first_order.meridional import beam_mm
@@ -246,8 +246,7 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
             if camera.lens.number_off_revolution is None:
                 beam = beam_mm(camera.lens, wavelength, distance, marginal.height_mm, clears)
             else:
-                heights = beam_heights_mm(camera.lens, wavelength, distance)
-                beam = Beam(heights, heights)
+                beam = axial_beam.beam_mm(camera.lens, wavelength, distance, clears)
         except (OverflowError, ValueError):
             # Coefficients beyond all bounds leave no real ray to be followed, and nothing to be said of it.
             return

@@ -12,7 +12,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.optics.bounds import ACROSS, SAG, Array, Range, least, plus, profile_range, scaled, times
+from lfmesh.optics.bounds import (
+    ACROSS,
+    SAG,
+    Array,
+    Range,
+    least,
+    meridian_ranges,
+    plus,
+    profile_range,
+    quotient,
+    scaled,
+    squared,
+    times,
+)
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Number, Radius
 
@@ -68,6 +81,25 @@ class Form(Model):
             mm, 1/mm and mm.
         """
         raise NotImplementedError
+
+    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
+        """Return bounds of its sag and of the sag's derivatives by x, by y, by x twice, by both, and by y twice.
+
+        They decide whether apertures clip the axial beam; without them `check` says that this is not proven.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+        x, y : Range, mm
+            Inside its reach.
+
+        Returns
+        -------
+        list of six Range
+            mm, 1, 1, 1/mm, 1/mm and 1/mm.
+        """
+        return [(np.full_like(x[0], -np.inf), np.full_like(x[0], np.inf))] * 6
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height up to which it exists at every azimuth, in mm."""
@@ -130,7 +162,7 @@ class Biconic(Form):
         """
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
         a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
-        x2, y2 = (times(square, _squared(each)) for each in (sine, cosine))
+        x2, y2 = (times(square, squared(each)) for each in (sine, cosine))
         bulge, dip = (plus(scaled(of_x, x2), scaled(of_y, y2)) for of_x, of_y in ((c_x, c_y), (a_x, a_y)))
         w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
         share = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
@@ -138,6 +170,45 @@ class Biconic(Form):
             steep = times(bulge, (0.5 * share[0] ** 2 / w[1], 0.5 * share[1] ** 2 / w[0]))
         by_x2, by_y2 = (plus(scaled(c, share), scaled(a, steep)) for c, a in ((c_x, a_x), (c_y, a_y)))
         return times(bulge, share), *_polar(by_x2, by_y2, square, sine, cosine)
+
+    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
+        """Return bounds of its sag and of the sag's derivatives.
+
+        With s = 1 / (1 + w) and the names of `ranges_in` it has the derivatives 2 c_x x s + a_x x n s²/w, then
+        2 c_x s + a_x (4 c_x x² + n) s²/w + a_x² x² n h and x y (2 (c_x a_y + c_y a_x) s²/w + a_x a_y n h), where
+        h = s² (2 s + 1/w) / w².
+
+        Parameters
+        ----------
+        surface, x, y
+            As for `Form`.
+
+        Returns
+        -------
+        list of six Range
+            mm, 1, 1, 1/mm, 1/mm and 1/mm.
+        """
+        c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
+        a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
+        x2, y2 = squared(x), squared(y)
+        n, dip = (plus(scaled(of_x, x2), scaled(of_y, y2)) for of_x, of_y in ((c_x, c_y), (a_x, a_y)))
+        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
+        s = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
+        steep = quotient(squared(s), w)
+        bent = times(n, steep, quotient(plus(scaled(2.0, s), quotient(_ones(w), w)), w))
+        by_x, by_y = (
+            times(at, plus(scaled(2.0 * c, s), scaled(a, times(n, steep))))
+            for at, c, a in ((x, c_x, a_x), (y, c_y, a_y))
+        )
+        xx, yy = (
+            plus(
+                scaled(2.0 * c, s), scaled(a, times(plus(scaled(4.0 * c, at2), n), steep)),
+                scaled(a * a, times(at2, bent)),
+            )
+            for at2, c, a in ((x2, c_x, a_x), (y2, c_y, a_y))
+        )  # fmt: skip
+        xy = times(x, y, plus(scaled(2.0 * (c_x * a_y + c_y * a_x), steep), scaled(a_x * a_y, bent)))
+        return [times(n, s), by_x, by_y, xx, xy, yy]
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which the first of its conics turns back.
@@ -211,7 +282,7 @@ class Toroid(Form):
             mm, 1/mm and mm.
         """
         c_x = curvature(self.radius_x_mm)
-        x2, y2 = (times(square, _squared(each)) for each in (sine, cosine))
+        x2, y2 = (times(square, squared(each)) for each in (sine, cosine))
         f, across = surface.profile_ranges((np.sqrt(y2[0]), np.sqrt(y2[1])))
         u = _clipped(plus(_ones(f), scaled(-c_x, f)))
         v2 = plus(times(u, u), scaled(-c_x * c_x, x2))
@@ -220,6 +291,37 @@ class Toroid(Form):
             over, beyond = (0.5 / v[1], 0.5 / v[0]), (1.0 / (u[1] + v[1]), 1.0 / (u[0] + v[0]))
             sag = plus(f, scaled(c_x, times(x2, beyond)))
             return sag, *_polar(scaled(c_x, over), times(across, u, over), square, sine, cosine)
+
+    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
+        """Return bounds of its sag and of the sag's derivatives.
+
+        With the names of `ranges_in` and e = f′ c_x x / v they are c_x x / v, f′ u / v, then c_x u² / v³, c_x e u / v²
+        and c_x e² / v + f″ u / v.
+
+        Parameters
+        ----------
+        surface, x, y
+            As for `Form`.
+
+        Returns
+        -------
+        list of six Range
+            mm, 1, 1, 1/mm, 1/mm and 1/mm.
+        """
+        c_x = curvature(self.radius_x_mm)
+        f, rise, bend = meridian_ranges(surface.curvature_per_mm, surface.vertex_conic, surface.powers_mm, y)
+        x2 = squared(x)
+        u = _clipped(plus(_ones(f), scaled(-c_x, f)))
+        v2 = plus(squared(u), scaled(-c_x * c_x, x2))
+        v = np.sqrt(np.maximum(v2[0], 0.0)), np.sqrt(np.maximum(v2[1], 0.0))
+        along, over = quotient(u, v), quotient(_ones(v), v)
+        by_x = scaled(c_x, times(x, over))
+        e = times(rise, by_x)
+        sag = plus(f, scaled(c_x, quotient(x2, plus(u, v))))
+        return [
+            sag, by_x, times(rise, along), scaled(c_x, times(squared(along), over)), scaled(c_x, times(e, along, over)),
+            plus(scaled(c_x, times(squared(e), over)), times(bend, along)),
+        ]  # fmt: skip
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which it turns back at some azimuth.
@@ -266,14 +368,8 @@ def _toroid_reach_mm(surface: "Surface") -> float:
 
 def _polar(by_x2: Range, by_y2: Range, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range]:
     """Return the ranges of derivatives by r² and by the azimuth from those by x² and by y²."""
-    out = plus(times(_squared(sine), by_x2), times(_squared(cosine), by_y2))
+    out = plus(times(squared(sine), by_x2), times(squared(cosine), by_y2))
     return out, scaled(2.0, times(square, sine, cosine, plus(by_x2, scaled(-1.0, by_y2))))
-
-
-def _squared(each: Range) -> Range:
-    """Return the ranges of squares of what is of one sign."""
-    low, high = each[0] * each[0], each[1] * each[1]
-    return np.minimum(low, high), np.maximum(low, high)
 
 
 def _ones(like: Range) -> Range:

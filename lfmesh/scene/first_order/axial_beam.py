@@ -1,25 +1,26 @@
 """Real rays of the axial beam through the whole rim of the stop, for lenses whose surfaces are none of revolution.
 
-They are samples, unlike the bounds of `beam_bounds`: a part of the beam between two rings that stands out farther than
-a parabola along the rings tells is not found.
+They are samples, from which `skew_bounds` looks for the ray that is farthest out and proves that none is farther.
 """
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import continue_rays
 from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.first_order.beam_bounds import Beam
+from lfmesh.scene.first_order.skew_bounds import widest_mm
 
 Array = NDArray[np.float64]
 
 AZIMUTHS = 96
 """Rays through the rim of the stop; the largest height between them follows from a parabola through three."""
 
-RINGS = 8
-"""Rings of the stop with so many rays each, the outermost its rim."""
+RINGS = 2
+"""Rings of the stop with so many rays each, the outermost its rim. Other rays of the beam are looked for from there."""
 
 STEPS = 20
 """Of Newton's method towards a surface."""
@@ -28,7 +29,7 @@ DIFFERENCE = 1e-6
 """Step by which the slope of a surface is found, over its clear aperture; of rays over the stop's radius."""
 
 
-def beam_heights_mm(lens: Lens, wavelength_nm: float, object_mm: float) -> list[float]:
+def beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, clear_mm: ArrayLike = 0.0) -> Beam:
     """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
 
     Parameters
@@ -37,16 +38,17 @@ def beam_heights_mm(lens: Lens, wavelength_nm: float, object_mm: float) -> list[
         Solved; its elements stand as prescribed.
     wavelength_nm, object_mm : float
         As for `meridional.heights_mm`.
+    clear_mm : float or (surfaces,) float, mm
+        As for `beam_bounds.widest_mm`.
 
     Returns
     -------
-    list of float
-        mm; empty where no ray reaches the rim of the stop.
+    Beam
+        Without heights where no ray reaches the rim of the stop.
     """
     stop = lens.stop_index or 0
     radius = lens.surfaces[stop].semi_diameter_mm or math.nan
     angle = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-    # Aberrations can carry rays from within the stop farther out than those from its rim.
     ring = radius * np.arange(1, RINGS + 1) / RINGS
     points = (ring[:, None, None] * np.column_stack([np.sin(angle), np.cos(angle)])).reshape(-1, 2)
     middle = _crossings(lens, wavelength_nm, object_mm, np.zeros((1, 2)))[stop]
@@ -55,11 +57,16 @@ def beam_heights_mm(lens: Lens, wavelength_nm: float, object_mm: float) -> list[
         wanted = middle + share[:, None] * (points[which] - middle)
         return _crossings(lens, wavelength_nm, object_mm, entry)[stop] - wanted
 
-    found = continue_rays(miss, np.zeros_like(points), DIFFERENCE * radius, radius)
-    if not found.arrived[-AZIMUTHS:].any():
-        return []
-    met = np.hypot(*np.moveaxis(_crossings(lens, wavelength_nm, object_mm, found.start), 2, 0))
-    return [max(_largest(each) for each in heights.reshape(RINGS, AZIMUTHS)) for heights in met]
+    rays = continue_rays(miss, np.zeros_like(points), DIFFERENCE * radius, radius)
+    if not rays.arrived[-AZIMUTHS:].any():
+        return Beam([], [])
+    met = np.hypot(*np.moveaxis(_crossings(lens, wavelength_nm, object_mm, rays.start), 2, 0))
+    found = np.array([max(_largest(each) for each in heights.reshape(RINGS, AZIMUTHS)) for heights in met[:-1]])
+    # A ray ends at the surface that it misses, or behind which it is no more.
+    goes_on = np.isfinite(met[:-1]) & np.isfinite(met[1:])
+    ends = ~goes_on & np.logical_and.accumulate(np.vstack([goes_on[:1] | True, goes_on]))[:-1]
+    found[ends[:, np.isfinite(met[stop])].any(axis=1)] = np.inf
+    return widest_mm(lens, wavelength_nm, object_mm, np.abs(rays.start).max(axis=0), found, clear_mm)
 
 
 def _largest(heights: Array) -> float:
@@ -72,9 +79,9 @@ def _largest(heights: Array) -> float:
 
 
 def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array) -> Array:
-    """Return where rays of the axial point that enter at places (n, 2) meet surfaces, (surfaces, n, 2) mm.
+    """Return where rays of the axial point that enter at places (n, 2) meet surfaces, (surfaces + 1, n, 2) mm.
 
-    NaN from where a ray misses a surface or is totally reflected.
+    NaN from where a ray misses a surface or is totally reflected; last are slopes behind all surfaces.
     """
     p, met = np.column_stack([entry, np.zeros(len(entry))]), []
     d = np.column_stack([entry / object_mm, np.ones(len(entry))])
@@ -90,6 +97,7 @@ def _crossings(lens: Lens, wavelength_nm: float, object_mm: float, entry: Array)
             else:
                 d = _bent(_normal(surface, p), d, indices[number] / indices[number + 1])
             p = p + np.array([0.0, 0.0, vertex])
+        met.append(d[:, :2] / d[:, 2:])
     return np.stack(met)
 
 

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.optics.bounds import (
-    ALONG,
-    SAG,
-    SLOPE,
     Array,
     Range,
+    known_where,
+    meridian_ranges,
     overlap,
     plus,
-    profile_range,
     quotient,
     scaled,
     squared,
@@ -55,7 +53,7 @@ class Beam(NamedTuple):
         Of rays that were followed. 0: none reaches the surface. inf: some end there, as they miss the surface or are
         totally reflected by it; what lies behind it is not looked at.
     proven_mm : list of float
-        No ray is higher, but for `CLOSE`; inf where nothing is proven. An aperture in between may clip the beam.
+        No ray is higher than this, or than a `clear_mm` that was given, but for `CLOSE`; inf where nothing is proven.
     """
 
     found_mm: list[float]
@@ -198,8 +196,8 @@ def _through(surface: Surface, rays: _Rays, ratio: float, gap: float, half: Arra
         sines = [ratio * np.sin(end) for end in inside]
         # Beyond a right angle the surface is met from behind; beyond a sine of one there is total reflection.
         bends = (inside[0] > -0.5 * math.pi) & (inside[1] < 0.5 * math.pi) & (sines[0] >= -1.0) & (sines[1] <= 1.0)
-        inside = _known(inside, bends)
-        outside = _known([np.arcsin(each) for each in sines], bends)
+        inside = known_where(bends, inside)
+        outside = known_where(bends, [np.arcsin(each) for each in sines])
         bent = scaled(ratio, quotient(_cosine(inside), _cosine(outside)))
         angle = plus(outside, scaled(-1.0, turn))
         angle_by = plus(times(bent, plus(rays.angle_by, turn_by)), scaled(-1.0, turn_by))
@@ -229,7 +227,7 @@ def _met(surface: Surface, height: Range, steep: Range) -> Range:
     found = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
     open_ = np.ones(len(middle), np.bool_)
     for _ in range(WIDENINGS):
-        trial = _known((middle - spare, middle + spare), np.abs(middle) + spare <= surface.reach_mm)
+        trial = known_where(np.abs(middle) + spare <= surface.reach_mm, (middle - spare, middle + spare))
         _, rise, _ = _shape(surface, trial)
         newton = plus((middle, middle), scaled(-1.0, quotient(apart, _one_less(times(rise, steep)))))
         holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1]) & np.isfinite(trial[0])
@@ -244,26 +242,7 @@ def _met(surface: Surface, height: Range, steep: Range) -> Range:
 
 def _shape(surface: Surface, height: Range) -> tuple[Range, Range, Range]:
     """Return bounds of the sag at heights, and of its first and second derivative; without ends where it may end."""
-    known = np.isfinite(height[0]) & np.isfinite(height[1])
-    crosses = (height[0] < 0.0) & (height[1] > 0.0)
-    ends = np.abs(np.where(known, height, 0.0))
-    r = np.where(crosses, 0.0, ends.min(axis=0)), ends.max(axis=0)
-    curvature = (np.full_like(r[0], surface.curvature_per_mm),) * 2
-    sag, slope, bend = (
-        profile_range(curvature, surface.vertex_conic, surface.powers_mm, r, order) for order in (SAG, SLOPE, ALONG)
-    )
-    # The slope is odd.
-    mirrored = scaled(-1.0, slope)
-    rise = (
-        np.where(crosses, np.minimum(slope[0], mirrored[0]), np.where(height[1] > 0.0, slope[0], mirrored[0])),
-        np.where(crosses, np.maximum(slope[1], mirrored[1]), np.where(height[1] > 0.0, slope[1], mirrored[1])),
-    )
-    return _known(sag, known), _known(rise, known), _known(bend, known)
-
-
-def _known(each: Range | list[Array], known: NDArray[np.bool_]) -> Range:
-    """Return ranges, without ends where they are not known."""
-    return np.where(known, each[0], -np.inf), np.where(known, each[1], np.inf)
+    return meridian_ranges(surface.curvature_per_mm, surface.vertex_conic, surface.powers_mm, height)
 
 
 def _tightened(value: Range, slope: Range, half: Array) -> Range:
@@ -290,7 +269,7 @@ def _one_and_square(each: Range) -> Range:
 
 def _tangent(angle: Range) -> Range:
     inside = (angle[0] > -0.5 * math.pi) & (angle[1] < 0.5 * math.pi)
-    return _known((np.tan(angle[0]), np.tan(angle[1])), inside)
+    return known_where(inside, (np.tan(angle[0]), np.tan(angle[1])))
 
 
 def _cosine(of: Range) -> Range:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
-from lfmesh.geometry.lens.surface_gaps import reaches_through
+from lfmesh.geometry.lens.surface_gaps import crossing
 from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, TOUCHING, ring_profile, stays_beside
 from lfmesh.geometry.surfaces.surface import in_place, is_revolved, put_in_pose, surface_of
@@ -51,7 +51,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     Raises
     ------
     SceneError
-        The message names the pose and says by how much they cross.
+        The message names the pose and says by how much they cross, or may cross where bounds leave it open.
     """
     records = []
     for number, s in enumerate(lens.surfaces):
@@ -62,13 +62,13 @@ def refuse_crossing_elements(lens: Lens) -> None:
         if stand_together(front, back):
             continue
         least = TOUCHING * float(back["semi_diameter"] + back["vertex_z"])
-        crossing = max(reaches_through(front, back, 1.0, least), reaches_through(back, front, -1.0, least))
-        if crossing > 0.0:
-            raise SceneError(_refusal(lens, number, crossing))
+        found, possible = crossing(front, back, least)
+        if possible > 0.0:
+            raise SceneError(_refusal(lens, number, found, possible))
 
 
-def _refusal(lens: Lens, number: int, crossing: float) -> str:
-    """Return the refusal of the poses that make surfaces `number` and the next cross."""
+def _refusal(lens: Lens, number: int, found: float, possible: float) -> str:
+    """Return the refusal of the poses that make surfaces `number` and the next cross, or may do so."""
     which = [lens.element_of(n) for n in (number, number + 1)]
     named = ", ".join(
         f"camera.lens.elements[{i}].pose = {{ shift_mm = {list(lens.elements[i].pose.shift_mm)}, "
@@ -76,8 +76,13 @@ def _refusal(lens: Lens, number: int, crossing: float) -> str:
         for i in which
         if i is not None
     )
+    if found == 0.0:
+        return (
+            f"{named}: surfaces {number} and {number + 1} touch inside their clear apertures and may cross, by up to "
+            f"{possible:.4g} mm; give a distance between them that is larger by this"
+        )
     return (
-        f"{named}: surfaces {number} and {number + 1} cross inside their clear apertures, by {crossing:.4g} mm; give "
+        f"{named}: surfaces {number} and {number + 1} cross inside their clear apertures, by {found:.4g} mm; give "
         "smaller shifts and tilts, a larger distance between them, or smaller semi-diameters"
     )
 
@@ -123,7 +128,7 @@ def closure(lens: Lens, surfaces: NDArray[np.void], rims: list[float], numbers: 
         if _clears(lines, front, rims[k], back, rims[k + 1]):
             return strip(lines)
     raise SceneError(
-        f"{_refusal(lens, numbers[k], 0.0).split(': surfaces')[0]}: the edge between surfaces {numbers[k]} and "
+        f"{_refusal(lens, numbers[k], 0.0, 0.0).split(': surfaces')[0]}: the edge between surfaces {numbers[k]} and "
         f"{numbers[k + 1]} cuts one of them; give smaller shifts and tilts, or more room between them"
     )
 

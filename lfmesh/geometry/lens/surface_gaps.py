@@ -2,8 +2,8 @@
 
 The aperture of the first surface is divided into squares. From the height over the other surface at the middle of a
 square follows its largest one there, by its gradient and a bound of its second derivatives. Squares that cannot hold
-a larger height than was found are done, the others are divided. Only surfaces that touch along an area, or all but do,
-leave more squares than are divided: a crossing there is at most as deep as the bound of a square of that size.
+a larger height than was found are done, the others are divided. Surfaces that touch along an area, or all but do, leave
+more squares than are divided: that they cross by no more than the bounds of these is all that is proven then.
 """
 
 from itertools import pairwise
@@ -29,11 +29,11 @@ from lfmesh.geometry.surfaces.tessellation import (
 FIRST = 9
 """Squares across an aperture to begin with; the middle of one is the vertex."""
 
-LEVELS = 12
-"""Times that they are halved."""
+LEVELS = 20
+"""Times that they are halved at most."""
 
 MOST_SQUARES = 1 << 13
-"""Squares beyond which they are divided no further: surfaces touch all over, and stay as far apart as their middles."""
+"""Squares at most; the others are left undecided, as of surfaces that touch all over."""
 
 CLOSE_ENOUGH = 1.001
 """Largest height over the one that is found, at most."""
@@ -42,7 +42,7 @@ QUARTERS = np.array([(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
 """Middles of the quarters of a square, in half its sides."""
 
 
-def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
+def reaches_through(one: Any, other: Any, sense: float, least: float, enough: float = np.inf) -> tuple[float, float]:
     """Return how far a surface reaches through another one, along that one's axis, inside both clear apertures, mm.
 
     Parameters
@@ -52,25 +52,53 @@ def reaches_through(one: Any, other: Any, sense: float, least: float) -> float:
         1: by points of `one` beyond `other`, along its axis; −1: by points before it.
     least : float, mm
         Depth that does not count.
+    enough : float, mm
+        Depth that is not followed any further once it is found.
 
     Returns
     -------
-    float
-        0 where it does not reach through by more than `least`.
+    found : float
+        0 where no point that reaches through by more than `least` was found.
+    possible : float
+        No point reaches through by more. 0 where none is proven to reach through by more than `least`.
     """
     radius, edge = (min(float(s["semi_diameter"]), last_radius(s), reach(s)) for s in (one, other))
     one, other = (with_bends(s, end) for s, end in ((one, radius), (other, edge)))
     side = np.linspace(-1.0, 1.0, 2 * FIRST + 1)[1::2] * radius
-    middles, half, deepest = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), radius / FIRST, 0.0
+    middles, half = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), radius / FIRST
+    deepest = aside = 0.0
     for _ in range(LEVELS):
         height, inside, most = _heights(one, other, sense, middles, half, (radius, edge))
         deepest = max(deepest, float(np.max(height, where=inside, initial=0.0)))
-        middles = middles[most > max(least, CLOSE_ENOUGH * deepest)]
-        if not len(middles) or 4 * len(middles) > MOST_SQUARES:
+        open_ = most > max(least, CLOSE_ENOUGH * deepest)
+        middles, most = middles[open_], most[open_]
+        if 4 * len(middles) > MOST_SQUARES:
+            # Those of the largest bounds are divided: they decide how far the surfaces may reach.
+            order = np.argsort(-most)
+            aside = max(aside, float(most[order[MOST_SQUARES // 4]]))
+            middles, most = middles[order[: MOST_SQUARES // 4]], most[order[: MOST_SQUARES // 4]]
+        possible = max(CLOSE_ENOUGH * deepest, aside, float(np.max(most, initial=0.0)))
+        if deepest > enough or not np.any(most > aside):
             break
         middles = (middles[:, None] + half * QUARTERS).reshape(-1, 2)
         half *= 0.5
-    return deepest if deepest > least else 0.0
+    return deepest if deepest > least else 0.0, possible if possible > least else 0.0
+
+
+def crossing(front: Any, back: Any, least: float, enough: float = np.inf) -> tuple[float, float]:
+    """Return how far a surface and the next reach through each other, and how far they may at most, mm.
+
+    Parameters
+    ----------
+    front, back : SURFACE record
+    least, enough : float, mm
+        As for `reaches_through`.
+    """
+    found, possible = zip(
+        *(reaches_through(*pair, least, enough) for pair in ((front, back, 1.0), (back, front, -1.0))), strict=True
+    )
+    # Along either axis it is a proof that they do not.
+    return max(found), max(possible) if min(possible) > 0.0 or max(found) > 0.0 else 0.0
 
 
 def end_where_they_touch(surfaces: NDArray[np.void], rings: int) -> None:
@@ -120,14 +148,15 @@ def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
 def _first_touch_off_axis(front: Any, back: Any, low: float, high: float) -> float:
     """Return the radius from `low` to `high` of the parts of two surfaces that first touch; inf where they do not, mm.
 
-    Beyond `low` the larger parts hold all points of the smaller ones: where those touch, so do they.
+    Beyond `low` the larger parts hold all points of the smaller ones: where those touch, so do they. Parts that are not
+    proven apart count as touching.
     """
     least = TOUCHING * float(abs(back["vertex_z"]) + high)
 
     def touch(radius: float) -> bool:
         one, other = front.copy(), back.copy()
         one["semi_diameter"] = other["semi_diameter"] = radius
-        return max(reaches_through(one, other, 1.0, least), reaches_through(other, one, -1.0, least)) > 0.0
+        return crossing(one, other, least, least)[1] > 0.0
 
     if not touch(high):
         return np.inf

@@ -40,6 +40,22 @@ def least_gap_mm(
     return gap, math.sqrt(place[0])
 
 
+def rim_gap_mm(front: "Surface", back: "Surface", front_mm: float, back_mm: float) -> float:
+    """Return the least difference of sags, back less front, between rims at heights of their own, at any azimuth, mm.
+
+    Parameters
+    ----------
+    front, back : Surface
+        Neighbours, which do not end before.
+    front_mm, back_mm : float
+    """
+    if front.form is None and back.form is None:
+        return float(back.sag_mm(back_mm) - front.sag_mm(front_mm))
+    ranges_of, low, high = _box(front, back, front_mm, front_mm, (back_mm / front_mm) ** 2)
+    with np.errstate(all="ignore"):
+        return least(ranges_of, low, high, math.inf, touching_mm(front))[0]
+
+
 def room_mm(front: "Surface", back: "Surface", most_mm: float) -> float:
     """Return the height up to which two neighbours are proven not to cross, `most_mm` at most.
 
@@ -63,8 +79,13 @@ def touching_mm(front: "Surface") -> float:
     return TOUCHING * (1.0 + (front.thickness_mm or 0.0))
 
 
-def _box(front: "Surface", back: "Surface", inner: float, outer: float) -> tuple[Ranges, list[float], list[float]]:
-    """Return the bounds of the gap in cells, and the corners of the box of all: r², and the azimuth where it tells."""
+def _box(
+    front: "Surface", back: "Surface", inner: float, outer: float, wider: float = 1.0
+) -> tuple[Ranges, list[float], list[float]]:
+    """Return the bounds of the gap in cells, and the corners of the box of all: r², and the azimuth where it tells.
+
+    The r² of the back is that of the front times `wider`.
+    """
     if front.form is None and back.form is None:
         return lambda low, high: _on_circles(front, back, low[:, 0], high[:, 0]), [inner**2], [outer**2]
     symmetric = all(each.form is None or each.form.symmetric for each in (front, back))
@@ -72,7 +93,7 @@ def _box(front: "Surface", back: "Surface", inner: float, outer: float) -> tuple
 
     def ranges_of(low: Array, high: Array) -> list[Range]:
         """Return those of the least gap of all quarters."""
-        parts = [_in_a_quarter(front, back, low, high, signs) for signs in quarters]
+        parts = [_in_a_quarter(front, back, low, high, signs, wider) for signs in quarters]
         value, *rates = zip(*parts, strict=True)
         least_of_all = tuple(np.min(ends, axis=0) for ends in zip(*value, strict=True))
         return [least_of_all, *((np.min([r[0] for r in each], axis=0), np.max([r[1] for r in each], axis=0))
@@ -104,19 +125,22 @@ def _on_circles(front: "Surface", back: "Surface", low: Array, high: Array) -> l
     return [found[0], scaled(0.5, found[1])]
 
 
-def _in_a_quarter(front: "Surface", back: "Surface", low: Array, high: Array, signs: Signs) -> list[Range]:
+def _in_a_quarter(
+    front: "Surface", back: "Surface", low: Array, high: Array, signs: Signs, wider: float
+) -> list[Range]:  # fmt: skip
     """Return bounds of the gap, and of its derivatives by r² and by the azimuth, in cells of one quarter turn."""
-    square, turn = ((low[:, k], high[:, k]) for k in (0, 1))
+    inner, turn = ((low[:, k], high[:, k]) for k in (0, 1))
     # From the y axis to the x axis.
     sine = scaled(signs[0], (np.sin(turn[0]), np.sin(turn[1])))
     cosine = scaled(signs[1], (np.maximum(np.cos(turn[1]), 0.0), np.cos(turn[0])))
     parts = []
-    for surface in (back, front):
+    for surface, scale in ((back, wider), (front, 1.0)):
+        square = scaled(scale, inner)
         if surface.form is None:
             sag, across = surface.profile_ranges((np.sqrt(square[0]), np.sqrt(square[1])))
-            parts.append((sag, scaled(0.5, across), (np.zeros_like(square[0]),) * 2))
+            parts.append((sag, scaled(0.5 * scale, across), (np.zeros_like(square[0]),) * 2))
             continue
         sag, out, turned = surface.form.ranges_in(surface, square, sine, cosine)
         # In a mirrored quarter the azimuth runs the other way.
-        parts.append((sag, out, scaled(signs[0] * signs[1], turned)))
+        parts.append((sag, scaled(scale, out), scaled(signs[0] * signs[1], turned)))
     return [plus(of_back, scaled(-1.0, of_front)) for of_back, of_front in zip(*parts, strict=True)]

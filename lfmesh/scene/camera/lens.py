@@ -13,11 +13,10 @@ from pydantic import Field
 
 from lfmesh.optics.bounds import ACROSS, SAG, Range, profile_range
 from lfmesh.optics.glass import AIR, Medium
-from lfmesh.scene.camera.gaps import least_gap_mm, touching_mm
+from lfmesh.scene.camera.gaps import least_gap_mm, rim_gap_mm, touching_mm
 from lfmesh.scene.camera.qbfs import EvenForm, Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS, Qcon, within_floats
 from lfmesh.scene.camera.sections import (
-    AZIMUTHS,
     Biconic,
     Form,
     Heights,
@@ -126,7 +125,7 @@ class Surface(Model):
     def is_flat(self) -> bool:
         """True where the surface is flat all round, whatever its shape."""
         bare = self.curvature_per_mm == self.curvature_x_per_mm == 0 and not any(a for _, a in self.powers_mm)
-        return bare and not self.sags_mm(self.semi_diameter_mm or 1.0, AZIMUTHS).any()
+        return bare and (self.form is None or self.form.is_flat(self))
 
     @property
     def is_plain_stop(self) -> bool:
@@ -766,6 +765,25 @@ class Lens(Model):
         """
         front, back = self.surfaces[number], self.surfaces[number + 1]
         return (front.thickness_mm or 0.0) + least_gap_mm(front, back, height_mm, height_mm)[0]
+
+    def edge_mm(self, number: int) -> float:
+        """Return the distance along z from the rim of surface `number` to that of the next, in mm.
+
+        The smallest over all azimuths.
+
+        Parameters
+        ----------
+        number : int
+            From 0, at the object's side; not the last.
+
+        Returns
+        -------
+        float
+            mm; negative where the rims cross.
+        """
+        front, back = self.surfaces[number], self.surfaces[number + 1]
+        rims = front.semi_diameter_mm or 0.0, back.semi_diameter_mm or 0.0
+        return (front.thickness_mm or 0.0) + rim_gap_mm(front, back, *rims)
 
     def _crossing(self, number: int) -> Iterator[Fault]:
         """Compare the sags of a surface and the next over the aperture they share."""

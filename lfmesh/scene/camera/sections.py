@@ -7,6 +7,7 @@ Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`rad
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -104,6 +105,14 @@ class Form(Model):
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height up to which it exists at every azimuth, in mm."""
         return reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
+
+    def is_flat(self, surface: "Surface") -> bool:
+        """Return whether its sag is proven to be zero all over its aperture."""
+        to_one = np.zeros(1), np.ones(1)
+        to_minus_one = scaled(-1.0, to_one)
+        square = np.zeros(1), np.full(1, (surface.semi_diameter_mm or 1.0) ** 2)
+        quarters = product((to_one, to_minus_one), repeat=2)
+        return not any(np.any(self.ranges_in(surface, square, *turned)[0]) for turned in quarters)
 
     def curvature_x_per_mm(self, surface: "Surface") -> float:
         """Return the curvature at the vertex in the section x–z."""

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lfmesh.errors import LfmeshError
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.camera.lens import Lens
-from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.scene.first_order.paraxial import quotient
 from lfmesh.study.metrics.metrics import METRICS
 
@@ -50,12 +49,7 @@ class CameraFigure(NamedTuple):
 
 def _glass_edges(scene: Scene, _: FirstOrder) -> list[float]:
     lens = _measurable(scene.camera.lens)
-    rims = [surface.sags_mm(surface.semi_diameter_mm or 0.0, AZIMUTHS) for surface in lens.surfaces]
-    return [
-        (surface.thickness_mm or 0.0) + float((behind - before).min())
-        for surface, before, behind in zip(lens.surfaces, rims, rims[1:], strict=False)
-        if surface.medium is not None
-    ]  # fmt: skip
+    return [lens.edge_mm(i) for i, surface in enumerate(lens.surfaces[:-1]) if surface.medium is not None]
 
 
 def _glass_centres(scene: Scene, _: FirstOrder) -> list[float]:

@@ -8,6 +8,8 @@ import pytest
 
 import lfmesh as lf
 from lfmesh.geometry import frame
+from lfmesh.geometry.lens import surface_gaps
+from lfmesh.geometry.lens.element_poses import refuse_crossing_elements
 from lfmesh.geometry.lens.surface_gaps import end_where_they_touch, reaches_through
 from lfmesh.geometry.surfaces.surface import BICONIC, put_in_pose, surface
 from tests.cameras import camera_without_array
@@ -50,8 +52,9 @@ def test_a_rim_that_crosses_between_any_two_azimuths_is_found() -> None:
         sag = 80.0 - np.sqrt(80.0**2 - place**2)
         for thickness in (RIM * steep + sag - 3e-4, RIM * steep + sag + 3e-4):
             said = refused_by_mm(tilted_window(azimuth, float(thickness)))
-            # Along the axis of either face: these are 6 degrees apart.
-            assert said == (pytest.approx(3e-4, rel=0.02) if thickness < RIM * steep + sag else None)
+            # Along the axis of the tilted face, which meets the other at its slope.
+            deep = 3e-4 / (np.sqrt(1.0 - steep**2) - steep * place / np.sqrt(80.0**2 - place**2))
+            assert said == (pytest.approx(deep, rel=2e-3) if thickness < RIM * steep + sag else None)
 
 
 def pair(draw: np.random.Generator) -> list[Any]:
@@ -88,7 +91,7 @@ def test_no_point_of_a_surface_is_deeper_in_another_than_is_said() -> None:
     crossed = 0
     for _ in range(60):
         one, other = pair(draw)
-        said = reaches_through(one, other, 1.0, 1e-9)
+        said, possible = reaches_through(one, other, 1.0, 1e-9)
         r, phi = one["semi_diameter"] * np.sqrt(draw.random(40_000)), draw.uniform(0.0, 2.0 * np.pi, 40_000)
         r[:10_000] = one["semi_diameter"]
         x, y = r * np.cos(phi), r * np.sin(phi)
@@ -98,10 +101,45 @@ def test_no_point_of_a_surface_is_deeper_in_another_than_is_said() -> None:
         q = q[inside]
         deepest = max(0.0, float((q[:, 2] - other["vertex_z"] - height(other, q[:, 0], q[:, 1])).max()))
         assert deepest <= said * 1.001 + 1e-9
+        assert deepest <= possible + 1e-9
         # Points this dense lie near the deepest place.
         assert said <= deepest + 0.02
         crossed += deepest > 0.0
     assert 10 < crossed < 50
+
+
+def test_what_is_not_proven_apart_may_cross(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However few squares are divided, no crossing is deeper than is said to be possible."""
+    draw, truths, found, possible = np.random.default_rng(6), [], [], []
+    pairs = [pair(draw) for _ in range(30)]
+    for most, kept in ((surface_gaps.MOST_SQUARES, truths), (1, found), (1, possible)):
+        monkeypatch.setattr(surface_gaps, "MOST_SQUARES", most)
+        kept += [reaches_through(one, other, 1.0, 1e-9)[int(kept is possible)] for one, other in pairs]
+    assert sum(truth > 1.01 * said for truth, said in zip(truths, found, strict=True)) > 3
+    assert all(truth <= bound * 1.001 for truth, bound in zip(truths, possible, strict=True))
+
+
+def test_elements_that_touch_all_over_are_refused_until_they_are_apart() -> None:
+    """Spheres of one centre slide on each other: where one is tilted about it, no bound tells them from crossing."""
+
+    def lens(gap_mm: float) -> lf.Scene:
+        surfaces = [
+            {"radius_mm": 40.0, "thickness_mm": 4.0, "index": 1.5, "semi_diameter_mm": 9.0, "stop": True},
+            {"radius_mm": 30.0, "thickness_mm": gap_mm, "semi_diameter_mm": 9.0},
+            {"radius_mm": 30.0, "thickness_mm": 3.0, "index": 1.6, "semi_diameter_mm": 9.0},
+            {"radius_mm": 60.0, "semi_diameter_mm": 9.0},
+        ]  # fmt: skip
+        tilt = np.deg2rad(1.0)
+        # About the vertex of surface 2, whose centre must stay.
+        pose = {"tilt_deg": [1.0, 0.0, 0.0], "shift_mm": [0.0, 30.0 * np.sin(tilt), 30.0 * (1.0 - np.cos(tilt))]}
+        given = {"surfaces": surfaces, "elements": [{"surfaces": [2, 3], "pose": pose}]}
+        return lf.Scene(camera=camera_without_array()).changed({"camera.lens": given, "camera.focus_mm": 500.0})
+
+    with pytest.raises(lf.SceneError, match="may cross, by up to") as refusal:
+        refuse_crossing_elements(lf.solved(lens(0.0)).camera.lens)
+    more = float(str(refusal.value).split("by up to ")[1].split(" mm")[0])
+    assert more < 2e-3
+    refuse_crossing_elements(lf.solved(lens(1.2 * more)).camera.lens)
 
 
 def test_surfaces_that_touch_between_aperture_and_rim_end_there_though_they_are_apart_at_the_rim() -> None:

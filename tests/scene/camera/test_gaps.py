@@ -8,7 +8,7 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.scene.camera.gaps import least_gap_mm, room_mm
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.camera.sections import toroid_reach_mm
+from lfmesh.scene.camera.sections import Form, toroid_reach_mm
 
 REVOLVED, BICONIC, TOROID = "revolved", "biconic", "toroid"
 KINDS = (REVOLVED, BICONIC, TOROID)
@@ -119,3 +119,37 @@ def test_toroids_of_many_curves_exist_up_to_the_height_that_they_are_said_to_rea
         end = min(most, float(np.hypot(inside, np.maximum(0.0, 1.0 - c_x * f) / c_x).min()))
         reach = toroid_reach_mm(c_x, c_y, 0.0, powers, most)
         assert end * (1.0 - 5e-6) < reach <= end
+
+
+@pytest.mark.parametrize("turn_deg", [11.0, 37.7, 61.3])
+def test_an_edge_is_as_thick_as_at_its_thinnest_azimuth(turn_deg):
+    """Rims z = A s + B s² with s = sin² of the azimuth, of two toroids, are closest where no regular azimuth lies."""
+    back = Surface(radius_mm=-30.0, asphere_mm=(6e-5,), semi_diameter_mm=9.0, toroid={"radius_x_mm": -20.0})
+    turns = np.linspace(0.0, 0.5 * math.pi, 200_001)
+    rim = back.sag_at_mm(9.0 * np.sin(turns), 9.0 * np.cos(turns))
+    # The slope of a front of two sections makes the azimuth in question the thinnest one.
+    slope = np.interp(math.radians(turn_deg), turns, np.gradient(rim, np.sin(turns) ** 2))
+    c_x = float(slope * 2.0 / 8.0**2)
+    front = Surface(thickness_mm=8.0, index=1.5, semi_diameter_mm=8.0, conic=-1.0,
+                    biconic={"radius_x_mm": 1.0 / c_x, "conic_x": -1.0})  # fmt: skip
+    thick = 8.0 + rim - front.sag_at_mm(8.0 * np.sin(turns), 8.0 * np.cos(turns))
+    thinnest = float(thick.min())
+    assert Lens(surfaces=(front, back)).edge_mm(0) == pytest.approx(thinnest, abs=1e-9)
+
+
+class Ripples(Form):
+    """A shape that is zero at every azimuth of a 32nd of a quarter turn."""
+
+    def sag_at_mm(self, surface, x_mm, y_mm):
+        return 0.01 * np.sin(64.0 * np.arctan2(x_mm, y_mm)) * np.hypot(x_mm, y_mm) ** 2
+
+    def ranges_in(self, surface, square, sine, cosine):
+        most = 0.01 * square[1]
+        return (-most, most), (-0.01 + 0.0 * most, 0.01 + 0.0 * most), (-64.0 * most, 64.0 * most)
+
+
+def test_a_shape_is_flat_only_where_its_sag_is_proven_to_be_zero():
+    assert not Ripples().is_flat(Surface(semi_diameter_mm=5.0))
+    assert Surface(semi_diameter_mm=5.0, biconic={"radius_x_mm": math.inf}).is_flat
+    assert Surface(semi_diameter_mm=5.0, toroid={"radius_x_mm": math.inf}).is_flat
+    assert not Surface(semi_diameter_mm=5.0, toroid={"radius_x_mm": 1e9}).is_flat

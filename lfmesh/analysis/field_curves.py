@@ -24,9 +24,12 @@ CLOSE = 1e-3
 RISE = 1e-3
 """Of the largest field: step by which the scale of the image is found, from chief rays on both sides of a field."""
 
-BEAM, WIDER = 16, 1.25
-"""Rays on a diameter of the stop that the extent of a beam is found by, and by how much more is looked at. Within it
-the light itself is integrated, up to the edges that end it."""
+BEAM, WIDER, WIDENINGS = 16, 1.25, 16
+"""Rays on a diameter of the stop that the extent of a beam is first found by, and by how much more is looked at, until
+no light comes through the circle round it. Within it the light itself is integrated, up to the edges that end it."""
+
+ALL_ROUND = np.linspace(0.0, 2.0 * np.pi, 256, endpoint=False)
+"""Azimuths on this circle: about as many as the integral has cells round it, which light must not slip between."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,8 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
         # An edge ends each of these; what passes between them is sought across the whole front.
         entries = rays.aim.trials()
     middle = 0.5 * (entries.min(axis=0) + entries.max(axis=0))
-    radius = WIDER * max(float(np.hypot(*(entries - middle).T).max()), rays.stop_radius / BEAM)
+    radius = max(float(np.hypot(*(entries - middle).T).max()), rays.stop_radius / BEAM)
+    rim = np.column_stack([np.cos(ALL_ROUND), np.sin(ALL_ROUND)])
 
     def irradiance(off: Array) -> Array:
         start, ahead = rays.starts(np.broadcast_to(slope, off.shape), middle + off)
@@ -140,6 +144,10 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
         # Darkness tells on which edge rays end: light between two edges, too narrow for the cells, is sought there.
         return np.where(arrived.weight > 0.0, arrived.weight * cosine, -1.0 - arrived.way)
 
+    for _ in range(WIDENINGS):
+        radius *= WIDER
+        if not (irradiance(radius * rim) > 0.0).any():
+            break
     return integral(irradiance, radius).value
 
 

@@ -1,6 +1,7 @@
 """Curves over the field against sums of all rays on a grid across the front of the lens, which share no code."""
 
 import math
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -9,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lfmesh as lf
-from lfmesh.analysis.field_curves import field_curves, paraxial_scale
-from lfmesh.waves.bundle import LensRays
+from lfmesh.analysis.field_curves import _collected, field_curves, paraxial_scale
+from lfmesh.waves.bundle import LensRays, pupil_grid
 from tests.waves.brute_pupil import Prescription
 from tests.waves.test_stop_aim import WAVE_NM, drawn_lens, scene_of
 
@@ -102,6 +103,16 @@ def test_illumination_is_the_sum_of_all_rays_over_that_on_the_axis(seed: int | N
         wanted = irradiance(replace(lens, slope=float(curves.slope_y[k]))) / axis
         assert curves.illumination[k] == pytest.approx(wanted, rel=EXACT, abs=EXACT)
     assert (curves.illumination[-1] > 0.01) or seed is not None
+
+
+def test_illumination_does_not_depend_on_the_region_that_is_looked_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A circle through which light comes is widened until it holds the whole beam."""
+    rays, _ = rays_of(before_a_lens(3.0, 5.0))
+    whole = [_collected(rays, WAVE_NM, slope) for slope in (0.0, 0.2)]
+    module = sys.modules[field_curves.__module__]
+    monkeypatch.setattr(module, "pupil_grid", lambda *given, **keys: 0.3 * pupil_grid(*given, **keys))
+    part = [_collected(rays, WAVE_NM, slope) for slope in (0.0, 0.2)]
+    np.testing.assert_allclose(part, whole, rtol=EXACT)
 
 
 def test_a_field_without_light_has_no_illumination_instead_of_an_unknown_one() -> None:

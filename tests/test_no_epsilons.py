@@ -42,7 +42,7 @@ DIMENSIONLESS = {
     "geometry/array/lenslets.py": {"DEPTH_WITHIN"},
     "geometry/surfaces/bends.py": {"BEFORE_END", "HEIGHT_WITHIN"},
     "optics/bounds.py": {"ROUNDING"},
-    "geometry/surfaces/edges.py": {"TOUCHING"},
+    "geometry/surfaces/edges.py": {"ROUNDING_OF_COORDINATES"},
     "geometry/surfaces/tessellation.py": {"FLOAT32_MARGIN"},
     "geometry/meshes/vertex_normals.py": {"IN_ONE_PLANE", "NO_FIT"},
     "transport/aims/fitting.py": {"ALLOWED"},

@@ -14,7 +14,7 @@ from lfmesh.errors import SceneError
 from lfmesh.geometry import frame
 from lfmesh.geometry.lens.surface_gaps import crossing
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, TOUCHING, ring_profile, stays_beside
+from lfmesh.geometry.surfaces.edges import ANNULUS_LEAN, ROUNDING_OF_COORDINATES, ring_profile, stays_beside
 from lfmesh.geometry.surfaces.surface import in_place, is_revolved, put_in_pose, surface_of
 from lfmesh.geometry.surfaces.tessellation import mesh_heights, on_circles, revolved, stand_together, strip
 from lfmesh.scene.camera.lens import Lens
@@ -61,7 +61,7 @@ def refuse_crossing_elements(lens: Lens) -> None:
     for number, (front, back) in enumerate(pairwise(records)):
         if stand_together(front, back):
             continue
-        least = TOUCHING * float(back["semi_diameter"] + back["vertex_z"])
+        least = ROUNDING_OF_COORDINATES * float(back["semi_diameter"] + back["vertex_z"])
         found, possible = crossing(front, back, least)
         if possible > 0.0:
             raise SceneError(_refusal(lens, number, found, possible))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.surfaces.bends import bends_between, with_bends
-from lfmesh.geometry.surfaces.edges import TOUCHING
+from lfmesh.geometry.surfaces.edges import ROUNDING_OF_COORDINATES
 from lfmesh.geometry.surfaces.sag import gradients, reach, sag
 from lfmesh.geometry.surfaces.surface import is_revolved
 from lfmesh.geometry.surfaces.tessellation import (
@@ -133,7 +133,7 @@ def _first_touch(front: Any, back: Any, low: float, high: float) -> float:
     at_low, at_high = back["vertex_z"] + sag(back, ends) - front["vertex_z"] - sag(front, ends)
     if not at_low > 0.0:
         return low
-    least = TOUCHING * float(abs(back["vertex_z"]) + abs(front["vertex_z"]) + high)
+    least = ROUNDING_OF_COORDINATES * float(abs(back["vertex_z"]) + abs(front["vertex_z"]) + high)
     of_back, of_front = (bends_between(s, ends[:1], ends[1:]) for s in (back, front))
     bend = max(float(of_back[1][0] - of_front[0][0]), 0.0)
     if at_high > 0.0 and min(at_low, at_high) - 0.125 * bend * (high - low) ** 2 > -least:
@@ -151,7 +151,7 @@ def _first_touch_off_axis(front: Any, back: Any, low: float, high: float) -> flo
     Beyond `low` the larger parts hold all points of the smaller ones: where those touch, so do they. Parts that are not
     proven apart count as touching.
     """
-    least = TOUCHING * float(abs(back["vertex_z"]) + high)
+    least = ROUNDING_OF_COORDINATES * float(abs(back["vertex_z"]) + high)
 
     def touch(radius: float) -> bool:
         one, other = front.copy(), back.copy()

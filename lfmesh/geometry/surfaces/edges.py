@@ -18,8 +18,8 @@ from lfmesh.geometry.surfaces.tessellation import last_radius, mesh_heights, mes
 ANNULUS_LEAN = 0.05
 """Rise of a ring's annulus over the length of its cylinder."""
 
-TOUCHING = 1e-9
-"""Share of the coordinates up to which a crossing is rounding, where an edge begins on a surface."""
+ROUNDING_OF_COORDINATES = 1e-9
+"""Depth up to which a crossing is rounding, over the coordinates of points whose places are rounded."""
 
 MOST_PARTS = 1 << 14
 """Parts beyond which facets are halved no further, and count as not clear."""
@@ -106,7 +106,7 @@ def _stay_beside(parts: Array, surface: Any, radius: float, side: float) -> bool
     side : float
     """
     end, scale = last_radius(surface), float(np.abs(parts).max() + abs(surface["vertex_z"]))
-    least, grain = TOUCHING * scale, np.finfo(np.float64).eps * scale
+    least, grain = ROUNDING_OF_COORDINATES * scale, np.finfo(np.float64).eps * scale
     radius -= ROUNDINGS * grain
     parts = parts[~_beyond(parts, radius)]
     while len(parts):

@@ -11,8 +11,9 @@ from lfmesh.optics.bounds import ACROSS, SAG, Array, Range, first_below, least, 
 if TYPE_CHECKING:
     from lfmesh.scene.camera.lens import Surface
 
-TOUCHING = 1e-9
-"""Depth up to which a crossing is rounding, as surfaces may touch: over the distance of their vertices plus 1 mm."""
+ALLOWED_OVERLAP = 1e-9
+"""Depth up to which neighbours in contact may overlap in a prescription: over the distance of their vertices plus 1 mm.
+"""
 
 ROOM_WITHIN = 1e-6
 """Largest relative distance of the height at which surfaces cross from that up to which they are proven not to."""
@@ -76,7 +77,7 @@ def room_mm(front: "Surface", back: "Surface", most_mm: float) -> float:
 
 def touching_mm(front: "Surface") -> float:
     """Return the depth up to which a crossing with the next surface is rounding, mm."""
-    return TOUCHING * (1.0 + (front.thickness_mm or 0.0))
+    return ALLOWED_OVERLAP * (1.0 + (front.thickness_mm or 0.0))
 
 
 def _box(

@@ -25,6 +25,7 @@ from lfmesh.optics.bounds import (
     scaled,
     times,
 )
+from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
 
 WITHIN, WITHIN_BOTH = 0.005, 0.02
 """Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""
@@ -160,11 +161,10 @@ def _mixed(low: Array, high: Array, of_x: float, of_y: float) -> Range:
     return times((low[:, 0], high[:, 0]), (np.minimum(*ends), np.maximum(*ends)))
 
 
-def _biconic_root(surface: Any, low: Array, high: Array) -> Range:
-    """Return the ranges of w in cells of a biconic; see `_biconic_bends`."""
-    a, b = _squares(surface)
-    dip = _mixed(low, high, a, b)
-    return np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
+def _biconic_parts(surface: Any, low: Array, high: Array) -> BiconicParts:
+    """Return the parts of a biconic in cells; see `_biconic_bends`."""
+    bulge = _mixed(low, high, float(surface["curvature_x"]), float(surface["curvature"]))
+    return biconic_parts(bulge, _mixed(low, high, *_squares(surface)))
 
 
 def _squares(surface: Any) -> tuple[float, float]:
@@ -175,9 +175,7 @@ def _squares(surface: Any) -> tuple[float, float]:
 
 def _biconic_heights(surface: Any, low: Array, high: Array) -> Range:
     """Return bounds of the height of a biconic in cells; see `_biconic_bends`."""
-    w = _biconic_root(surface, low, high)
-    q = _mixed(low, high, float(surface["curvature_x"]), float(surface["curvature"]))
-    return plus(times(q, (1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0]))))
+    return plus(_biconic_parts(surface, low, high).height)
 
 
 def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
@@ -202,30 +200,26 @@ def _biconic_bends(surface: Any, low: Array, high: Array) -> Range:
     a, b = _squares(surface)
     r2, share = (low[:, 0], high[:, 0]), (low[:, 1], high[:, 1])
     beside = 1.0 - share[1], 1.0 - share[0]
-    q, w = _mixed(low, high, cx, cy), _biconic_root(surface, low, high)
-    with np.errstate(divide="ignore"):
-        s = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
-        first = s[0] ** 2 / w[1], s[1] ** 2 / w[0]
-        second = s[0] ** 2 * (2.0 * s[0] + 1.0 / w[1]) / w[1] ** 2, s[1] ** 2 * (2.0 * s[1] + 1.0 / w[0]) / w[0] ** 2
-    rest = times(q, second)
+    parts = _biconic_parts(surface, low, high)
+    q, w, s, first, _ = parts
     xx, yy = (
-        plus(scaled(2.0 * c, s), scaled(e, times(bent, first)), scaled(e * e, times(r2, part, rest)))
+        parts.second(c, e, times(r2, part), bent)
         for c, e, bent, part in (
             (cx, a, _mixed(low, high, 5.0 * cx, cy), share),
             (cy, b, _mixed(low, high, cx, 5.0 * cy), beside),
         )
     )
     product = times((np.zeros_like(low[:, 0]), r2[1] * np.sqrt(share[1] * beside[1])),
-                    plus(scaled(2.0 * (cx * b + cy * a), first), scaled(a * b, rest)))  # fmt: skip
+                    parts.mixed((cx, cy), (a, b)))  # fmt: skip
     least, most = _in_all_directions(xx, yy, np.maximum(-product[0], product[1]))
     if cx * cy <= 0.0:
         return least, most
     # Of curvatures of one sign, the matrix less a square has no part that grows without bound towards the end.
     beyond = 4.0 * max(abs(cx), abs(cy)) * w[1] / ((1.0 + w[0]) * (1.0 + 3.0 * w[0]))
-    parts = [plus(scaled(2.0 * c, s), scaled(e, times(q, first))) for c, e in ((cx, a), (cy, b))]
+    in_x, in_y = (plus(scaled(2.0 * c, s), scaled(e, times(q, first))) for c, e in ((cx, a), (cy, b)))
     if cx > 0.0:
-        return np.maximum(least, np.minimum(parts[0][0], parts[1][0]) - beyond), most
-    return least, np.minimum(most, np.maximum(parts[0][1], parts[1][1]) + beyond)
+        return np.maximum(least, np.minimum(in_x[0], in_y[0]) - beyond), most
+    return least, np.minimum(most, np.maximum(in_x[1], in_y[1]) + beyond)
 
 
 def _toroid_roots(surface: Any, domain: float, low: Array, high: Array) -> tuple[Range, Range, Range]:
@@ -261,10 +255,8 @@ def _toroid_roots(surface: Any, domain: float, low: Array, high: Array) -> tuple
 def _toroid_heights(surface: Any, domain: float, low: Array, high: Array) -> Range:
     """Return bounds of the height of a toroid in cells, f + c_x x² / (u + v); see `_toroid_bends`."""
     x2, u, v = _toroid_roots(surface, domain, low, high)
-    with np.errstate(divide="ignore"):
-        over = 1.0 / (u[1] + v[1]), 1.0 / (u[0] + v[0])
     f = range_on_circles(surface, low[:, 0], high[:, 0], SAG)
-    return plus(f, scaled(float(surface["curvature_x"]), times(x2, over)))
+    return toroid_height(float(surface["curvature_x"]), f, x2, u, v)
 
 
 def _toroid_bends(surface: Any, domain: float, low: Array, high: Array) -> Range:
@@ -289,8 +281,7 @@ def _toroid_bends(surface: Any, domain: float, low: Array, high: Array) -> Range
     along, across = times(u, over), times(scaled(cx * cx, x2), over, over)
     steep = np.maximum(-by_y[0], by_y[1]) ** 2 * across[1]
     steep2 = np.where(by_y[0] * by_y[1] > 0.0, np.minimum(by_y[0] ** 2, by_y[1] ** 2) * across[0], 0.0), steep
-    bent = times(bend, along)
-    xx, turned = (scaled(cx, times(over, each)) for each in (times(along, along), steep2))
+    xx, turned, bent = toroid_seconds(cx, along, over, steep2, bend)
     least, most = _in_all_directions(xx, plus(bent, turned), abs(cx) * over[1] * along[1] * np.sqrt(steep))
     # The sum of both parts' extremes, which tells the sign where cells are still wide.
     whole = plus(xx, turned)

@@ -27,6 +27,7 @@ from lfmesh.optics.bounds import (
     squared,
     times,
 )
+from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
 from lfmesh.scene.model import Model
 from lfmesh.scene.quantities import Number, Radius
 
@@ -107,7 +108,17 @@ class Form(Model):
         return reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
 
     def is_flat(self, surface: "Surface") -> bool:
-        """Return whether its sag is proven to be zero all over its aperture."""
+        """Return whether its sag is proven to be zero all over its aperture.
+
+        Parameters
+        ----------
+        surface : Surface
+            That this is the form of.
+
+        Returns
+        -------
+        bool
+        """
         to_one = np.zeros(1), np.ones(1)
         to_minus_one = scaled(-1.0, to_one)
         square = np.zeros(1), np.full(1, (surface.semi_diameter_mm or 1.0) ** 2)
@@ -156,8 +167,7 @@ class Biconic(Form):
     def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
         """Return bounds of its sag and of its derivatives.
 
-        With n = c_x x² + c_y y², a_x = (1 + k_x) c_x², a_y likewise and w² = 1 − a_x x² − a_y y², its sag is
-        n / (1 + w), and its derivative by x² is c_x / (1 + w) + a_x n / (2 w (1 + w)²).
+        See `BiconicParts`.
 
         Parameters
         ----------
@@ -169,23 +179,14 @@ class Biconic(Form):
         tuple of three Range
             mm, 1/mm and mm.
         """
-        c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
-        a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
-        x2, y2 = (times(square, squared(each)) for each in (sine, cosine))
-        bulge, dip = (plus(scaled(of_x, x2), scaled(of_y, y2)) for of_x, of_y in ((c_x, c_y), (a_x, a_y)))
-        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
-        share = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
-        with np.errstate(divide="ignore"):
-            steep = times(bulge, (0.5 * share[0] ** 2 / w[1], 0.5 * share[1] ** 2 / w[0]))
-        by_x2, by_y2 = (plus(scaled(c, share), scaled(a, steep)) for c, a in ((c_x, a_x), (c_y, a_y)))
-        return times(bulge, share), *_polar(by_x2, by_y2, square, sine, cosine)
+        parts, (c, a) = self._parts_in(surface, times(square, squared(sine)), times(square, squared(cosine)))
+        by_x2, by_y2 = (parts.by_square(*each) for each in zip(c, a, strict=True))
+        return parts.height, *_polar(by_x2, by_y2, square, sine, cosine)
 
     def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
         """Return bounds of its sag and of the sag's derivatives.
 
-        With s = 1 / (1 + w) and the names of `ranges_in` it has the derivatives 2 c_x x s + a_x x n s²/w, then
-        2 c_x s + a_x (4 c_x x² + n) s²/w + a_x² x² n h and x y (2 (c_x a_y + c_y a_x) s²/w + a_x a_y n h), where
-        h = s² (2 s + 1/w) / w².
+        See `BiconicParts`.
 
         Parameters
         ----------
@@ -197,27 +198,23 @@ class Biconic(Form):
         list of six Range
             mm, 1, 1, 1/mm, 1/mm and 1/mm.
         """
-        c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
-        a_x, a_y = (1.0 + self.conic_x) * c_x * c_x, (1.0 + surface.conic) * c_y * c_y
         x2, y2 = squared(x), squared(y)
-        n, dip = (plus(scaled(of_x, x2), scaled(of_y, y2)) for of_x, of_y in ((c_x, c_y), (a_x, a_y)))
-        w = np.sqrt(np.maximum(1.0 - dip[1], 0.0)), np.sqrt(np.maximum(1.0 - dip[0], 0.0))
-        s = 1.0 / (1.0 + w[1]), 1.0 / (1.0 + w[0])
-        steep = quotient(squared(s), w)
-        bent = times(n, steep, quotient(plus(scaled(2.0, s), quotient(_ones(w), w)), w))
-        by_x, by_y = (
-            times(at, plus(scaled(2.0 * c, s), scaled(a, times(n, steep))))
-            for at, c, a in ((x, c_x, a_x), (y, c_y, a_y))
-        )
+        parts, (c, a) = self._parts_in(surface, x2, y2)
+        by_x, by_y = (times(at, scaled(2.0, parts.by_square(*each))) for at, *each in zip((x, y), c, a, strict=True))
         xx, yy = (
-            plus(
-                scaled(2.0 * c, s), scaled(a, times(plus(scaled(4.0 * c, at2), n), steep)),
-                scaled(a * a, times(at2, bent)),
-            )
-            for at2, c, a in ((x2, c_x, a_x), (y2, c_y, a_y))
-        )  # fmt: skip
-        xy = times(x, y, plus(scaled(2.0 * (c_x * a_y + c_y * a_x), steep), scaled(a_x * a_y, bent)))
-        return [times(n, s), by_x, by_y, xx, xy, yy]
+            parts.second(of, e, at2, plus(scaled(4.0 * of, at2), parts.bulge))
+            for at2, of, e in zip((x2, y2), c, a, strict=True)
+        )
+        return [parts.height, by_x, by_y, xx, times(x, y, parts.mixed(c, a)), yy]
+
+    def _parts_in(
+        self, surface: "Surface", x2: Range, y2: Range
+    ) -> tuple[BiconicParts, tuple[tuple[float, float], tuple[float, float]]]:
+        """Return its parts in cells, and c and a of x and of y."""
+        c = curvature(self.radius_x_mm), surface.curvature_per_mm
+        a = (1.0 + self.conic_x) * c[0] * c[0], (1.0 + surface.conic) * c[1] * c[1]
+        bulge, dip = (plus(scaled(of[0], x2), scaled(of[1], y2)) for of in (c, a))
+        return biconic_parts(bulge, dip), (c, a)
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which the first of its conics turns back.
@@ -297,9 +294,10 @@ class Toroid(Form):
         v2 = plus(times(u, u), scaled(-c_x * c_x, x2))
         v = np.sqrt(np.maximum(v2[0], 0.0)), np.sqrt(np.maximum(v2[1], 0.0))
         with np.errstate(divide="ignore", invalid="ignore"):
-            over, beyond = (0.5 / v[1], 0.5 / v[0]), (1.0 / (u[1] + v[1]), 1.0 / (u[0] + v[0]))
-            sag = plus(f, scaled(c_x, times(x2, beyond)))
-            return sag, *_polar(scaled(c_x, over), times(across, u, over), square, sine, cosine)
+            over = 0.5 / v[1], 0.5 / v[0]
+            return toroid_height(c_x, f, x2, u, v), *_polar(
+                scaled(c_x, over), times(across, u, over), square, sine, cosine
+            )
 
     def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
         """Return bounds of its sag and of the sag's derivatives.
@@ -326,11 +324,9 @@ class Toroid(Form):
         along, over = quotient(u, v), quotient(_ones(v), v)
         by_x = scaled(c_x, times(x, over))
         e = times(rise, by_x)
-        sag = plus(f, scaled(c_x, quotient(x2, plus(u, v))))
-        return [
-            sag, by_x, times(rise, along), scaled(c_x, times(squared(along), over)), scaled(c_x, times(e, along, over)),
-            plus(scaled(c_x, times(squared(e), over)), times(bend, along)),
-        ]  # fmt: skip
+        in_x, turned, bent = toroid_seconds(c_x, along, over, squared(e), bend)
+        both = scaled(c_x, times(e, along, over))
+        return [toroid_height(c_x, f, x2, u, v), by_x, times(rise, along), in_x, both, plus(turned, bent)]
 
     def reach_mm(self, surface: "Surface") -> float:
         """Return the height at which it turns back at some azimuth.

@@ -269,6 +269,10 @@ def _apertures(scene: Scene, facts: "FirstOrder") -> Iterator[str]:
                 f"{2 * abs(found):.4g} mm of its clear aperture of {2 * clear:.4g} mm, but it is not proven that none "
                 "lies farther out"
             )
+    if camera.lens.has_meshes:
+        yield "the lens has surfaces that are meshes: clear apertures were compared with the paraxial axial beam only"
+    elif any(any(each.pose.shift_mm) or any(each.pose.tilt_deg) for each in camera.lens.elements):
+        yield "the lens has posed elements: clear apertures were compared with the axial beam of the prescription only"
     if not beam.found_mm:
         yield "the stop is larger than the glass: no ray along the axis reaches its edge, which limits no light"
 

@@ -75,3 +75,17 @@ def test_an_anamorphic_beam_is_said_to_end_where_its_rim_is_totally_reflected(sh
     front = Surface(thickness_mm=9.0, index=1.8, semi_diameter_mm=share * 12.0 / 1.8, stop=True)
     back = Surface(radius_mm=-40.0, biconic={"radius_x_mm": -12.0}, semi_diameter_mm=11.0)
     assert ("beam end at surfaces[1]" in warnings_of(front, back)) is ends
+
+
+@pytest.mark.parametrize(("tilt_deg", "said"), [(0.0, False), (1.0, True)])
+def test_apertures_of_posed_elements_are_said_to_be_compared_with_the_prescription_only(
+    tilt_deg: float, said: bool
+) -> None:
+    front = Surface(radius_mm=50.0, thickness_mm=5.0, index=1.5, semi_diameter_mm=8.0, stop=True)
+    lens = Lens(
+        surfaces=(front, Surface(semi_diameter_mm=9.0)),
+        elements=({"surfaces": [0, 1], "pose": {"tilt_deg": [tilt_deg, 0.0, 0.0]}},),
+    )
+    camera = {"focus_mm": math.inf, "lens": lens, "sensor": {"pixels": [8, 8], "pixel_mm": 0.01}}
+    scene = Scene.model_validate({"schema_version": 1, "camera": camera})
+    assert any("axial beam of the prescription only" in each for each in first_order(scene).warnings) is said

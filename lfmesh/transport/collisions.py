@@ -23,7 +23,7 @@ from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, last_radius, r
 from lfmesh.scene import Scene
 from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 from lfmesh.transport.tables.frames import parts_in_camera
-from lfmesh.transport.tables.lens import back_lenslets, bulges_of, curved_lenslets
+from lfmesh.transport.tables.lens import back_lenslets, curved_lenslets, outermost
 from lfmesh.transport.tables.tables import MlaTables
 
 RECTANGLE = np.array([[0, 1, 3], [0, 3, 2]])
@@ -179,10 +179,7 @@ def _refuse_in_lens(what: str, shape: LensShape, corners: Array) -> None:
     last = shape.surfaces[-1]
     # A body smaller than a concave last surface may reach into the hollow of that surface.
     if np.hypot(corners[:, 0], corners[:, 1]).max() >= last["semi_diameter"]:
-        reached = max(
-            float(points[:, 2].max()) for points in (*(cap.vertices for cap in shape.caps), *bulges_of(shape))
-        )
-        _refuse_depth(what, reached - float(corners[:, 2].min()))
+        _refuse_depth(what, float(outermost(shape)[:, 2].max() - corners[:, 2].min()))
     cap = shape.caps[-1]
     met = segments(corners[RECTANGLE if len(corners) == 4 else SLAB], cap.vertices[cap.faces])
     if shape.analytic[-1]:

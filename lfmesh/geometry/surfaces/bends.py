@@ -5,10 +5,12 @@ Rays that miss no crossing step by the latter.
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from lfmesh.geometry import frame
 from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
 from lfmesh.geometry.surfaces.tessellation import last_radius
 from lfmesh.optics.bounds import (
@@ -133,6 +135,44 @@ def height_range(surface: Any, rim: float) -> tuple[float, float]:
         ranges_in, lines = partial(_toroid_heights, surface, radius), [((0.0, at), (radius, at)) for at in (0.0, 1.0)]
     least, most = zip(*(extremes(ranges_in, low, high, HEIGHT_WITHIN) for low, high in lines), strict=True)
     return min(least), max(most)
+
+
+def box_of(surface: Any, rim: float) -> Array:
+    """Return corners (n, 3) of a box round a surface, out to the rim of its mesh, camera frame, mm.
+
+    A posed surface bulges beyond the vertices of its mesh: its outermost point need not be one of them.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    """
+    if surface["posed"] and is_revolved(surface):
+        turn, shift = surface["pose"][:, :3], surface["pose"][:, 3] + surface["vertex_z"] * surface["pose"][:, 2]
+        reaches = [_reach_along(surface, rim, float(np.hypot(row[0], row[1])), float(row[2])) for row in turn]
+        return np.asarray(shift + np.transpose(reaches))
+    z = [surface["vertex_z"] + height for height in height_range(surface, rim)]
+    return frame.points(surface["pose"], list(product((-rim, rim), (-rim, rim), z)))
+
+
+def _reach_along(surface: Any, rim: float, aside: float, along: float) -> tuple[float, float]:
+    """Return bounds of how far a surface of revolution reaches from its vertex against a direction and along it, mm.
+
+    On a circle of radius r at the height z these are along z ∓ aside r.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+    aside, along : float
+        Of the unit direction: its part square to the axis, and its component along the axis.
+    """
+
+    def ranges_in(low: Array, high: Array) -> Range:
+        inner, outer = low[:, 0], high[:, 0]
+        return plus(scaled(along, range_on_circles(surface, inner, outer, SAG)), (-aside * outer, aside * outer))
+
+    return extremes(ranges_in, [0.0], [min(rim, last_radius(surface))], HEIGHT_WITHIN)
 
 
 def _bends(surface: Any, domain: float) -> tuple[float, float]:

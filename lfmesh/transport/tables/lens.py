@@ -1,8 +1,5 @@
 """Tables of lens and array as kernels read them: surfaces, facets, media."""
 
-from collections.abc import Iterator
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +15,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh, facet_table, joined
 from lfmesh.geometry.meshes.patch import neighbours, patches
 from lfmesh.geometry.meshes.patch_bends import control_points
 from lfmesh.geometry.meshes.patch_tree import patch_tree
-from lfmesh.geometry.surfaces.bends import height_range, powers_of
+from lfmesh.geometry.surfaces.bends import box_of, powers_of
 from lfmesh.geometry.surfaces.surface import CONIC_AND_EVEN
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN, OVERREACH
 from lfmesh.optics.bounds import SLOPE, profile_extremes
@@ -97,7 +94,7 @@ def lens_tables(
     # Rings have negative numbers, and the last entry.
     of_patches = np.append(shape.surfaces["level"] == PATCH, False)[np.maximum(facets["body"], -1)]
     bulges = control_points(patches_[of_patches]).reshape(-1, 3) if len(patches_) else np.zeros((0, 3))
-    caps = np.concatenate([*(m.vertices for m in shape.caps), *bulges_of(shape), bulges])
+    caps = np.concatenate([outermost(shape), bulges])
     # Larger by a rounding error, so that a flat surface, too, has a box that rays can enter.
     slack = 1e-9 * np.abs(caps).max()
     first, last = shape.surfaces[0], shape.surfaces[-1]
@@ -132,12 +129,22 @@ def lens_tables(
     )
 
 
-def bulges_of(shape: LensShape) -> Iterator[Array]:
-    """Yield corners, (8, 3) mm, of boxes round surfaces that are no conics, which may stand out between vertices."""
-    for surface, rim in zip(shape.surfaces, shape.rims, strict=True):
-        if surface["terms"] > 0 and surface["level"] == EXACT:
-            z = [surface["vertex_z"] + height for height in height_range(surface, rim)]
-            yield frame.points(surface["pose"], list(product((-rim, rim), (-rim, rim), z)))
+def outermost(shape: LensShape) -> Array:
+    """Return points (n, 3), camera frame, mm, whose box holds all exact and flat surfaces of a lens.
+
+    A conic without a pose is outermost at its vertex or its rim, which are vertices of its mesh. Of other exact
+    surfaces boxes are computed.
+
+    Parameters
+    ----------
+    shape : LensShape
+    """
+    boxes = [
+        box_of(surface, rim)
+        for surface, rim in zip(shape.surfaces, shape.rims, strict=True)
+        if surface["level"] == EXACT and (surface["terms"] > 0 or surface["posed"])
+    ]
+    return np.concatenate([*(cap.vertices for cap in shape.caps), *boxes])
 
 
 def surface_order(shape: LensShape) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -15,6 +15,7 @@ from lfmesh.geometry.meshes.mesh import Array, Mesh
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN
 from lfmesh.kernels.by_address import by_address
 from lfmesh.transport.packets.packet import CAMERA_FRAME, OBJECT_FRAME, WORLD_FRAME
+from lfmesh.transport.tables.lens import outermost
 from lfmesh.transport.tables.tables import LensTables
 
 MOST_BOXES = 8
@@ -59,7 +60,7 @@ def surroundings_of(
     frames : (6, 6, 3, 4) float64
         See `frame_table`.
     """
-    caps = np.concatenate([cap.vertices for cap in shape.caps])
+    caps = outermost(shape)
     low, high = float(caps[:, 2].min()), float(caps[:, 2].max())
     slack = LENS_SLACK * (high - low) + FLOAT32_MARGIN * float(np.abs(caps).max())
     radius, z = np.hypot(housing.vertices[:, 0], housing.vertices[:, 1]), housing.vertices[:, 2]

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from lfmesh.geometry.surfaces.bends import BEFORE_END, height_range, set_bends
+from lfmesh.geometry import frame
+from lfmesh.geometry.surfaces.bends import BEFORE_END, box_of, height_range, set_bends
 from lfmesh.geometry.surfaces.sag import gradients, heights
-from lfmesh.geometry.surfaces.surface import BICONIC, CONIC_AND_EVEN, TOROID, surface
+from lfmesh.geometry.surfaces.surface import BICONIC, CONIC_AND_EVEN, TOROID, put_in_pose, surface
 from lfmesh.scene.camera.sections import toroid_reach_mm
 
 BENT = {
@@ -118,3 +119,46 @@ def test_heights_lie_within_their_bounds_which_are_close(kind):
         z = heights(of, r * np.cos(phi), r * np.sin(phi))
         assert low <= z.min() < low + 1e-3 * np.ptp(z)
         assert high >= z.max() > high - 1e-3 * np.ptp(z)
+
+
+def test_boxes_of_aspheres_hold_the_crests_between_all_samples_too():
+    """In closed form z = c r²/2 + a r⁴ is highest where r² = −c / (4 a), at −c² / (16 a)."""
+    for crest in (0.31234567, 0.71234567, 0.51234567):
+        c = 0.05
+        a = -c / (4.0 * (crest * 8.0) ** 2)
+        top = -(c**2) / (16.0 * a)
+        assert top <= box_of(surface(1.0 / c, -1.0, (a,)), 8.0)[:, 2].max() < 1.001 * top
+
+
+def test_boxes_of_turned_spheres_hold_the_points_that_bulge_between_vertex_and_rim():
+    """A sphere of radius R reaches R from its centre along each axis on which its normal points inside the rim."""
+    radius, rim, vertex_z = 30.0, 9.0, 4.0
+    for tilt_deg in (0.1, 2.0, 8.0, 15.0):
+        of = surface(radius)
+        of["vertex_z"] = vertex_z
+        put_in_pose(of, frame.frame((tilt_deg, 0.0, 0.0), (0.3, -0.2, 0.1)))
+        turn, shift = of["pose"][:, :3], of["pose"][:, 3]
+        centre = turn @ [0.0, 0.0, vertex_z + radius] + shift
+        assert radius * np.sin(np.radians(tilt_deg)) < rim
+        low = box_of(of, rim)[:, 2].min()
+        assert centre[2] - radius - 1e-3 < low <= centre[2] - radius
+
+
+@pytest.mark.parametrize("kind", [CONIC_AND_EVEN, BICONIC, TOROID])
+def test_boxes_hold_posed_surfaces_and_are_close_round_those_of_revolution(kind):
+    draw = np.random.default_rng(40 + kind)
+    for _ in range(6):
+        of, rim = drawn_surface(draw, max(kind, BICONIC))
+        if kind == CONIC_AND_EVEN:
+            of = surface(20.0, draw.uniform(-3.0, 0.8), draw.normal(size=4) / 8.0 ** np.arange(3, 10, 2))
+        of["vertex_z"] = draw.uniform(-5.0, 5.0)
+        put_in_pose(of, frame.frame(draw.uniform(-20.0, 20.0, 3), draw.normal(size=3)))
+        r, phi = np.linspace(0.0, rim * (1.0 - 1e-12), 201)[:, None], np.linspace(0.0, 2.0 * np.pi, 361)
+        x, y = r * np.cos(phi), r * np.sin(phi)
+        points = np.stack([x, y, of["vertex_z"] + heights(of, x, y)], axis=-1).reshape(-1, 3)
+        points = frame.points(of["pose"], points)
+        low, high = (end(box_of(of, rim), axis=0) for end in (np.min, np.max))
+        assert (low <= points.min(axis=0)).all()
+        assert (high >= points.max(axis=0)).all()
+        if kind == CONIC_AND_EVEN:
+            assert np.allclose([low, high], [points.min(axis=0), points.max(axis=0)], rtol=0.0, atol=2e-3 * rim)

@@ -206,3 +206,34 @@ def test_every_edge_that_ends_rays_has_its_name() -> None:
     assert Edge.UNKNOWN not in ends.edge
     assert set(ends.edge) - {Edge.NONE} != set()
     assert all("surfaces[" in line or "caustic" in line for line in ends.words())
+
+
+@pytest.mark.parametrize("tilt_deg", [(-2.2, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 2.2, 0.0)])
+@pytest.mark.parametrize("slope", [0.0, 0.19])
+def test_tilted_lenses_behind_the_stop_lose_no_ray(tilt_deg: tuple[float, float, float], slope: float) -> None:
+    """The lens is wide enough for all rays: the first face, turned, stands out before its vertex and its rim."""
+    surfaces: list[dict[str, Any]] = [
+        {"stop": True, "semi_diameter_mm": 2.08, "thickness_mm": 2.66},
+        {"radius_mm": 33.8, "semi_diameter_mm": 5.62, "index": 1.6, "thickness_mm": 7.0},
+        {"radius_mm": -55.45, "semi_diameter_mm": 5.55},
+    ]
+    scene = scene_of(surfaces).changed(
+        {"camera.lens.elements": [{"surfaces": [1, 2], "pose": {"tilt_deg": list(tilt_deg)}}]}
+    )
+    assert lf.wavefront(scene, slope, object_mm=math.inf, across=24).passed == 1.0
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3, 1e6])
+@pytest.mark.parametrize("air", [0.0, 1e-15])
+def test_rays_pass_faces_that_touch_at_their_vertices(scale: float, air: float) -> None:
+    """The chief ray of the axis starts at the next face: rounding says on which side of it."""
+    radius, rim = 20.0 * scale, 10.0 * scale
+    thickness = 4.0 * (radius - math.sqrt(radius**2 - rim**2))
+    faces = [
+        {"radius_mm": radius, "thickness_mm": thickness, "index": 1.5, "semi_diameter_mm": rim},
+        {"radius_mm": -radius, "thickness_mm": air * scale, "semi_diameter_mm": rim},
+    ]
+    last = {key: value for key, value in faces[1].items() if key != "thickness_mm"}
+    scene = scene_of([{**faces[0], "stop": True}, faces[1], faces[0], last], focus_mm=500.0 * scale)
+    found = lf.wavefront(scene.changed({"camera.sensor.distance_mm": scale}), object_mm=500.0 * scale, across=24)
+    assert found.passed == 1.0

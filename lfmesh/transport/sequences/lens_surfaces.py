@@ -49,6 +49,10 @@ _R2, _SAG, _SLOPE, _SETTLED = SCRATCH, SCRATCH + BLOCK, SCRATCH + 2 * BLOCK, SCR
 NEAR = 1e-9
 """Distance, over the size of the coordinates, at which a ray still is on the surface that it leaves."""
 
+TOUCHING = 1e-13
+"""Distance, over the size of the lens, by which a ray may start beyond the surface that it meets: where surfaces touch,
+rounding decides on which side of the next one a ray leaves the last one."""
+
 Fates = tuple[float, float, float]
 """Radius of the mount round the clear aperture, mm; fates of rays between aperture and mount, and beyond the mount."""
 
@@ -82,15 +86,16 @@ def at_surface(
     surface, into = lens.surfaces[k], 1 if sense > 0.0 else 0
     if surface.posed:
         move_bundle(bundle, surface.unpose)
+    nearest = -TOUCHING * max(abs(lens.box_low[2]), abs(lens.box_high[2]), lens.box_high[0])
     media, medium = lens.media, lens.medium
     before, behind = medium[k + 1 - into], medium[k + into]
     indices = (media.indices[before, colour], media.indices[behind, colour])
     is_sphere = surface.terms == 0 and surface.conic == 0.0
     if is_sphere and lens.interfaces.rows[k].kind == BARE and not mirrors and _is_clear(media.absorption):
-        _through_sphere(bundle, surface, sense, indices, fates, checked)
+        _through_sphere(bundle, surface, sense, indices, fates, nearest, checked)
     else:
         meet_surface(bundle, surface, sense)
-        _set_fates(bundle, surface.semi_diameter * surface.semi_diameter, fates)
+        _set_fates(bundle, surface.semi_diameter * surface.semi_diameter, fates, nearest)
         if checked:
             _check(bundle, surface.curvature if is_sphere else 0.0, surface.vertex_z)
         absorb(bundle, media.absorption, before, colour, book)
@@ -124,13 +129,13 @@ def meet_surface(bundle: Array, surface: Any, sense: float) -> None:
 
 
 @kernel
-def _set_fates(bundle: Array, limit: float, fates: Fates) -> None:
+def _set_fates(bundle: Array, limit: float, fates: Fates, nearest: float) -> None:
     """Enter what ends rays: the mount, or what is beyond it, where they miss the surface; these stay where they are."""
     rim, mount, beyond = fates
     for i in range(BLOCK):
         x, y, z = bundle[AT_X + i], bundle[AT_Y + i], bundle[AT_Z + i]
         along = bundle[NX + i] * bundle[DX + i] + bundle[NY + i] * bundle[DY + i] + bundle[NZ + i] * bundle[DZ + i]
-        meets, r2 = both(bundle[T + i] > 0.0, along > 0.0), x * x + y * y
+        meets, r2 = both(bundle[T + i] > nearest, along > 0.0), x * x + y * y
         bundle[FATE + i] = select(both(meets, r2 <= rim * rim), select(r2 <= limit, 0.0, mount), beyond)
         bundle[AT_X + i] = select(meets, x, bundle[X + i])
         bundle[AT_Y + i] = select(meets, y, bundle[Y + i])
@@ -247,7 +252,7 @@ def sphere_crossing(along: float, ray: Ray, sense: float) -> tuple[float, float,
 
 @kernel
 def _through_sphere(
-    bundle: Array, surface: Any, sense: float, indices: tuple[float, float], fates: Fates, checked: bool
+    bundle: Array, surface: Any, sense: float, indices: tuple[float, float], fates: Fates, nearest: float, checked: bool
 ) -> None:
     """Take a bundle through a bare sphere: the crossing and Snell's law in one, with one division for both."""
     n_i, n_t = indices
@@ -271,7 +276,7 @@ def _through_sphere(
         g = fused(-eta, cos_i, cos_t)
         bend = -along * g
         ux, uy, uz = fused(eta, dx, bend * x), fused(eta, dy, bend * y), fused(eta, dz, fused(bend, z, g * sense))
-        meets, r2 = both(root > 0.0, t > 0.0), x * x + y * y
+        meets, r2 = both(root > 0.0, t > nearest), x * x + y * y
         holds = both(t <= bundle[AGAIN + i], c * z < 1.0)
         fate = select(r2 <= limit, select(both(checked, not holds), DROPPED, 0.0), mount)
         fate = select(both(meets, r2 <= rim * rim), fate, beyond)

@@ -176,6 +176,10 @@ def wavefront(
     for name, value in (("height_mm", height_mm), ("image_z_mm", image_z)):
         if not -LARGEST <= value <= LARGEST:
             raise LfmeshError(f"{name} = {shown(value)}: must be from {-LARGEST:g} to {LARGEST:g}")
+    if object_mm is None and distance < 0.0:
+        raise LfmeshError(
+            f"object_mm: missing, and the plane in focus lies {-distance:.6g} mm behind the first vertex; give it"
+        )
     if not 0.0 < distance <= LARGEST and distance != math.inf:
         raise LfmeshError(f"object_mm = {shown(distance)}: must be above 0, up to {LARGEST:g}, or inf")
     rays = LensRays(build(camera.scene.camera_alone()), distance, image_z)

@@ -64,7 +64,8 @@ def ring_profile(front: Any, front_rim: float, back: Any, back_rim: float, azimu
             return profile
     raise SceneError(
         f"the rims of two neighbouring surfaces cross: one reaches z = {a[1]:.6g} mm at radius {a[0]:.6g} mm, the next "
-        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm; give more thickness or smaller semi-diameters"
+        f"z = {b[1]:.6g} mm at {b[0]:.6g} mm, {b[1] - a[1]:.3g} mm behind it; give more thickness "
+        "or smaller semi-diameters"
     )
 
 

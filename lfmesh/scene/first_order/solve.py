@@ -174,12 +174,17 @@ def _focused_image_mm(camera: Camera, omitted: str, wavelength_nm: float) -> flo
     image = lens.image_mm(camera.focus_mm)
     if math.isinf(image) or image <= 0:
         nearest = -lens.ffl_mm
-        wish = (
-            f"the front focal point lies {nearest:.6g} mm before the lens; give "
-            f"{at_least(nearest * (1 + BEYOND))} or more"
-            if lens.efl_mm > 0 and math.isfinite(nearest)
-            else f"the lens has a focal length of {lens.efl_mm:.6g} mm; a camera needs a converging one"
-        )
+        if lens.efl_mm > 0 and camera.focus_mm <= nearest < math.inf:
+            wish = (
+                f"the front focal point lies {nearest:.6g} mm before the lens; give "
+                f"{at_least(nearest * (1 + BEYOND))} or more"
+            )
+        else:
+            where = "at infinity" if math.isinf(image) else f"{-image:.6g} mm before the last vertex"
+            wish = (
+                f"the lens, whose focal length is {lens.efl_mm:.6g} mm, images this plane {where}; focus nearer, or "
+                "take a converging one"
+            )
         raise SceneError(f"camera.focus_mm = {camera.focus_mm:g}: no real image behind the lens; {wish}")
     return image
 

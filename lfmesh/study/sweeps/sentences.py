@@ -219,7 +219,8 @@ def largest_changes(table: Table) -> Iterator[str]:
     for i in sorted((i for i in bound if bound[i]), key=lambda i: min(_tightness(table, row) for row in bound[i])):
         name, unit = name_and_unit(table.plan.axes[i].title)
         if not any(change_of(table, row) or _known(row).unknown for row in sides[i]):
-            yield f"{name} may not change at all: the reference itself is beyond a limit."
+            at = "beyond" if table.breaks(table.rows[0]) else "at"
+            yield f"{name} may not change at all: the reference itself is {at} a limit."
             continue
         spans = [_span(table, row) for row in sides[i]]
         yield f"{name} may change by {' and '.join(spans)}{unit and ' ' + unit}{_until(table, bound[i])}."

@@ -248,6 +248,18 @@ IMPOSSIBLE = [
 ]
 
 
+def test_of_a_relay_that_images_a_plane_into_itself_it_is_said_where() -> None:
+    """Two lenses of 50 mm, 100 mm apart, image what stands 105 mm before the first one 5 mm before the second one."""
+    lens = {"paraxial": True, "focal_length_mm": 50.0, "semi_diameter_mm": 9.0}
+    for spread, focal in ((100.0, "inf"), (99.999, r"2\.5e\+06")):
+        surfaces = [{**lens, "stop": True, "thickness_mm": spread}, lens]
+        camera = {"focus_mm": 105.0, "lens": {"surfaces": surfaces}, "sensor": {"pixels": [8, 8], "pixel_mm": 0.01}}
+        scene = Scene.model_validate({"schema_version": 1, "camera": camera})
+        message = rf"focal length is {focal} mm, images this plane [45](\.\d+)? mm before the last vertex"
+        with pytest.raises(SceneError, match=message):
+            solved(scene)
+
+
 @pytest.mark.parametrize(("values", "message"), IMPOSSIBLE)
 def test_what_cannot_be_solved_says_what_to_give(scene: Scene, values: dict[str, object], message: str) -> None:
     with pytest.raises(SceneError, match=message):

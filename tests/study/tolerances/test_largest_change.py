@@ -48,6 +48,14 @@ def test_a_displacement_is_at_its_limit_where_the_largest_change_ends(tmp_path: 
     assert turn.allowed == (0.01, 0.01, 0.01, "", "")
 
 
+def test_a_reference_at_its_limit_is_not_called_beyond_it(tmp_path: Path) -> None:
+    axes = [{"path": SHIFT, "values": [0.05], "label": "array: decentre / mm"}]
+    study = lf.Study(small_scene(), axes=axes, metrics=["chief_rays"], limits={"chief_rays_rms_px": 0.0})
+    study.run(tmp_path, workers=0)
+    page = (tmp_path / "report.html").read_text()
+    assert "array: decentre may not change at all: the reference itself is at a limit." in page
+
+
 def test_it_is_told_in_table_and_report(tmp_path: Path) -> None:
     table = run(tmp_path, {"chief_rays_rms_px": 0.3})
     page = (tmp_path / "report.html").read_text()

@@ -63,7 +63,7 @@ DIMENSIONLESS = {
     "transport/events/polarisation.py": {"NORMAL2"},
     "transport/trace.py": {"ROUNDING"},
     "transport/packets/ledger.py": {"LOST_LIMIT"},
-    "transport/sequences/lens_surfaces.py": {"NEAR"},
+    "transport/sequences/lens_surfaces.py": {"NEAR", "TOUCHING"},
     "transport/aims/lenslet_faces.py": {"EXACT"},
     "transport/aims/disks.py": {"BEYOND"},
     "transport/aims/near_points.py": {"NEAREST"},

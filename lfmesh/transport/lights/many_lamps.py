@@ -27,8 +27,13 @@ OF_MANY = 3
 """Largest number of lamps that a point asks where there are more than `MOST_ASKED`: more cost more time than they save,
 as samples of a pixel differ for other reasons too."""
 
-MOST_NODES = 12
-"""Largest number of nodes that a point opens: four for each lamp that it asks, to find the brightest few."""
+MOST_NODES = 96
+"""Largest number of nodes that a point opens.
+
+Few points need that many: those among lamps, where nodes hold near and far ones, and bounds tell little of the nearest.
+Over lamps from 1 mm to 100 m the light of a point has a standard deviation of 30 times its mean with 12, and 0.6 with
+96; most other points open some ten.
+"""
 
 SETTLED = 0.5
 """Doubt of a node's light, over that of all nodes, up to which it is not opened."""
@@ -202,7 +207,7 @@ def estimate(lamps: Lamps, number: int, colour: int, place: Place, normal: Place
             cosine = -(normal[0] * node.axis[0] + normal[1] * node.axis[1] + normal[2] * node.axis[2])
             if node.lamp >= 0:
                 return power * max(cosine, 0.0), 0.0
-            least, most = _widened(cosine, node.cos_spread, node.sin_spread)
+            least, most = widened(cosine, node.cos_spread, node.sin_spread)
         light = power * max(most, 0.0)
         return light, 0.0 if node.lamp >= 0 else max(light - power * max(least, 0.0), 0.0)
     vx, vy, vz = node.middle[0] - place[0], node.middle[1] - place[1], node.middle[2] - place[2]
@@ -219,14 +224,14 @@ def estimate(lamps: Lamps, number: int, colour: int, place: Place, normal: Place
     light = power * node.per_sr / (MM2 * nearest2)
     if facing:
         cosine = (normal[0] * vx + normal[1] * vy + normal[2] * vz) / far if far > 0.0 else 0.0
-        least, most = _widened(cosine, cos_round, sin_round)
+        least, most = widened(cosine, cos_round, sin_round)
         if most <= 0.0:
             return 0.0, 0.0
         light, doubt = light * most, 0.5 * (1.0 - max(least, 0.0) / most)
     if node.cos_reach > -1.0:
         cosine = -(node.axis[0] * vx + node.axis[1] * vy + node.axis[2] * vz) / far if far > 0.0 else 0.0
-        least, most = _widened(cosine, node.cos_spread, node.sin_spread)
-        least, most = _widened(least, cos_round, sin_round)[0], _widened(most, cos_round, sin_round)[1]
+        least, most = widened(cosine, node.cos_spread, node.sin_spread)
+        least, most = widened(least, cos_round, sin_round)[0], widened(most, cos_round, sin_round)[1]
         if most < node.cos_reach or (node.fades and most <= 0.0):
             return 0.0, 0.0
         if node.fades:
@@ -254,7 +259,7 @@ def _of_point(lamps: Lamps, lamp: int, colour: int, place: Place, normal: Place,
 
 
 @inlined
-def _widened(cosine: float, cos_more: float, sin_more: float) -> tuple[float, float]:
+def widened(cosine: float, cos_more: float, sin_more: float) -> tuple[float, float]:
     """Return the cosines of the largest and of the smallest angle that differ from one by up to another.
 
     Parameters

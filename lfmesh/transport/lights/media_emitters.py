@@ -39,7 +39,7 @@ def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> W
     """
     place, ray, drawn = bodies_round(packet) & RANK, ray_of(packet), 0.0
     choice, u = draw_two(options, packet, EMITTER_U)
-    found, x, y, z = point_of_media(volumes, place, choice, u, uniform(key, 0), uniform(key, 1))
+    found, x, y, z = point_of_media(volumes, place, ray, (choice, u, uniform(key, 0), uniform(key, 1)))
     ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
     distance = np.sqrt(ux * ux + uy * uy + uz * uz)
     if found and distance > 0.0:
@@ -49,16 +49,25 @@ def sample(volumes: Volumes, options: Options, packet: Any, key: np.uint64) -> W
 
 
 @inlined
-def _power_drawn(volumes: Volumes, number: int, place: int) -> float:
-    """Return what a medium is drawn in proportion to; 0: it is elsewhere, dark, or without bounds."""
-    power = volumes.powers[number]
-    return power if volumes.rows[number].inside == place and power < np.inf else 0.0
+def _light_drawn(volumes: Volumes, number: int, place: int, ray: Ray) -> float:
+    """Return what draws a medium at the start of a ray; 0: it is elsewhere, dark, or without bounds.
+
+    It is about the light that the medium brings: its power over the squared distance of its parts.
+    """
+    row, power = volumes.rows[number], volumes.powers[number]
+    if row.inside != place or not 0.0 < power < np.inf:
+        return 0.0
+    own, d2 = own_ray(row, ray), 0.0
+    for axis in range(3):
+        low, high, at = row.low[axis], row.high[axis], (own.x, own.y, own.z)[axis]
+        d2 += (at - 0.5 * (low + high)) ** 2 + (high - low) ** 2 / 12.0
+    return power / d2
 
 
 @kernel
 def point_of_media(
-    volumes: Volumes, place: int, choice: float, u: float, v: float, w: float
-) -> tuple[bool, float, float, float]:
+    volumes: Volumes, place: int, ray: Ray, numbers: tuple[float, float, float, float]
+) -> tuple[bool, float, float, float]:  # fmt: skip
     """Return a random point of the emitting media in a body, or in air, object frame; False: there are none.
 
     Parameters
@@ -66,21 +75,24 @@ def point_of_media(
     volumes : Volumes
     place : int
         Rank of the body; 0: air.
-    choice, u, v, w : float
-        Random numbers, uniform in [0, 1).
+    ray : Ray
+        It starts at the point that is lit; its direction is not used.
+    numbers : (4,) float
+        Random, uniform in [0, 1).
     """
+    choice, u, v, w = numbers
     whole = 0.0
     for number in range(len(volumes.rows)):
-        whole += _power_drawn(volumes, number, place)
+        whole += _light_drawn(volumes, number, place, ray)
     if whole <= 0.0:
         return False, 0.0, 0.0, 0.0
     rest, drawn, share = choice * whole, 0, 0.0
     for number in range(len(volumes.rows)):
-        power = _power_drawn(volumes, number, place)
-        if power > 0.0 and rest >= 0.0:
+        light = _light_drawn(volumes, number, place, ray)
+        if light > 0.0 and rest >= 0.0:
             # What is left of the number is a random number of its own.
-            drawn, share = number, min(rest / power, 1.0)
-        rest -= power
+            drawn, share = number, min(rest / light, 1.0)
+        rest -= light
     x, y, z, _ = drawn_point(volumes, drawn, share, u, v, w)
     return True, x, y, z
 
@@ -99,10 +111,10 @@ def density(volumes: Volumes, place: int, ray: Ray) -> float:
     """
     whole, total = 0.0, 0.0
     for number in range(len(volumes.rows)):
-        power = _power_drawn(volumes, number, place)
-        if power > 0.0:
-            whole += power
-            total += power * _density_in(volumes, number, own_ray(volumes.rows[number], ray))
+        light = _light_drawn(volumes, number, place, ray)
+        if light > 0.0:
+            whole += light
+            total += light * _density_in(volumes, number, own_ray(volumes.rows[number], ray))
     return total / whole if whole > 0.0 else 0.0
 
 

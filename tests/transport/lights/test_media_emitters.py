@@ -24,7 +24,8 @@ def directions(volumes: Any, x: float, y: float, z: float, key: np.uint64, found
     """Write unit directions towards random points of media, and the density of each."""
     for i in range(len(found)):
         own = derived(key, i)
-        _, px, py, pz = point_of_media(volumes, 0, uniform(own, 0), uniform(own, 1), uniform(own, 2), uniform(own, 3))
+        numbers = uniform(own, 0), uniform(own, 1), uniform(own, 2), uniform(own, 3)
+        _, px, py, pz = point_of_media(volumes, 0, Ray(x, y, z, 0.0, 0.0, 1.0), numbers)
         dx, dy, dz = px - x, py - y, pz - z
         r = np.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / r, dy / r, dz / r

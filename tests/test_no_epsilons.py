@@ -73,6 +73,7 @@ DIMENSIONLESS = {
     "transport/regions/lens_block.py": {"SETTLED"},
     "transport/regions/mla.py": {"ROUNDED", "UNSURE"},
     "transport/tables/single_scatter.py": {"FINEST"},
+    "transport/tables/emitter_tree.py": {"MARGIN"},
     "transport/tables/lamp_tree.py": {"GRAIN", "MARGIN"},
     "transport/tables/lens.py": {"STEEPER"},
     "transport/tables/particles.py": {"UM2"},

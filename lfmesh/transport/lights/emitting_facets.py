@@ -1,6 +1,7 @@
 """Emitting facets: random points of them, and the density with which they are drawn.
 
-Pieces of facets are drawn by their power, texture included (see `tables.emitting_facets`). Neither a small, bright
+Pieces of facets are drawn by their power, texture included (see `tables.emitting_facets`). Where these are many, a leaf
+of their tree is drawn before, by the light that it brings to the point (see `many_emitters`). Neither a small, bright
 facet, which scattered rays seldom meet, nor one that touches the point, where 1 / r² is unbounded, then makes the
 variance large. Only a straight line in one medium joins a point to a facet: what comes through glass or through the
 lens is found by scattered rays alone.
@@ -11,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from lfmesh.geometry.objects.round_faces import parameters_at
-from lfmesh.geometry.ray import Ray, along
+from lfmesh.geometry.ray import Ray, along, ray_of
 from lfmesh.kernels.decorators import inlined
+from lfmesh.kernels.search import drawn_by
 from lfmesh.transport.events.crossing import EMITTER_U, draw_two
 from lfmesh.transport.events.facets import barycentric, crosses
 from lfmesh.transport.events.surface import emitted_radiance, outward, place_on, point_of, spread
+from lfmesh.transport.lights.many_emitters import chance_of_leaf, drawn_leaf, lit_normal
+from lfmesh.transport.lights.many_lamps import Place
 from lfmesh.transport.lights.shadow import Way
-from lfmesh.transport.packets.packet import TO_FACET, Options
+from lfmesh.transport.packets.packet import NO_SURFACE, TO_FACET, Options
 from lfmesh.transport.tables.tables import ObjectTables
 
 
@@ -48,7 +52,10 @@ def sample(options: Options, objects: ObjectTables, packet: Any) -> Way:
     packet : PACKET
     """
     u, v = draw_two(options, packet, EMITTER_U)
-    prim, x, y, z, per_area = emitting_point(objects, u, v)
+    normal = lit_normal(objects, packet, True)
+    prim, x, y, z, per_area = emitting_point(objects, (packet.x, packet.y, packet.z), normal, u, v)
+    if prim < 0:
+        return Way(TO_FACET, prim, ray_of(packet), 0.0, 1.0, 0.0)
     nx, ny, nz = outward(objects, prim, x, y, z)
     ux, uy, uz = x - packet.x, y - packet.y, z - packet.z
     distance2 = ux * ux + uy * uy + uz * uz
@@ -79,7 +86,8 @@ def density(objects: ObjectTables, packet: Any, prim: int, x: float, y: float, z
     """
     if len(objects.emitters.until) == 0:
         return 0.0
-    per_area = density_at(objects, prim, x, y, z)
+    place, normal = (packet.x, packet.y, packet.z), lit_normal(objects, packet, False)
+    per_area = density_at(objects, place, normal, prim, (x, y, z))
     if per_area <= 0.0:
         return 0.0
     dx, dy, dz = x - packet.x, y - packet.y, z - packet.z
@@ -128,21 +136,27 @@ def is_reached(objects: ObjectTables, packet: Any, prim: int) -> bool:
 
 
 @inlined
-def density_at(objects: ObjectTables, prim: int, x: float, y: float, z: float) -> float:
+def density_at(objects: ObjectTables, place: Place, normal: Place, prim: int, there: Place) -> float:
     """Return the density, 1/mm², with which `emitting_point` draws a point of a facet.
 
     Parameters
     ----------
     objects : ObjectTables
+    place, normal
+        As for `emitting_point`.
     prim : int
         Number of the facet.
-    x, y, z : float, mm
-        The point, object frame.
+    there : (3,) float, mm
+        The point of the facet, object frame.
     """
-    first = objects.emitters.first[prim]
+    emitters = objects.emitters
+    first = emitters.first[prim]
     if first < 0:
         return 0.0
-    return objects.emitters.density[first + _piece_at(objects.rounds, objects, prim, x, y, z)]
+    piece = emitters.number[first + _piece_at(objects.rounds, objects, prim, there[0], there[1], there[2])]
+    if len(emitters.nodes) == 0:
+        return emitters.density[piece]
+    return chance_of_leaf(emitters, place, normal, piece) * emitters.density[piece]
 
 
 @inlined
@@ -183,27 +197,35 @@ def _square_at(face: Any, level: int, x: float, y: float, z: float) -> int:
 
 
 @inlined
-def emitting_point(objects: ObjectTables, u: float, v: float) -> tuple[int, float, float, float, float]:
-    """Return a random point of the emitters.
+def emitting_point(
+    objects: ObjectTables, place: Place, normal: Place, u: float, v: float
+) -> tuple[int, float, float, float, float]:  # fmt: skip
+    """Return a random point of the emitters, drawn for a point that it may light.
 
     Parameters
     ----------
+    objects : ObjectTables
+    place, normal
+        As for `many_emitters.drawn_leaf`.
     u, v : float
         Random numbers, uniform in [0, 1). Near ones give near points.
 
     Returns
     -------
     prim : int
-        Facet.
+        Facet; −1: no emitter brings light.
     x, y, z : float, mm
     density : float, 1/mm²
     """
     emitters = objects.emitters
-    pieces = len(emitters.until)
-    piece = emitters.begin[int(u * pieces)]
-    while u >= emitters.until[piece] and piece < pieces - 1:
-        piece += 1
-    below = emitters.until[piece - 1] if piece > 0 else 0.0
+    begin, end, chance = 0, len(emitters.until), 1.0
+    if len(emitters.nodes) > 0:
+        leaf, chance, u = drawn_leaf(emitters, place, normal, u)
+        begin, end = emitters.nodes[leaf].begin, emitters.nodes[leaf].end
+    if not chance > 0.0:
+        return NO_SURFACE, 0.0, 0.0, 0.0, 0.0
+    piece = begin + drawn_by(emitters.until[begin:end], u)
+    below = emitters.until[piece - 1] if piece > begin else 0.0
     # What is left of the first number is a random number of its own.
     u = min((u - below) / (emitters.until[piece] - below), 1.0)
     prim = emitters.facet[piece]
@@ -213,4 +235,4 @@ def emitting_point(objects: ObjectTables, u: float, v: float) -> tuple[int, floa
         emitters.place[piece, 1] + emitters.place[piece, 2] * v,
     )
     x, y, z = place_on(objects, prim, b, c)
-    return prim, x, y, z, emitters.density[piece]
+    return prim, x, y, z, chance * emitters.density[piece]

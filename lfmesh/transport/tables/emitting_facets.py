@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.mesh import Array
-from lfmesh.geometry.objects.round_faces import places_in_picture
+from lfmesh.geometry.objects.round_faces import RoundFaces, places_in_picture, point_at, round_normal
+from lfmesh.kernels.decorators import kernel
+from lfmesh.transport.tables.emitter_tree import EMITTER_NODE, FEW, Bounds, emitter_tree
 from lfmesh.transport.tables.scattering import mean_emission
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
@@ -20,6 +22,12 @@ MOST_PIECES = 1 << 14
 
 TEXELS_ACROSS = 4
 """Number of texels along the edge of a piece, below which it is not divided further."""
+
+GRID = 9
+"""Number of points along each side of a piece of a round face, between which its bounds are found."""
+
+BETWEEN = 0.1
+"""By how much those bounds are wider than the points tell: of sizes and angles."""
 
 PROBES = 2
 """The mean of the texture over a piece is taken over the middles of the 4ⁿ triangles that it divides into."""
@@ -51,11 +59,100 @@ def emitter_table(objects: ObjectTables) -> Emitters:
     first, levels = np.full(len(facets), -1, np.int64), np.zeros(len(facets), np.int64)
     first[bright], levels[bright] = np.cumsum(count) - count, level
     share = power / power.sum()
-    until = np.cumsum(share)
-    begin = np.searchsorted(until, np.arange(len(until)) / len(until), side="right")
-    triangles = bright < _first_round(objects)
-    place = np.concatenate([_places(int(each), plain) for each, plain in zip(level, triangles.tolist(), strict=True)])
-    return Emitters(facet, until, np.minimum(begin, len(until) - 1), place, share / piece_area, first, levels)
+    place = _all_places(level, bright < _first_round(objects))
+    order, nodes = _tree(objects, facet, place, share)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    until, chance = _in_leaves(share[order], nodes)
+    return Emitters(facet[order], until, nodes, place[order], chance / piece_area[order], number, first, levels)
+
+
+def _all_places(level: NDArray[np.int64], triangles: NDArray[np.bool_]) -> Array:
+    """Return the places of the pieces of some facets, see `Emitters`."""
+    made = {
+        (each, plain): _places(each, plain) for each, plain in set(zip(level.tolist(), triangles.tolist(), strict=True))
+    }
+    return np.concatenate([made[each, plain] for each, plain in zip(level.tolist(), triangles.tolist(), strict=True)])
+
+
+def _in_leaves(share: Array, nodes: NDArray[np.void]) -> tuple[Array, Array]:
+    """Return the cumulative chance of pieces within the leaves of their tree, and the chance of each, (n,)."""
+    if not len(nodes):
+        return np.cumsum(share), share
+    leaves = nodes[nodes["right"] == 0]
+    until, chance = np.empty(len(share)), np.zeros(len(share))
+    for begin, end, power in zip(
+        leaves["begin"].tolist(), leaves["end"].tolist(), leaves["power"].tolist(), strict=True
+    ):
+        if power > 0.0:
+            chance[begin:end] = share[begin:end] / power
+        until[begin:end] = np.cumsum(chance[begin:end])
+    return until, chance
+
+
+def _tree(
+    objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array
+) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
+    """Return the order of pieces in the leaves of their tree, (n,), and its nodes; none where pieces are few.
+
+    Parameters
+    ----------
+    objects : ObjectTables
+    facet : (n,) int64
+        Of each piece.
+    place : (n, 3) float64
+        See `Emitters`.
+    share : (n,) float64
+        Of the power.
+    """
+    if len(facet) <= FEW:
+        return np.arange(len(facet)), np.zeros(0, EMITTER_NODE)
+    corners = objects.facets["corners"][facet]
+    low, high = np.full((2, len(facet), 3), [[[np.inf]], [[-np.inf]]])
+    for s, t in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+        b, c = place[:, :1] + s * place[:, 2:], place[:, 1:2] + t * place[:, 2:]
+        points = (1.0 - b - c) * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2]
+        low, high = np.minimum(low, points), np.maximum(high, points)
+    normal, spread = objects.facets["normal"][facet], np.zeros(len(facet))
+    both = ~objects.one_sided[objects.facets["body"][facet]]
+    bounds = Bounds(low, high, normal, spread, both, share)
+    if objects.rounds is not None:
+        _bound_round(objects.rounds, facet, place, bounds)
+    return emitter_tree(bounds)
+
+
+@kernel
+def _bound_round(rounds: RoundFaces, facet: NDArray[np.int64], place: Array, bounds: Bounds) -> None:
+    """Enter the bounds of the pieces of round faces, from points on a grid, and a little more for those between."""
+    for piece in range(len(facet)):
+        if facet[piece] < rounds.first:
+            continue
+        face, low, high = rounds.faces[facet[piece] - rounds.first], bounds.low[piece], bounds.high[piece]
+        normal, least = bounds.normal[piece], 1.0
+        low[:], high[:], normal[:] = np.inf, -np.inf, 0.0
+        for again in range(2):
+            for number in range(GRID * GRID):
+                s = place[piece, 0] + place[piece, 2] * (number // GRID) / (GRID - 1)
+                t = place[piece, 1] + place[piece, 2] * (number % GRID) / (GRID - 1)
+                point = point_at(face, s, t)
+                along = round_normal(face, point[0], point[1], point[2])
+                if again:
+                    least = min(least, along[0] * normal[0] + along[1] * normal[1] + along[2] * normal[2])
+                else:
+                    for axis in range(3):
+                        low[axis], high[axis] = min(low[axis], point[axis]), max(high[axis], point[axis])
+                        normal[axis] += along[axis]
+            if not again:
+                length = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+                if length > BETWEEN * GRID * GRID:
+                    normal /= length
+                else:
+                    normal[0], normal[1], normal[2] = 0.0, 0.0, 0.0
+        wider = BETWEEN * max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
+        low -= wider
+        high += wider
+        length = abs(normal[0]) + abs(normal[1]) + abs(normal[2])
+        bounds.spread[piece] = min((1.0 + BETWEEN) * np.arccos(max(least, -1.0)), np.pi) if length > 0.0 else np.pi
 
 
 def mean_emissions(objects: ObjectTables) -> Array:
@@ -82,7 +179,7 @@ def mean_emissions(objects: ObjectTables) -> Array:
 def no_emitters() -> Emitters:
     """Return the table of a scene in which no target emits."""
     none, empty = np.zeros(0, np.int64), np.zeros(0)
-    return Emitters(none, empty, none, np.zeros((0, 3)), empty, none, none)
+    return Emitters(none, empty, np.zeros(0, EMITTER_NODE), np.zeros((0, 3)), empty, none, none, none)
 
 
 def _levels(objects: ObjectTables, bright: NDArray[np.int64]) -> NDArray[np.int64]:

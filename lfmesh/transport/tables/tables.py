@@ -171,13 +171,14 @@ class Emitters(NamedTuple):
     """Pieces of emitting facets, from which points are drawn as light sources (see `tables.emitting_facets`)."""
 
     facet: NDArray[np.int64]  # (n,) facet of each piece
-    until: Array  # (n,) cumulative chance of the pieces
-    begin: NDArray[np.int64]  # (n,) the piece with which a search for a number in [k / n, (k + 1) / n) begins
+    until: Array  # (n,) cumulative chance of the pieces, within each leaf of the tree if there is one
+    nodes: Records  # (nodes,) EMITTER_NODE, see `tables.emitter_tree`; (0,): pieces are few, and there is no tree
     # (n, 3) barycentric weights of the facet's corners 1 and 2 at each piece's corner 0, and its size; of a round face
     # its parameters
     place: Array
-    density: Array  # (n,) chance of each piece over its area, 1/mm²
-    first: NDArray[np.int64]  # (m,) first piece of each facet of object space; −1: none
+    density: Array  # (n,) chance of each piece, within its leaf, over its area, 1/mm²
+    number: NDArray[np.int64]  # (n,) places of the pieces of each facet, one facet after the other, in these tables
+    first: NDArray[np.int64]  # (m,) where the pieces of each facet of object space begin in `number`; −1: none
     level: NDArray[np.int64]  # (m,) how often each facet is divided in four
 
 

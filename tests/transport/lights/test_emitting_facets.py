@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -12,6 +13,8 @@ from lfmesh.assets import asset_path
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport import engine
 from lfmesh.transport.lights.emitting_facets import density_at, emitting_point
+from lfmesh.transport.lights.many_emitters import chance_of_leaf
+from lfmesh.transport.lights.many_lamps import NO_NORMAL, Place
 from lfmesh.transport.tables.emitting_facets import MOST_PIECES, emitter_table
 from lfmesh.transport.tables.tables import ObjectTables
 
@@ -46,33 +49,56 @@ def objects() -> ObjectTables:
 
 
 @kernel
-def drawn(objects: ObjectTables, numbers: Array, found: Array) -> None:
-    """Write the facet and the density of points, as drawn and as told for the place."""
+def fill_chances(objects: ObjectTables, place: Any, normal: Any, chances: Array) -> None:
+    """Write the chance of the leaf of each piece."""
+    for piece in range(len(chances)):
+        chances[piece] = chance_of_leaf(objects.emitters, place, normal, piece)
+
+
+@kernel
+def drawn(objects: ObjectTables, place: Any, normal: Any, numbers: Array, found: Array) -> None:
+    """Write the facet and the density of points, as drawn for a place and as told for them."""
     for i in range(len(numbers)):
-        prim, x, y, z, density = emitting_point(objects, numbers[i, 0], numbers[i, 1])
+        prim, x, y, z, density = emitting_point(objects, place, normal, numbers[i, 0], numbers[i, 1])
         found[i, 0], found[i, 1] = prim, density
-        found[i, 2] = density_at(objects, prim, x, y, z)
+        found[i, 2] = density_at(objects, place, normal, prim, (x, y, z)) if prim >= 0 else 0.0
         found[i, 3], found[i, 4], found[i, 5] = x, y, z
 
 
-def test_the_density_of_a_place_is_that_with_which_it_is_drawn(objects: ObjectTables) -> None:
-    found = np.empty((200_000, 6))
-    drawn(objects, np.random.default_rng(1).random((len(found), 2)), found)
+PLACES: list[tuple[Place, Place]] = [
+    ((0.0, 0.0, -60.0), (0.0, 0.0, 1.0)),
+    ((4.5, 1.0, -54.0), NO_NORMAL),
+    ((-10.0, 2.0, -50.0), (0.6, 0.0, 0.8)),
+    ((1e5 * np.sin(np.pi / 3.0), 0.0, 1e5 * np.cos(np.pi / 3.0)), NO_NORMAL),
+]
+"""Points and their normals: of the screen, close to the sphere and to the sheet, and far away, square to the sheet."""
+
+
+@pytest.mark.parametrize("place", range(len(PLACES)))
+def test_the_density_of_a_place_is_that_with_which_it_is_drawn(objects: ObjectTables, place: int) -> None:
+    found = np.empty((100_000, 6))
+    drawn(objects, *PLACES[place], np.random.default_rng(1).random((len(found), 2)), found)
+    assert (found[:, 0] >= 0.0).all()
     # On the edge between two pieces, rounding may take either.
-    same = found[:, 1] == found[:, 2]
+    same = np.isclose(found[:, 1], found[:, 2], rtol=1e-9)
     assert same.mean() > 0.9999
-    # The mean of 1 / density is the area that is drawn from; pieces on which the texture is black are left out.
-    emitters = objects.emitters
+    # The mean of 1 / density is the area that is drawn from; pieces that are black, or bring no light, are left out.
+    emitters, chances = objects.emitters, np.empty(len(objects.emitters.facet))
+    fill_chances(objects, *PLACES[place], chances)
+    begins = emitters.nodes["begin"][emitters.nodes["right"] == 0]
+    assert chances[begins].sum() == pytest.approx(1.0, rel=1e-12)
     shares = np.diff(emitters.until, prepend=0.0)
-    area = (shares[shares > 0.0] / emitters.density[shares > 0.0]).sum()
-    assert stats.ttest_1samp(1.0 / found[:, 1], area).pvalue > LEVEL
-    assert 0.5 * (4.0 * np.pi * 9.0 + 200.0) < area < 4.0 * np.pi * 9.0 + 200.0
+    shares[begins] = emitters.until[begins]
+    given = (shares > 0.0) & (chances > 0.0)
+    area = (shares[given] / emitters.density[given]).sum()
+    assert stats.ttest_1samp(1.0 / found[:, 1], area).pvalue > LEVEL / len(PLACES)
+    assert area < 4.0 * np.pi * 9.0 + 200.0
 
 
-def test_facets_are_drawn_by_power_and_evenly(objects: ObjectTables) -> None:
+def test_facets_far_away_are_drawn_by_power_and_evenly(objects: ObjectTables) -> None:
     """Chi-square over the octants of the sphere, and over the sheet."""
     found = np.empty((100_000, 6))
-    drawn(objects, np.random.default_rng(2).random((len(found), 2)), found)
+    drawn(objects, *PLACES[3], np.random.default_rng(2).random((len(found), 2)), found)
     body = objects.facets["body"][found[:, 0].astype(np.int64)]
     own = found[body == 1, 3:]
     assert len(own) == (body == 1).sum()
@@ -85,6 +111,93 @@ def test_facets_are_drawn_by_power_and_evenly(objects: ObjectTables) -> None:
     assert (body == 1).mean() == pytest.approx(power[0] / power.sum(), rel=0.02)
 
 
+def glowing(place: list[float], radiance: float, **body: Any) -> dict[str, Any]:
+    return {"position_mm": place, "material": {"reflectance": 0.0, "radiance_w_m2_sr": radiance}} | body
+
+
+@pytest.fixture(scope="module")
+def crowd(tmp_path_factory: pytest.TempPathFactory) -> ObjectTables:
+    """A bright mesh far away, one near by whose power is a hundred-millionth of that, and a sheet of facets."""
+    folder = tmp_path_factory.mktemp("meshes")
+    trimesh.creation.icosphere(subdivisions=4, radius=1.0).export(folder / "ball.ply")
+    trimesh.creation.box((8.0, 8.0, 1e-3)).subdivide_to_size(0.5).export(folder / "slab.ply")
+    ball, slab = ({"file": str(folder / name), "units": "mm"} for name in ("ball.ply", "slab.ply"))
+    return lf.build(scene([
+        SCREEN,
+        glowing([0.0, 0.0, 2000.0], 1.0, scale=400.0, **ball),
+        glowing([1.0, 1.0, -59.0], 0.1, scale=0.2, **ball),
+        glowing([-6.0, 0.0, -57.0], 1e-3, **slab),
+    ], []), aimed=False).tables.objects  # fmt: skip
+
+
+def points_of(objects: ObjectTables) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Return middles, areas, normals of all emitting pieces, plain facets, and whether they shine on both sides."""
+    facets = objects.facets[objects.emitters.facet]
+    edges = facets["corners"][:, 1:] - facets["corners"][:, :1]
+    areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return facets["corners"].mean(axis=1), areas, facets["normal"], ~objects.one_sided[facets["body"]]
+
+
+def brought(objects: ObjectTables, place: Place, normal: Place) -> Array:
+    """Return what each piece brings to a point if nothing is between, as if it were small."""
+    middles, areas, normals, both = points_of(objects)
+    to = middles - place
+    d2 = (to**2).sum(axis=1)
+    along = -np.einsum("ij,ij->i", normals, to) / np.sqrt(d2)
+    cosine = to @ normal / np.sqrt(d2) if any(normal) else np.ones(len(to))
+    radiance = objects.radiance[objects.facets["body"][objects.emitters.facet], 0]
+    return np.asarray(radiance * areas * np.where(both, abs(along), along).clip(0.0) * cosine.clip(0.0) / d2)
+
+
+NEAR_CROWD: list[tuple[Place, Place]] = [
+    ((0.0, 0.0, -60.0), (0.0, 0.0, 1.0)),
+    ((1.05, 1.0, -59.3), (0.0, 0.0, 1.0)),
+    ((-3.0, 2.0, -57.5), (-0.6, 0.0, 0.8)),
+    ((3.0, -2.0, -58.0), NO_NORMAL),
+]
+
+
+def test_no_piece_that_lights_a_point_is_without_a_chance(crowd: ObjectTables) -> None:
+    chances = np.empty(len(crowd.emitters.facet))
+    for place, normal in NEAR_CROWD:
+        fill_chances(crowd, place, normal, chances)
+        light = brought(crowd, place, normal)
+        assert (chances[light > 0.0] > 0.0).all()
+        # The bounds leave out some of what faces away.
+        assert (chances[light == 0.0] == 0.0).mean() > 0.3
+
+
+def test_pieces_are_drawn_about_by_the_light_that_they_bring(crowd: ObjectTables) -> None:
+    """The variance of the light of one draw; by power alone it is a million times its squared mean, or more."""
+    emitters, chances = crowd.emitters, np.empty(len(crowd.emitters.facet))
+    areas = points_of(crowd)[1]
+    power = areas * crowd.radiance[crowd.facets["body"][emitters.facet], 0]
+    for place, normal in NEAR_CROWD:
+        fill_chances(crowd, place, normal, chances)
+        light, drawn_with = brought(crowd, place, normal), chances * emitters.density * areas
+        # Some draws end where the bounds of both parts of a node show that no light comes.
+        assert 0.5 < drawn_with.sum() < 1.0 + 1e-9
+        own = light > 0.0
+        squared = (light[own] ** 2 / drawn_with[own]).sum() / light.sum() ** 2
+        by_power = (light[own] ** 2 / power[own]).sum() * power.sum() / light.sum() ** 2
+        assert squared < 3.0
+        assert squared < by_power
+
+
+def test_a_node_of_the_tree_bounds_its_pieces_and_has_their_power(crowd: ObjectTables) -> None:
+    nodes, corners = crowd.emitters.nodes, crowd.facets["corners"][crowd.emitters.facet]
+    normals, both = points_of(crowd)[2:]
+    for number in range(0, len(nodes), 7):
+        node = nodes[number]
+        own = slice(node["begin"], node["end"])
+        assert np.linalg.norm(corners[own] - node["middle"], axis=2).max() <= node["radius"]
+        cosine = normals[own] @ node["axis"]
+        assert (np.where(node["both"], abs(cosine), cosine) >= node["cos_spread"]).all()
+        assert node["both"] == both[own].any()
+    assert nodes[0]["power"] == pytest.approx(1.0, rel=1e-12)
+    assert (nodes["begin"][0], nodes["end"][0]) == (0, len(corners))
+
+
 def test_a_facet_without_area_and_a_black_one_are_never_drawn(objects: ObjectTables) -> None:
     facets = objects.facets.copy()
     thin = np.flatnonzero(facets["body"] == 2)[:1]
@@ -93,8 +206,21 @@ def test_a_facet_without_area_and_a_black_one_are_never_drawn(objects: ObjectTab
     assert (emitters.first[thin] == -1).all()
     assert not np.isin(emitters.facet, thin).any()
     assert np.isfinite(emitters.density).all()
-    assert emitters.until[-1] == pytest.approx(1.0, abs=1e-12)
+    assert emitters.nodes["power"][0] == pytest.approx(1.0, abs=1e-12)
     assert (emitters.first[facets["body"] == 0] == -1).all()
+
+
+def test_few_pieces_are_drawn_by_power_alone() -> None:
+    """As always, whatever the point: so scenes with few emitting facets have the pictures that they had."""
+    plane = {"kind": "plane", "width_mm": 4.0, "height_mm": 4.0}
+    few = lf.build(scene([SCREEN, *(glowing([x, 0.0, -50.0], 1.0 + x, shape=plane) for x in (0.0, 5.0, 10.0))], []),
+                   aimed=False).tables.objects  # fmt: skip
+    numbers = np.random.default_rng(3).random((1000, 2))
+    found = np.empty((2, len(numbers), 6))
+    for number, (place, normal) in enumerate(PLACES[:2]):
+        drawn(few, place, normal, numbers, found[number])
+    np.testing.assert_array_equal(found[0], found[1])
+    assert len(few.emitters.nodes) == 0
 
 
 def test_a_large_texture_keeps_to_the_limit_of_pieces(objects: ObjectTables) -> None:

@@ -93,6 +93,18 @@ def test_forward_equals_adjoint_with_many_lamps(place: str, tmp_path: Path, monk
 
 
 @pytest.mark.filterwarnings("ignore::lfmesh.PictureWarning")
+@pytest.mark.long
+def test_forward_equals_adjoint_where_the_brightest_of_a_thousand_lamps_is_hidden() -> None:
+    """It stands behind the screen, has eight times the power of all others, and every point asks it."""
+    lights = [lamp for lamp in crowd(1333, 9) if "profile" not in lamp]
+    for lamp in lights:
+        lamp["power_w"] = min(lamp["power_w"], 2.0)
+    lights.append({"kind": "point", "position_mm": [-22.0, 0.0, -50.0], "power_w": 1e4})
+    scene: dict[str, Any] = {"targets": [WALL, SCREEN], "lights": lights}
+    agree(watts(512, "adjoint", **scene), watts(65_536, "forward", **scene), 0.03)
+
+
+@pytest.mark.filterwarnings("ignore::lfmesh.PictureWarning")
 def test_the_error_of_many_lamps_is_what_it_is_said_to_be() -> None:
     """In each quarter of the pixels by brightness, over 32 seeds: the spread over the reported error."""
     lights = [lamp | {"power_w": 1.0} for lamp in crowd(200, 3) if "profile" not in lamp]

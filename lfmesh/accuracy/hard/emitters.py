@@ -1,8 +1,11 @@
 """Emitting targets that light others from where their light is hard to find."""
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
@@ -39,13 +42,24 @@ def _powers(patch: dict[str, float], others: list[Target]) -> Array:
 
 
 def _irradiance(corners: Array, at: Array) -> float:
-    """Return what a polygon (k, 3) of radiance 1 gives an element that faces +z: Lambert's sum over the edges."""
+    """Return what polygons (n, k, 3) of radiance 1 give an element that faces +z: Lambert's sum over the edges.
+
+    Those that show their back, in clockwise order, count nothing.
+    """
     to = corners - at
-    to /= np.linalg.norm(to, axis=1, keepdims=True)
-    across = np.cross(to, np.roll(to, -1, axis=0))
-    sine = np.linalg.norm(across, axis=1)
-    angle = np.arctan2(sine, (to * np.roll(to, -1, axis=0)).sum(axis=1))
-    return float(0.5 * abs((angle * across[:, 2] / sine).sum()))
+    to /= np.linalg.norm(to, axis=2, keepdims=True)
+    across = np.cross(to, np.roll(to, -1, axis=1))
+    sine = np.linalg.norm(across, axis=2)
+    angle = np.arctan2(sine, (to * np.roll(to, -1, axis=1)).sum(axis=2))
+    return float(0.5 * (-(angle * across[:, :, 2] / sine).sum(axis=1)).clip(0.0).sum())
+
+
+def _over_patch(corners: Array, order: int) -> float:
+    """Return the mean of `_irradiance` over the patch, whose middle is the origin, by Gauss' rule of some order."""
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    places = np.array([(HALF_MM * x, HALF_MM * y, 0.0) for x in nodes for y in nodes])
+    shares = 0.25 * np.outer(weights, weights).ravel()
+    return sum(share * _irradiance(corners, at) for share, at in zip(shares, places, strict=True))
 
 
 @case
@@ -55,10 +69,7 @@ def emitter_on_the_surface() -> Outcome:
     corners = np.array(
         [[HALF_MM, -5.0, 0.0], [HALF_MM, 5.0, 0.0], [HALF_MM + 8.0, 5.0, 4.0], [HALF_MM + 8.0, -5.0, 4.0]]
     )
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    places = np.array([(HALF_MM * x, HALF_MM * y, 0.0) for x in nodes for y in nodes])
-    shares = 0.25 * np.outer(weights, weights).ravel()
-    expected = RADIANCE * sum(share * _irradiance(corners, at) for share, at in zip(shares, places, strict=True))
+    expected = RADIANCE * _over_patch(corners[None, ::-1], 24)
     # The camera sees the sheet as well, which it sees alone where the patch is black.
     lit, alone = (_powers({"reflectance": reflectance}, [sheet]) for reflectance in (REFLECTANCE, 0.0))
     glow = _powers({"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, [])
@@ -67,4 +78,36 @@ def emitter_on_the_surface() -> Outcome:
     passed = abs(found.mean() - expected) < MOST_SIGMAS * sigma and sigma < LARGEST_SIGMA * expected
     return Outcome(
         "", f"{expected:.4f} W/m²", f"{found.mean():.4f} ± {sigma:.4f} W/m²", bool(passed), 0.0, 3.0 * SEEDS, 0
+    )
+
+
+BALLS = (((2.0, 0.0, 1.2), 0.1, 25.0), ((1500.0, 0.0, 1200.0), 300.0, 2.0), ((-30.0, 5.0, 15.0), 8.0, 0.01))
+"""Centres from the patch's middle, mm, radii, mm, and radiances of balls."""
+
+
+@case
+def near_dim_facets_beside_far_bright_ones() -> Outcome:
+    """Light a matt patch by 61,440 facets: half its light is from balls with a millionth of their power."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    glow = _powers({"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, [])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "ball.ply"
+        ball.export(path)
+        others = [
+            Target(
+                file=str(path), units="mm", scale=radius, position_mm=(x, y, z - 60.0),
+                material=Material(reflectance=0.0, radiance_w_m2_sr=radiance),
+            )
+            for (x, y, z), radius, radiance in BALLS
+        ]  # fmt: skip
+        lit = _powers({"reflectance": REFLECTANCE}, others)
+    # The facets of a convex mesh hide none of those that face the patch, which is small against the distances.
+    expected = sum(
+        radiance * _over_patch(radius * ball.triangles + np.array(centre), 4) for centre, radius, radiance in BALLS
+    )
+    found = np.pi / REFLECTANCE * lit / glow
+    sigma = float(found.std(ddof=1) / np.sqrt(SEEDS))
+    passed = abs(found.mean() - expected) < MOST_SIGMAS * sigma and sigma < LARGEST_SIGMA * expected
+    return Outcome(
+        "", f"{expected:.4f} W/m²", f"{found.mean():.4f} ± {sigma:.4f} W/m²", bool(passed), 0.0, 2.0 * SEEDS, 0
     )

@@ -10,7 +10,6 @@ from lfmesh.scene.objects.targets import Material, Plane
 
 LAMPS = 3000
 HALF_MM, AWAY_MM = 1.0, 60.0
-NEAREST_MM, FARTHEST_MM = 3.0, 3e3
 DECADES = 8.0
 """Of the lamps' powers at equal distances."""
 
@@ -19,10 +18,15 @@ SEEDS = 16
 LARGEST_SIGMA = 0.01
 
 
-def _lamps() -> tuple[Array, Array]:
-    """Return places from the patch's centre, mm (n, 3), and powers, W (n,); every third lamp is behind the patch."""
+def _lamps(nearest: float, farthest: float) -> tuple[Array, Array]:
+    """Return places from the patch's centre, mm (n, 3), and powers, W (n,); every third lamp is behind the patch.
+
+    Parameters
+    ----------
+    nearest, farthest : float, mm
+    """
     random = np.random.default_rng(64)
-    distance = np.exp(random.uniform(np.log(NEAREST_MM), np.log(FARTHEST_MM), LAMPS))
+    distance = np.exp(random.uniform(np.log(nearest), np.log(farthest), LAMPS))
     cosine, phi = random.uniform(0.1, 1.0, LAMPS), random.uniform(0.0, 2.0 * np.pi, LAMPS)
     cosine[::3] *= -1.0
     sine = np.sqrt(1.0 - cosine**2)
@@ -55,10 +59,8 @@ def _powers(lamps: tuple[PointLight, ...], **material: float) -> Array:
     return np.array([image.mean.sum() for image in images_of(scene, range(SEEDS))])
 
 
-@case
-def thousands_of_unequal_lamps() -> Outcome:
-    """Light a matt patch by 3,000 lamps of eight decades of power, from 3 mm to 3 m away and on both sides."""
-    places, powers = _lamps()
+def _lit(places: Array, powers: Array) -> Outcome:
+    """Compare what lamps give the patch with the solid angles that it fills for them."""
     # No lamp stands in the camera, nor behind it as the patch sees it.
     free = (np.hypot(places[:, 0], places[:, 1]) > 0.2 * places[:, 2]) | (places[:, 2] < 0.8 * AWAY_MM)
     places, powers = places[free], powers[free]
@@ -74,3 +76,15 @@ def thousands_of_unequal_lamps() -> Outcome:
     return Outcome(
         "", f"{expected:.5g} W/m²", f"{found.mean():.5g} ± {sigma:.2g} W/m²", bool(passed), 0.0, 2.0 * SEEDS, 0
     )
+
+
+@case
+def thousands_of_unequal_lamps() -> Outcome:
+    """Light a matt patch by 3,000 lamps of eight decades of power, from 3 mm to 3 m away and on both sides."""
+    return _lit(*_lamps(3.0, 3e3))
+
+
+@case
+def lamps_from_1_mm_to_100_m() -> Outcome:
+    """Light a matt patch by 3,000 lamps of eight decades of power, from 1 mm, half its width, to 100 m away."""
+    return _lit(*_lamps(1.0, 1e5))

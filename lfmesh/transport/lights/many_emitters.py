@@ -133,19 +133,18 @@ def _brought(node: Any, place: Place, normal: Place) -> tuple[float, bool]:
     light, alike = node.power / nearest2, d2 > FAR * FAR * r2
     if d2 <= r2:
         return light, False
-    far = np.sqrt(d2)
-    cos_round, sin_round = np.sqrt((d2 - r2) / d2), node.radius / far
+    over_far = 1.0 / np.sqrt(d2)
+    turn = node.radius * over_far
     if normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0:
-        cosine = (normal[0] * vx + normal[1] * vy + normal[2] * vz) / far
-        least, most = widened(cosine, cos_round, sin_round)
-        if most <= 0.0:
+        cosine = (normal[0] * vx + normal[1] * vy + normal[2] * vz) * over_far
+        if cosine + turn <= 0.0:
             return 0.0, True
-        light, alike = light * most, alike and least >= ALIKE * most
-    cosine = -(node.axis[0] * vx + node.axis[1] * vy + node.axis[2] * vz) / far
-    if node.both:
-        cosine = abs(cosine)
-    least, most = widened(cosine, node.cos_spread, node.sin_spread)
-    least, most = widened(least, cos_round, sin_round)[0], widened(most, cos_round, sin_round)[1]
+        light *= min(cosine + turn, 1.0)
+        alike = alike and cosine - turn >= ALIKE * (cosine + turn)
+    cosine = -(node.axis[0] * vx + node.axis[1] * vy + node.axis[2] * vz) * over_far
+    least, most = widened(abs(cosine) if node.both else cosine, node.cos_spread, node.sin_spread)
+    # Over the sphere the direction turns by its arc sine, and the cosine changes by no more.
+    least, most = least - 0.5 * np.pi * turn, most + 0.5 * np.pi * turn
     if most <= 0.0:
         return 0.0, True
-    return light * most, alike and least >= ALIKE * most
+    return light * min(most, 1.0), alike and least >= ALIKE * most

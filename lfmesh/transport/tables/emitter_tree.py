@@ -19,7 +19,7 @@ FEW = 8
 """Largest number of pieces that are drawn by power alone, as always."""
 
 LEAVES = 1 << 10
-"""A node of more than this part of all pieces is no leaf."""
+"""A node of pieces that are more than this part of all, in number or in power, is parted."""
 
 EMITTER_NODE = np.dtype(
     [
@@ -87,7 +87,10 @@ def emitter_tree(bounds: Bounds) -> tuple[NDArray[np.int64], NDArray[np.void]]:
         work = Work(np.zeros((BINS, 14)), np.zeros((DEEPEST + 64, 4), np.int64))
         found = _grow(bounds, middles, order, nodes, max(1, count // LEAVES), work)
         most *= 2
-    return order, nodes[:found].copy()
+    nodes = nodes[:found].copy()
+    leaves = nodes[nodes["right"] == 0]
+    # Neighbours in number are neighbours in place as far as the mesh has them so.
+    return order[np.lexsort([order, np.repeat(np.arange(len(leaves)), leaves["end"] - leaves["begin"])])], nodes
 
 
 @kernel
@@ -109,7 +112,7 @@ def _grow(
         Most pieces of a leaf.
     work : Work
     """
-    waiting, top, count = work.waiting, 1, 0
+    waiting, top, count, brightest = work.waiting, 1, 0, 0.0
     waiting[0, 1], waiting[0, 2], waiting[0, 3] = len(order), -1, 0
     while top > 0:
         top -= 1
@@ -121,7 +124,9 @@ def _grow(
             nodes[parent].right = count
         node.begin, node.end, node.right = begin, end, 0
         _bound(bounds, some, node)
-        if end - begin > largest:
+        if count == 0:
+            brightest = node.power / LEAVES
+        if end - begin > largest or (end - begin > 1 and node.power > brightest):
             parted = _parted(bounds.power, middles, some, work.bins) if depth < DEEPEST else 0
             middle = begin + (parted if parted > 0 else (end - begin) // 2)
             waiting[top, 0], waiting[top, 1], waiting[top, 2], waiting[top, 3] = middle, end, count, depth + 1

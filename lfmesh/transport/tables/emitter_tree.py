@@ -40,7 +40,7 @@ MARGIN = 2.0**-20
 """By how much bounds are wider than the pieces, over their size, and in rad: more than rounding."""
 
 NORMAL_WEIGHT = 0.125
-"""Distance, over the extent of all pieces, that parts two pieces as much as normals do at a right angle, about."""
+"""Distance, over the extent of a node, that parts two pieces as much as normals do at an angle of one radian."""
 
 BINS = 16
 """Number of even pieces of each axis, between which a node may be parted."""
@@ -79,8 +79,7 @@ def emitter_tree(bounds: Bounds) -> tuple[NDArray[np.int64], NDArray[np.void]]:
         Of one piece or more.
     """
     count, found = len(bounds.power), 0
-    extent = float(np.linalg.norm(np.ptp(bounds.low + bounds.high, axis=0))) / 2.0
-    middles = np.hstack([0.5 * (bounds.low + bounds.high), NORMAL_WEIGHT * extent * bounds.normal])
+    middles = np.hstack([0.5 * (bounds.low + bounds.high), bounds.normal])
     most = min(2 * count, 4 * LEAVES)
     while found == 0:
         order, nodes = np.arange(count), np.zeros(most, EMITTER_NODE)
@@ -103,7 +102,7 @@ def _grow(
     ----------
     bounds : Bounds
     middles : (n, 6) float64
-        Places and weighted normals of the pieces.
+        Places and normals of the pieces.
     order : (n,) int64
         Written.
     nodes : (nodes,) EMITTER_NODE
@@ -127,7 +126,9 @@ def _grow(
         if count == 0:
             brightest = node.power / LEAVES
         if end - begin > largest or (end - begin > 1 and node.power > brightest):
-            parted = _parted(bounds.power, middles, some, work.bins) if depth < DEEPEST else 0
+            parted = (
+                _parted(bounds.power, middles, some, NORMAL_WEIGHT * node.radius, work.bins) if depth < DEEPEST else 0
+            )
             middle = begin + (parted if parted > 0 else (end - begin) // 2)
             waiting[top, 0], waiting[top, 1], waiting[top, 2], waiting[top, 3] = middle, end, count, depth + 1
             waiting[top + 1, 0], waiting[top + 1, 1], waiting[top + 1, 2] = begin, middle, -1
@@ -173,11 +174,13 @@ def _bound(bounds: Bounds, some: NDArray[np.int64], node: Any) -> None:
 
 
 @kernel
-def _parted(power: Array, middles: Array, some: NDArray[np.int64], bins: Array) -> int:
+def _parted(power: Array, middles: Array, some: NDArray[np.int64], weight: float, bins: Array) -> int:
     """Sort two or more pieces into two parts; return the number of those in the first, 0 if nothing parts them.
 
     Parameters
     ----------
+    weight : float, mm
+        Extent that counts as much as one of normals, 1.
     bins : (BINS, 14) float64
         Working memory, see `Work`.
     """
@@ -196,7 +199,7 @@ def _parted(power: Array, middles: Array, some: NDArray[np.int64], bins: Array) 
                 row[axis], row[6 + axis] = min(row[axis], at[axis]), max(row[6 + axis], at[axis])
             row[12], row[13] = row[12] + power[piece], row[13] + 1.0
         for after in range(1, BINS):
-            cost = _cost(bins[:after]) + _cost(bins[after:])
+            cost = _cost(bins[:after], weight) + _cost(bins[after:], weight)
             if cost < best:
                 best, where, edge, start, scale = cost, column, after, low, per_unit
     first = 0
@@ -216,7 +219,7 @@ def _bin_of(value: float, low: float, scale: float) -> int:
 
 
 @kernel
-def _cost(bins: Array) -> float:
+def _cost(bins: Array, weight: float) -> float:
     """Return the cost of a part, power times squared extent of the pieces of some bins; inf: it has none."""
     power, count, extent2 = 0.0, 0.0, 0.0
     for row in bins:
@@ -227,5 +230,5 @@ def _cost(bins: Array) -> float:
         low, high = np.inf, -np.inf
         for row in bins:
             low, high = min(low, row[axis]), max(high, row[6 + axis])
-        extent2 += (high - low) ** 2
+        extent2 += (high - low) ** 2 * (1.0 if axis < 3 else weight * weight)
     return power * extent2

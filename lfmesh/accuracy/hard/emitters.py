@@ -81,8 +81,8 @@ def emitter_on_the_surface() -> Outcome:
     )
 
 
-BALLS = (((2.0, 0.0, 1.2), 0.1, 25.0), ((1500.0, 0.0, 1200.0), 300.0, 2.0), ((-30.0, 5.0, 15.0), 8.0, 0.01))
-"""Centres from the patch's middle, mm, radii, mm, and radiances of balls."""
+BALLS = (((0.0, 2.0, 1.2), 0.1, 25.0), ((1500.0, 0.0, 1200.0), 300.0, 2.0), ((-30.0, 5.0, 15.0), 8.0, 0.01))
+"""Centres from the patch's middle, mm, radii, mm, and radiances of balls, none of which hides another."""
 
 
 @case

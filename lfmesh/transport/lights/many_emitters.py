@@ -18,10 +18,10 @@ from lfmesh.transport.lights.many_lamps import BELOW_ONE, NO_NORMAL, Place, wide
 from lfmesh.transport.packets.packet import IN_FOG
 from lfmesh.transport.tables.tables import Emitters, ObjectTables
 
-FAR = 2.0
+FAR = 2.5
 """Distance of a node, over its radius, above which its pieces differ little in distance."""
 
-ALIKE = 0.1
+ALIKE = 0.3
 """Least cosine of angles at a node, or at the point, over the largest one, above which pieces differ little in it."""
 
 
@@ -142,9 +142,9 @@ def _brought(node: Any, place: Place, normal: Place) -> tuple[float, bool]:
         light *= min(cosine + turn, 1.0)
         alike = alike and cosine - turn >= ALIKE * (cosine + turn)
     cosine = -(node.axis[0] * vx + node.axis[1] * vy + node.axis[2] * vz) * over_far
-    cosines = widened(abs(cosine) if node.both else cosine, node.cos_spread, node.sin_spread)
-    # Over the sphere the direction turns by the arc sine of its radius over the distance, the cosine by no more.
-    most = cosines[1] + 0.5 * np.pi * turn
+    least, most = widened(abs(cosine) if node.both else cosine, node.cos_spread, node.sin_spread)
+    # Over the sphere the direction turns by its arc sine, and the cosine changes by no more.
+    least, most = least - 0.5 * np.pi * turn, most + 0.5 * np.pi * turn
     if most <= 0.0:
         return 0.0, True
-    return light * min(most, 1.0), alike and cosines[0] - turn >= ALIKE * (cosines[1] + turn)
+    return light * min(most, 1.0), alike and least >= ALIKE * most

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from copy import copy
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -206,8 +206,7 @@ class World(Shown):
     @cached_property
     def is_flat(self) -> bool:
         """True if all facets of all targets lie in one plane, so that no light goes from target to target."""
-        hulls = (target.hull for target in self.targets)
-        return in_one_plane(np.concatenate([np.zeros((0, 3, 3)), *(hull.vertices[hull.faces] for hull in hulls)]))
+        return in_one_plane(target.hull for target in self.targets)
 
     @property
     def mesh_names(self) -> list[str]:
@@ -465,6 +464,8 @@ def _built(scene: Scene, rings: int | None, aimed: bool) -> World:
     # Absorption weakens light, and does not change where it has to go.
     anywhere = unaimed(scene, clear(lens))
 
+    # A world and the copy of it that renders take share what is found.
+    @cache
     def find_aim() -> tuple[AimTables, AimProof | None]:
         if not aimed:
             return anywhere, None

@@ -70,6 +70,22 @@ def test_a_second_render_of_a_scene_builds_nothing(scene: Scene, builds: list[Sc
     assert (other.mean != first.mean).any()
 
 
+def test_a_world_and_the_renders_of_its_scene_share_one_aim(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether they are given the world or find it."""
+    asked: list[Scene] = []
+    prove = world.proven_aim
+
+    def noted(scene: Scene, *rest: Any, **how: Any) -> Any:
+        asked.append(scene)
+        return prove(scene, *rest, **how)
+
+    monkeypatch.setattr(world, "proven_aim", noted)
+    own = lf.build(scene)
+    images = [lf.render(scene), lf.render(scene, world=own), lf.render(scene)]
+    assert len(asked) == 1
+    assert all(np.array_equal(image.mean, images[0].mean) for image in images)
+
+
 def test_a_render_takes_the_world_that_it_is_given(scene: Scene, builds: list[Scene]) -> None:
     alone = lf.render(scene)
     own = lf.build(scene)

@@ -332,6 +332,6 @@ def entries_of(path: Path, holder: dict[str, Any], key: str) -> list[dict[str, A
         It is no list of objects.
     """
     entries = holder.get(key, [])
-    if isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries):
+    if isinstance(entries, list) and set(map(type, entries)) <= {dict}:
         return entries
     raise MeshError(f"{path}: broken: {key} is no list of objects")

@@ -110,11 +110,14 @@ def load_mesh(
     channels = 4 if alpha else 3
     pieces = [_without_colours_beside_picture(piece.with_channels(channels), notes) for piece in pieces]
     for piece in pieces:
-        bad = int((~np.isfinite(piece.mesh.vertices[piece.mesh.faces])).any(axis=(1, 2)).sum())
-        if bad:
-            raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
-        if np.abs(piece.mesh.vertices[piece.mesh.faces]).max(initial=0.0) > FARTHEST_MM:
-            raise MeshError(f"{path}: has a corner farther than {FARTHEST_MM:g} mm from the origin of its frame")
+        # Of vertices that no facet has, nothing is asked.
+        if not (np.abs(piece.mesh.vertices) <= FARTHEST_MM).all():
+            corners = piece.mesh.vertices[piece.mesh.faces]
+            bad = int((~np.isfinite(corners)).any(axis=(1, 2)).sum())
+            if bad:
+                raise MeshError(f"{path}: {bad} of {facets} facets have a corner that is no finite number")
+            if np.abs(corners).max(initial=0.0) > FARTHEST_MM:
+                raise MeshError(f"{path}: has a corner farther than {FARTHEST_MM:g} mm from the origin of its frame")
         if piece.uv is not None and not np.isfinite(piece.uv).all():
             raise MeshError(f"{path}: has a place in its picture that is no finite number")
     warn_caller(LensFileWarning(f"{path}: {text}") for text in notes.texts)

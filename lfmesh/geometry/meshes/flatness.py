@@ -1,12 +1,14 @@
 """Flatness of meshes: the plane that all facets share, if there is one."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
-from lfmesh.geometry.meshes.mesh import Array
+from lfmesh.geometry.meshes.mesh import Mesh, facet_normals
 from lfmesh.geometry.surfaces.tessellation import FLOAT32_MARGIN
 
 
-def in_one_plane(corners: Array) -> bool:
+def in_one_plane(meshes: Iterable[Mesh]) -> bool:
     """Tell whether facets all lie in one plane, to the rounding of their coordinates; true of no facets.
 
     Light that leaves a flat mesh never meets it again. The plane is that of the largest facet. Files hold coordinates
@@ -15,18 +17,21 @@ def in_one_plane(corners: Array) -> bool:
 
     Parameters
     ----------
-    corners : (m, 3, 3) float64, mm
+    meshes : iterable of Mesh
+        Vertices of no facet count, too.
     """
-    if not len(corners):
+    parts = [mesh for mesh in meshes if len(mesh.faces)]
+    if not parts:
         return True
-    edges = corners[:, 1:] - corners[:, :1]
-    cross = np.cross(edges[:, 0], edges[:, 1])
-    area = np.linalg.norm(cross, axis=1)
-    largest = int(area.argmax())
-    if area[largest] == 0.0:
+    largest = max(parts, key=lambda mesh: float(facet_normals(mesh)[1].max()))
+    normals, areas = facet_normals(largest)
+    facet = int(areas.argmax())
+    if areas[facet] == 0.0:
         return False
-    from_plane = corners - corners[largest, 0]
-    rounding = FLOAT32_MARGIN * float(np.abs(from_plane).max()) + np.finfo(np.float64).eps * float(
-        np.abs(corners).max()
+    start, normal = largest.vertices[largest.faces[facet, 0]], normals[facet]
+    low = np.min([mesh.vertices.min(axis=0) for mesh in parts], axis=0)
+    high = np.max([mesh.vertices.max(axis=0) for mesh in parts], axis=0)
+    rounding = FLOAT32_MARGIN * float(np.maximum(high - start, start - low).max()) + np.finfo(np.float64).eps * float(
+        np.maximum(np.abs(low), np.abs(high)).max()
     )
-    return bool((np.abs(from_plane @ (cross[largest] / area[largest])) <= rounding).all())
+    return all((np.abs((mesh.vertices - start) @ normal) <= rounding).all() for mesh in parts)

@@ -43,16 +43,19 @@ class Mesh:
     corner_normals: Array | None = field(default=None)
 
     @cached_property
-    def _normals_and_areas(self) -> tuple[Array, Array]:
-        first, second, third = (self.vertices[self.faces[:, k]] for k in range(3))
-        (ux, uy, uz), (vx, vy, vz) = (second - first).T, (third - first).T
+    def _measures(self) -> tuple[Array, Array, Array]:
+        """Unit normals (m, 3), areas in mm² and longest edges in mm, (m,): from one pass, coordinate by coordinate."""
+        corners, axes = np.ascontiguousarray(self.faces.T), np.ascontiguousarray(self.vertices.T)
+        edges = [[axis[b] - axis[a] for axis in axes] for a, b in (corners[:2], corners[::2], corners[1:])]
+        longest = np.sqrt(np.maximum.reduce([x * x + y * y + z * z for x, y, z in edges]))
+        (ux, uy, uz), (vx, vy, vz), _ = edges
         cross = np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
         length = np.sqrt(cross[:, 0] ** 2 + cross[:, 1] ** 2 + cross[:, 2] ** 2)
-        normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
         areas = 0.5 * length
-        for values in (normals, areas):
+        cross /= np.where(length > 0.0, length, np.inf)[:, None]
+        for values in (cross, areas, longest):
             values.setflags(write=False)
-        return normals, areas
+        return cross, areas, longest
 
     def moved(self, through: Array) -> "Mesh":
         """Return the mesh seen through a frame; a reflecting frame turns the winding, so outward stays outward."""
@@ -110,7 +113,12 @@ def boxes_meet(one: Mesh, other: Mesh, within: float) -> bool:
 
 def facet_normals(mesh: Mesh) -> tuple[Array, Array]:
     """Return (m, 3) unit normals and (m,) areas in mm², both read-only; a facet without area has a zero normal."""
-    return mesh._normals_and_areas
+    return mesh._measures[:2]
+
+
+def longest_edges(mesh: Mesh) -> Array:
+    """Return the (m,) longest edges of the facets, mm, read-only."""
+    return mesh._measures[2]
 
 
 def facet_corner_normals(mesh: Mesh) -> Array:
@@ -120,16 +128,15 @@ def facet_corner_normals(mesh: Mesh) -> Array:
 
 def facet_table(mesh: Mesh, bodies: NDArray[np.int64]) -> NDArray[np.void]:
     """Return the (m,) `FACET` table of a mesh whose facets belong to `bodies` (m,)."""
-    table = np.zeros(len(mesh.faces), FACET)
-    corner = mesh.vertices[mesh.faces]
-    table["normal"] = facet_normals(mesh)[0]
+    table = np.empty(len(mesh.faces), FACET)
+    corner, normals = mesh.vertices[mesh.faces], facet_normals(mesh)[0]
+    table["normal"] = normals
     # The corner nearest the plane's foot would be as good; the mean of the three halves the rounding.
-    table["offset"] = np.einsum("ij,ikj->ik", table["normal"], corner).mean(axis=1)
-    edges = corner - np.roll(corner, 1, axis=1)
-    table["size"] = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0)
+    table["offset"] = np.einsum("ij,ikj->i", normals, corner) / 3.0
+    table["size"] = longest_edges(mesh)
     table["body"] = bodies
     table["corners"] = corner
-    table["corner_normals"] = facet_corner_normals(mesh) if mesh.corner_normals is None else mesh.corner_normals
+    table["corner_normals"] = normals[:, None, :] if mesh.corner_normals is None else mesh.corner_normals
     return table
 
 

@@ -1,21 +1,85 @@
 """Vertices that stand in the same place, made one, so that facets which touch share their edges."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfmesh.geometry.meshes.mesh import Mesh
+from lfmesh.geometry.meshes.mesh import Index, Mesh
+from lfmesh.kernels.decorators import inlined, kernel
+
+Bits = NDArray[np.uint64]
+
+MULTIPLIERS = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9)
+"""Odd numbers that spread the bits of coordinates (G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom
+number generators", OOPSLA 2014)."""
+
+_FIRST, _SECOND = MULTIPLIERS
+_SHIFT = np.uint64(29)
 
 
 def welded(mesh: Mesh) -> Mesh:
     """Return the mesh with equal vertices merged; the facets keep their order and their corner normals.
 
-    Equal means equal in float64: nothing is moved, and a gap that the mesh has stays open.
+    Equal means equal in float64: nothing is moved, and a gap that the mesh has stays open. Vertices come in the order
+    in which facets have them first, so that neighbours lie close in memory; those of no facet are left out.
     """
     # Adding zero turns -0.0 into 0.0, which is the same place.
-    vertices = mesh.vertices + 0.0
-    order = np.lexsort(vertices.T)
-    ranked = vertices[order]
-    is_new = np.ones(len(ranked), dtype=np.bool_)
-    is_new[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
-    number = np.empty(len(ranked), dtype=np.int64)
-    number[order] = np.cumsum(is_new) - 1
-    return Mesh(ranked[is_new], number[mesh.faces], mesh.corner_normals)
+    vertices = np.ascontiguousarray(mesh.vertices + 0.0)
+    most = min(mesh.faces.size, len(vertices))
+    faces = np.empty(mesh.faces.shape, np.int64)
+    places, number = np.empty(most, np.int64), np.full(len(vertices), -1)
+    # At most half of the table is filled.
+    table = np.full(1 << (2 * most).bit_length(), -1)
+    count = _number(mesh.faces, vertices.view(np.uint64), number, table, places, faces)
+    return Mesh(vertices[places[:count]], faces, mesh.corner_normals)
+
+
+@kernel
+def _number(given: Index, bits: Bits, number: Index, table: Index, places: Index, faces: Index) -> int:
+    """Return the number of distinct places of the vertices that facets have, and number these by a hash table.
+
+    Parameters
+    ----------
+    given : (m, 3) int64
+        Facets, by vertices.
+    bits : (n, 3) uint64
+        Coordinates of the vertices, bit by bit.
+    number : (n,) int64
+        Written: numbers of the vertices' places; -1 at first.
+    table : (2^k,) int64
+        Written: the hash table, of numbers of places; -1 at first.
+    places : (n,) int64
+        Written: the first vertex of each place.
+    faces : (m, 3) int64
+        Written: facets, by places.
+    """
+    count = 0
+    for i in range(len(given)):
+        for k in range(3):
+            vertex = given[i, k]
+            if number[vertex] < 0:
+                slot = _slot(bits, vertex, len(table))
+                while table[slot] >= 0 and not _is_equal(bits, vertex, places[table[slot]]):
+                    slot = (slot + 1) & (len(table) - 1)
+                if table[slot] < 0:
+                    table[slot], places[count] = count, vertex
+                    count += 1
+                number[vertex] = table[slot]
+            faces[i, k] = number[vertex]
+    return count
+
+
+@inlined
+def _slot(bits: Bits, vertex: int, size: int) -> int:
+    """Return the place in a hash table of a size, a power of two, at which a vertex is looked for first."""
+    hashed = bits[vertex, 0]
+    for axis in range(1, 3):
+        hashed = (hashed ^ (hashed >> _SHIFT)) * _FIRST + bits[vertex, axis]
+    hashed = (hashed ^ (hashed >> _SHIFT)) * _SECOND
+    hashed ^= hashed >> _SHIFT
+    return int(np.int64(hashed & np.uint64(size - 1)))
+
+
+@inlined
+def _is_equal(bits: Bits, one: int, other: int) -> bool:
+    """Tell whether two vertices stand in the same place."""
+    return bits[one, 0] == bits[other, 0] and bits[one, 1] == bits[other, 1] and bits[one, 2] == bits[other, 2]

@@ -83,7 +83,7 @@ class TargetMesh:
 
     @property
     def mesh(self) -> Mesh:
-        """Mesh in the world frame, mm; that of a round surface has its vertices on it, and is made at each use."""
+        """Mesh in the world frame, mm; that of a round surface has its vertices on it."""
         return self.surface.meshed().mesh if isinstance(self.surface, RoundBody) else self.surface.mesh
 
     @property
@@ -269,7 +269,8 @@ def _stood(mesh: Mesh, target: Target) -> Mesh:
             low, high = turned.min(axis=0), turned.max(axis=0)
             foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
             made = replace(made, vertices=made.vertices - foot)
-    _refuse_too_far(target, made.vertices[made.faces])
+    if np.abs(made.vertices).max() > FARTHEST_MM:
+        _refuse_too_far(target, made.vertices[made.faces])
     return made
 
 
@@ -362,7 +363,7 @@ def _oriented(pieces: list[Piece]) -> tuple[list[Piece], bool]:
     volumes = [_enclosed(piece.mesh) for piece in pieces]
     if all(volumes):
         return [_turned(piece) if v < 0.0 else piece for piece, v in zip(pieces, volumes, strict=True)], True
-    whole = _enclosed(welded(joined(piece.mesh for piece in pieces)))
+    whole = _enclosed(welded(joined(piece.mesh for piece in pieces))) if len(pieces) > 1 else volumes[0]
     return [_turned(piece) for piece in pieces] if whole < 0.0 else pieces, whole != 0.0
 
 

@@ -7,7 +7,7 @@ triangle in vain. Flat walls and fillets of CAD parts consist of such triangles.
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.meshes.mesh import Mesh
+from lfmesh.geometry.meshes.mesh import Mesh, longest_edges
 
 EDGES_ACROSS = 8.0
 """Size of a body over the longest edge that its facets keep."""
@@ -22,7 +22,8 @@ MOST_GROWTH = 4
 def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int64]]:
     """Divide long facets at the middles of their edges; return the mesh and the facet that each of its facets is of.
 
-    An edge is divided by its length alone, so neighbours divide it at the same points, and no gap opens.
+    An edge is divided by its length alone, so neighbours divide it at the same points, and no gap opens. Without long
+    facets the mesh itself is returned.
 
     Parameters
     ----------
@@ -33,22 +34,29 @@ def divided(mesh: Mesh, bodies: NDArray[np.int64]) -> tuple[Mesh, NDArray[np.int
     corners, owners = [], []
     order = np.argsort(bodies, kind="stable")
     for own in np.split(order, np.flatnonzero(np.diff(bodies[order])) + 1):
-        facets = mesh.vertices[mesh.faces[own]]
+        facets = None
         if len(own) >= MANY:
-            facets, within = _divided(facets)
-            own = own[within]
+            vertices = mesh.vertices[mesh.faces[own].ravel()]
+            longest = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0))) / EDGES_ACROSS
+            if longest_edges(mesh)[own].max() > longest:
+                facets, within = _divided(vertices.reshape(-1, 3, 3), longest)
+                own = own[within]
         corners.append(facets)
         owners.append(own)
+    if all(facets is None for facets in corners):
+        return mesh, np.arange(len(mesh.faces))
+    corners = [
+        mesh.vertices[mesh.faces[own]] if facets is None else facets
+        for facets, own in zip(corners, owners, strict=True)
+    ]
     all_corners = np.concatenate([*corners, np.zeros((0, 3, 3))])
     faces = np.arange(3 * len(all_corners)).reshape(-1, 3)
     return Mesh(all_corners.reshape(-1, 3), faces), np.concatenate([*owners, np.zeros(0, np.int64)])
 
 
-def _divided(facets: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Divide the facets (n, 3, 3) of a body; return them, and the number of the facet that each is of."""
+def _divided(facets: NDArray[np.float64], longest: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Divide the facets (n, 3, 3) of a body with edges above a length; return them, and the facet that each is of."""
     whole, most = facets, MOST_GROWTH * len(facets)
-    corners = facets.reshape(-1, 3)
-    longest = float(np.linalg.norm(np.ptp(corners, axis=0))) / EDGES_ACROSS
     owners = np.arange(len(facets))
     while True:
         edges = np.linalg.norm(facets - np.roll(facets, -1, axis=1), axis=2)

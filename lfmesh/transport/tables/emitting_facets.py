@@ -42,11 +42,14 @@ def emitter_table(objects: ObjectTables) -> Emitters:
         All but `emitters` is read.
     """
     facets = objects.facets
+    emissions = mean_emissions(objects).mean(axis=2)
+    if not emissions.any():
+        return no_emitters()
     edge = facets["corners"][:, 1:] - facets["corners"][:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
     if objects.rounds is not None:
         area[objects.rounds.first :] = objects.rounds.faces["area"]
-    emission = np.append(mean_emissions(objects).mean(axis=2), [[0.0, 0.0]], axis=0)[facets["body"]]
+    emission = np.append(emissions, [[0.0, 0.0]], axis=0)[facets["body"]]
     bright = np.flatnonzero(np.maximum(emission[:, 0], emission.sum(axis=1)) * area > 0.0)
     if not len(bright):
         return no_emitters()

@@ -170,13 +170,14 @@ def body_faces(scene: Scene, medium: int = AIR) -> list[Face]:
     faces, known = [], MediumList.of(scene)
     surroundings = known.media[known.before_lens]
     outer = surroundings if medium == AIR else known.media[medium]
+    is_other = outer != surroundings
     bodies = [(i, target.refractor.medium) for i, target in enumerate(scene.targets) if target.refractor is not None]
     for i, target in enumerate(scene.targets):
         glass = target.refractor
         coating, inner, rough = UNCOATED, None, POLISHED
         if glass is not None:
             coating, inner, rough = glass.coating, glass.medium, glass.finish
-        if outer != surroundings and outer not in [medium for other, medium in bodies if other != i]:
+        if is_other and outer not in [medium for other, medium in bodies if other != i]:
             coating, rough = UNCOATED, POLISHED
         body = f"coating of {target.name or f'targets[{i}]'}"
         faces.append(Face(f"targets[{i}]", body, coating, outer, inner, rough))
@@ -236,9 +237,9 @@ def coating_errors(scene: Scene) -> dict[str, float]:
     errors: dict[str, float] = {}
     wavelengths_nm = Lines.of(scene).wavelengths_nm
     for faces in faces_of_regions(scene):
-        for face, finish in zip(faces, _finishes(scene, faces, wavelengths_nm), strict=True):
-            if face.coating != UNCOATED:
-                errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
+        coated = [face for face in faces if face.coating != UNCOATED]
+        for face, finish in zip(coated, _finishes(scene, coated, wavelengths_nm), strict=True):
+            errors[face.coating] = max(errors.get(face.coating, 0.0), finish.error)
     return errors
 
 

@@ -4,12 +4,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from lfmesh.geometry.meshes.flatness import in_one_plane
+from lfmesh.geometry.meshes import flatness
+from lfmesh.geometry.meshes.mesh import Mesh
 
 FACETS = np.array(
     [[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 3.0, 0.0]], [[0.0, 0.0, 0.0], [2.0, 3.0, 0.0], [0.0, 3.0, 0.0]]]
 )
 RNG = np.random.default_rng(1)
+
+
+def in_one_plane(corners: np.ndarray) -> bool:
+    return flatness.in_one_plane([Mesh(part.reshape(-1, 3), np.array([[0, 1, 2]])) for part in corners])
 
 
 def divided(corners: np.ndarray) -> np.ndarray:

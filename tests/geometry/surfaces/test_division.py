@@ -34,6 +34,7 @@ def test_bodies_of_few_facets_and_of_short_ones_stay_as_they_are() -> None:
     for body in (trimesh.creation.box((1.0, 30.0, 2.0)), ball):
         mesh = Mesh(np.asarray(body.vertices), np.asarray(body.faces))
         pieces, owners = divided(mesh, np.zeros(len(mesh.faces), np.int64))
+        assert pieces is mesh, "vertices stay shared"
         np.testing.assert_array_equal(owners, np.arange(len(mesh.faces)))
         np.testing.assert_array_equal(pieces.vertices[pieces.faces], mesh.vertices[mesh.faces])
 

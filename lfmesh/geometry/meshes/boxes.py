@@ -1,4 +1,4 @@
-"""Boxes that a line is tested against, as the trees of facets and of patches do."""
+"""Boxes that a line is tested against, as the trees of facets, of patches and of round faces do."""
 
 import numpy as np
 
@@ -29,21 +29,43 @@ def part_inside(rate: float, room: float, first: float, last: float) -> tuple[fl
 
 
 @inlined
-def meets_box(low: Array, high: Array, ray: Ray, begin: float, end: float) -> bool:
+def slopes_of(ray: Ray) -> tuple[float, float, float]:
+    """Return the distances by which a ray advances along the axes by one, as `meets_box` takes them.
+
+    Parameters
+    ----------
+    ray : Ray
+    """
+    return 1.0 / ray.dx, 1.0 / ray.dy, 1.0 / ray.dz
+
+
+@inlined
+def meets_box(
+    low: Array, high: Array, ray: Ray, slopes: tuple[float, float, float], begin: float, end: float
+) -> bool:  # fmt: skip
     """Tell whether a line meets a box between two distances.
 
     Parameters
     ----------
     low, high : (3,) float64, mm
     ray : Ray
+    slopes : (3,) float
+        From `slopes_of`, computed once for all boxes: multiplying takes four fifths of the time of dividing.
     begin, end : float, mm
     """
-    x, y, z, dx, dy, dz = ray
-    for axis in range(3):
-        o, d = (x, y, z)[axis], (dx, dy, dz)[axis]
-        begin, end = part_inside(d, high[axis] - o, begin, end)
-        begin, end = part_inside(-d, o - low[axis], begin, end)
+    begin, end = _within(low[0] - ray.x, high[0] - ray.x, slopes[0], begin, end)
+    begin, end = _within(low[1] - ray.y, high[1] - ray.y, slopes[1], begin, end)
+    begin, end = _within(low[2] - ray.z, high[2] - ray.z, slopes[2], begin, end)
     return begin <= end
+
+
+@inlined
+def _within(low: float, high: float, slope: float, begin: float, end: float) -> tuple[float, float]:
+    """Return the part of a line that lies between two planes of a box; in the plane of a side it counts as between."""
+    a, b = low * slope, high * slope
+    if slope < 0.0:
+        a, b = b, a
+    return (a if a > begin else begin), (b if b < end else end)
 
 
 @kernel

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry.meshes.box_tree import box_tree, next_node
-from lfmesh.geometry.meshes.boxes import meets_box, part_inside
+from lfmesh.geometry.meshes.boxes import meets_box, part_inside, slopes_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.meshes.patch import INSIDE, NEWTON_STEPS, SETTLED, patch_point
 from lfmesh.geometry.meshes.patch_bends import bends_of, control_points, tops
@@ -235,9 +235,9 @@ def patch_finder(sense_of: Any) -> Any:
             Distances between which it is looked for.
         """
         found, nearest, nx, ny, nz = -1, end, 0.0, 0.0, 1.0
-        node = 1 if tree.leaves > 0 else 0
+        slopes, node = slopes_of(ray), 1 if tree.leaves > 0 else 0
         while node > 0:
-            if meets_box(tree.low[node], tree.high[node], ray, begin, nearest):
+            if meets_box(tree.low[node], tree.high[node], ray, slopes, begin, nearest):
                 if node < tree.leaves:
                     node *= 2
                     continue

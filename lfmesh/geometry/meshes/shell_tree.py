@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.meshes.boxes import meets_box
+from lfmesh.geometry.meshes.boxes import meets_box, slopes_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
@@ -126,6 +126,7 @@ def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> 
     shift = mx * dx + my * dy + mz * dz
     x, y, z = x + shift * dx, y + shift * dy, z + shift * dz
     from_near = Ray(x, y, z, dx, dy, dz)
+    slopes = slopes_of(from_near)
     # The axis along which the line is steepest becomes the third.
     k = 2
     if abs(dx) >= abs(dy) and abs(dx) >= abs(dz):
@@ -140,7 +141,7 @@ def next_crossing(tree: ShellTree, begin: int, end: int, t: float, ray: Ray) -> 
     beyond, ahead, node = 0, np.inf, begin
     while node < end:
         box = tree.nodes[node]
-        if not meets_box(box.low, box.high, from_near, -np.inf, np.inf):
+        if not meets_box(box.low, box.high, from_near, slopes, -np.inf, np.inf):
             node = box.next
             continue
         for facet in range(box.first, box.first + box.count):

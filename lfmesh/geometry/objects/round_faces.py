@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfmesh.geometry.frame import Frame, points
 from lfmesh.geometry.meshes.box_tree import box_tree, next_node
+from lfmesh.geometry.meshes.boxes import meets_box, slopes_of
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.ray import Ray
 from lfmesh.kernels.by_address import by_address
@@ -122,16 +123,10 @@ def first_round(rounds: RoundFaces, ray: Ray, left: int, until: float) -> tuple[
     until : float, mm
         Distance before which a face is looked for.
     """
-    x, y, z, dx, dy, dz = ray
-    over_x, over_y, over_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
     found, nearest, steepness = -1, until, 0.0
-    node = 1
+    slopes, node = slopes_of(ray), 1
     while node > 0:
-        low, high = rounds.low[node], rounds.high[node]
-        near, far = _within(low[0] - x, high[0] - x, over_x, 0.0, nearest)
-        near, far = _within(low[1] - y, high[1] - y, over_y, near, far)
-        near, far = _within(low[2] - z, high[2] - z, over_z, near, far)
-        if near <= far:
+        if meets_box(rounds.low[node], rounds.high[node], ray, slopes, 0.0, nearest):
             if node < rounds.leaves:
                 node *= 2
                 continue
@@ -143,15 +138,6 @@ def first_round(rounds: RoundFaces, ray: Ray, left: int, until: float) -> tuple[
                     found, nearest, steepness = number, t, along
         node = next_node(node)
     return found, nearest, steepness
-
-
-@inlined
-def _within(low: float, high: float, over: float, near: float, far: float) -> tuple[float, float]:
-    """Return the part of a line that lies between two planes of a box; in the plane of a side it counts as between."""
-    a, b = low * over, high * over
-    if over < 0.0:
-        a, b = b, a
-    return (a if a > near else near), (b if b < far else far)
 
 
 @inlined

@@ -1,13 +1,14 @@
 """Round targets: spheres, cylinders and disks that rays meet as they are, not by a mesh."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array, Mesh
-from lfmesh.geometry.objects.primitives import Primitive, hull, primitive
+from lfmesh.geometry.objects.primitives import KEPT, Primitive, hull, primitive
 from lfmesh.geometry.objects.round_faces import FLAT, ROUND, SPHERE, WALL, boxes_of
 from lfmesh.scene.objects.targets import Cylinder, Disk, Sphere
 
@@ -32,9 +33,8 @@ class RoundBody:
     picture: Array
 
     def meshed(self) -> Primitive:
-        """Return a mesh whose vertices lie on it, and where its texture lies on the facets."""
-        mesh, uv = primitive(self.shape)
-        return Primitive(mesh.moved(self.place), None if uv is None else self.picture[0] + self.picture[1] * uv)
+        """Return a mesh whose vertices lie on it, and where its texture lies on the facets; the latest are kept."""
+        return _meshed(self)
 
     def hull(self) -> Mesh:
         """Return a coarse mesh that encloses it."""
@@ -95,3 +95,9 @@ class RoundBody:
         """Return a point's distance from the axis, and its height along that."""
         x, y, z = frame.points(frame.inverse(self.place), point)
         return float(np.hypot(x, y)), float(z)
+
+
+@lru_cache(maxsize=KEPT)
+def _meshed(body: RoundBody) -> Primitive:
+    mesh, uv = primitive(body.shape)
+    return Primitive(mesh.moved(body.place), None if uv is None else body.picture[0] + body.picture[1] * uv)

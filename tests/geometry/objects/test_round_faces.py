@@ -255,3 +255,9 @@ def test_a_sheer_target_and_flat_facets_have_a_mesh(changed: dict[str, Any]) -> 
     assert target_body(scene.targets[0], scene).round is not None
     scene = scene.changed(changed)
     assert target_body(scene.targets[0], scene).round is None
+
+
+def test_the_mesh_of_a_round_body_is_made_once() -> None:
+    own = body("sphere")
+    assert own.meshed() is own.meshed()
+    assert own.meshed() is not body("sphere").meshed()

@@ -10,7 +10,7 @@ import trimesh
 from lfmesh.accuracy.hard.outcome import MOST_SIGMAS, Outcome, case, images_of, surfaces_of
 from lfmesh.accuracy.hard.truth import Array
 from lfmesh.scene import Camera, Lens, Scene, Sensor, Target
-from lfmesh.scene.objects.targets import Material, Plane
+from lfmesh.scene.objects.targets import Material, Plane, Sphere
 
 HALF_MM = 0.1
 """Half the side of the patch that is lit."""
@@ -69,9 +69,13 @@ def emitter_on_the_surface() -> Outcome:
     corners = np.array(
         [[HALF_MM, -5.0, 0.0], [HALF_MM, 5.0, 0.0], [HALF_MM + 8.0, 5.0, 4.0], [HALF_MM + 8.0, -5.0, 4.0]]
     )
-    expected = RADIANCE * _over_patch(corners[None, ::-1], 24)
-    # The camera sees the sheet as well, which it sees alone where the patch is black.
-    lit, alone = (_powers({"reflectance": reflectance}, [sheet]) for reflectance in (REFLECTANCE, 0.0))
+    return _outcome(sheet, RADIANCE * _over_patch(corners[None, ::-1], 24))
+
+
+def _outcome(glowing: Target, expected: float) -> Outcome:
+    """Hold the irradiance of the patch by a target that glows against the one expected, W/m²."""
+    # The camera sees that target as well, which it sees alone where the patch is black.
+    lit, alone = (_powers({"reflectance": reflectance}, [glowing]) for reflectance in (REFLECTANCE, 0.0))
     glow = _powers({"reflectance": 0.0, "radiance_w_m2_sr": 1.0}, [])
     found = np.pi / REFLECTANCE * (lit - alone) / glow
     sigma = float(found.std(ddof=1) / np.sqrt(SEEDS))
@@ -111,3 +115,38 @@ def near_dim_facets_beside_far_bright_ones() -> Outcome:
     return Outcome(
         "", f"{expected:.4f} W/m²", f"{found.mean():.4f} ± {sigma:.4f} W/m²", bool(passed), 0.0, 2.0 * SEEDS, 0
     )
+
+
+def _factor_of_ball(radius: float, aside: Array, height: float) -> Array:
+    """Return form factors of elements that face +z to a ball that their horizon cuts.
+
+    J. R. Howell, A Catalog of Radiation Heat Transfer Configuration Factors: a differential element to a sphere.
+
+    Parameters
+    ----------
+    radius : float, mm
+    aside : (n,) float64, mm
+        Distances of the elements from the foot of its centre.
+    height : float, mm
+        Of its centre above them.
+    """
+    h2 = (aside**2 + height**2) / radius**2
+    cosine = height / np.hypot(aside, height)
+    sine, edge = np.sqrt(1.0 - cosine**2), np.sqrt(h2 - 1.0)
+    through = cosine * np.arccos(-edge * cosine / sine) - edge * np.sqrt(1.0 - h2 * cosine**2)
+    return np.asarray(0.5 - np.arcsin(edge / (np.sqrt(h2) * sine)) / np.pi + through / (np.pi * h2))
+
+
+@case
+def ball_cut_by_the_horizon() -> Outcome:
+    """Light a matt patch by a glowing ball that stands beside it and reaches below its plane."""
+    radius, aside, height = 4.0, 4.4, 1.2
+    ball = Target(
+        shape=Sphere(radius_mm=radius), position_mm=(aside, 0.0, height - 60.0),
+        material=Material(reflectance=0.0, radiance_w_m2_sr=RADIANCE),
+    )  # fmt: skip
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    x, y = np.meshgrid(HALF_MM * nodes, HALF_MM * nodes)
+    factors = _factor_of_ball(radius, np.hypot(x - aside, y), height)
+    expected = np.pi * RADIANCE * float((0.25 * np.outer(weights, weights) * factors).sum())
+    return _outcome(ball, expected)

@@ -16,7 +16,7 @@ All kernels use the local frame of the surface, whose normal is +z; unit vectors
 """
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -117,9 +117,21 @@ def _layer(n: complex, alpha: float) -> tuple[float, Array, float]:
 
 def _expanded(n: complex) -> Array:
     """Return Fresnel's reflectance as Chebyshev polynomials of 2c − 1, (ORDERS,)."""
+    x, to_polynomials = _interpolation()
+    return np.asarray(to_polynomials @ interface_reflectance(n.real, n.imag, 0.5 * (x + 1.0)), dtype=np.float64)
+
+
+@cache
+def _interpolation() -> tuple[Array, Array]:
+    """Return the Chebyshev nodes, (ORDERS,), and the matrix from values there to Chebyshev polynomials.
+
+    The polynomials are orthogonal in sums over the nodes (J. C. Mason and D. C. Handscomb, Chebyshev Polynomials, 2003,
+    section 4.6).
+    """
     x = np.cos(np.pi * (np.arange(ORDERS) + 0.5) / ORDERS)
-    reflectance = interface_reflectance(n.real, n.imag, 0.5 * (x + 1.0))
-    return np.asarray(chebyshev.chebfit(x, reflectance, ORDERS - 1), dtype=np.float64)
+    matrix = np.asarray(chebyshev.chebvander(x, ORDERS - 1).T * (2.0 / ORDERS), dtype=np.float64)
+    matrix[0] *= 0.5
+    return x, matrix
 
 
 def _mean(of_cosine: Callable[[Array], Array]) -> float:

@@ -216,6 +216,24 @@ def panel_lamp(draft: Draft, dice: Dice) -> bool | None:
     return None
 
 
+@feature(scenes=0.12)
+def many_lamps(draft: Draft, dice: Dice) -> bool | None:
+    """So many small lamps of every kind that points choose among them, their powers over two decades."""
+    count = int(dice.draw.integers(12, 60))
+    for kind in dice.draw.choice(["point", "spot", "disk", "rectangle"], count).tolist():
+        where, direction = lamp_place(draft, dice)
+        size = rounded(0.02 * draft.half_field_mm)
+        own: dict[str, Tables] = {
+            "point": {},
+            "spot": {"direction": direction, "half_angle_deg": dice.between(10.0, 60.0)},
+            "disk": {"direction": direction, "radius_mm": size},
+            "rectangle": {"direction": direction, "width_mm": size, "height_mm": size},
+        }
+        power = rounded(power_w(draft, dice) * dice.log_between(0.02, 2.0) / count)
+        draft.add("lights", {"kind": kind, "position_mm": where, "power_w": power} | own[kind])
+    return None
+
+
 # Glass
 
 

@@ -128,6 +128,7 @@ def test_the_promised_scenes_are_there() -> None:
     assert {
         "anamorphic",
         "aquarium",
+        "circuit_board",
         "coated",
         "color_checker",
         "cover_glass",
@@ -141,6 +142,17 @@ def test_the_promised_scenes_are_there() -> None:
         "underwater",
         *promised,
     } <= set(names(SCENES))
+
+
+def test_the_circuit_board_is_an_assembly_of_a_hundred_parts_in_a_small_file() -> None:
+    scene = load(ASSETS / "scenes" / "circuit_board.toml")
+    assert 95 <= len(scene.targets) <= 105
+    assert len(scene.lights) == 60
+    assert (ASSETS / "meshes" / "board.glb").stat().st_size < 150_000
+    assert len({target.node for target in scene.targets}) == len(scene.targets)
+    report = first_order(scene)
+    assert report.near_mm < 485.0, "the board can be refocused from its lower edge"
+    assert report.far_mm > 522.0, "to the table behind it"
 
 
 def test_the_lytro_class_array_covers_its_sensor() -> None:

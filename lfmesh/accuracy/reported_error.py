@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 CROPS = {
     "anamorphic": (-1.0, 0.5),
     "aquarium": (-1.0, 0.5),
+    "circuit_board": (1.4, 0.6),
     "coated": (-1.0, 0.5),
     "color_checker": (-1.0, 0.5),
     "conventional": (-1.0, 0.5),

@@ -164,9 +164,15 @@ class World(Shown):
         """Share of light outside the aim, as rays from the stop measure it; None for a world without aim."""
         return self._aim_and_proof[1]
 
-    @cached_property
+    @property
     def ghosts(self) -> GhostTables | None:
         """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
+        if "ghosts" not in self.kept:
+            self.kept["ghosts"] = self._ghosts()
+        found: GhostTables | None = self.kept["ghosts"]
+        return found
+
+    def _ghosts(self) -> GhostTables | None:
         if self.tables.mla.apertures is not None:
             # Sequences know no random numbers.
             return None

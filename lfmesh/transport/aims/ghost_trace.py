@@ -53,7 +53,7 @@ class Passing(NamedTuple):
 
 
 class CoarseTrace(NamedTuple):
-    """What gets out of a camera: of rays of each kind to the lens, of each sine, and to anywhere on the array.
+    """Rays that get out of a camera, of those of each kind to the lens, of each sine, and to anywhere on the array.
 
     Attributes
     ----------

@@ -121,9 +121,9 @@ def test_another_process_has_the_same_bits(scene_of: Callable[[str], lf.Scene], 
 
 
 def test_a_cut_at_chunks_traces_none_twice(scene_of: Callable[[str], lf.Scene]) -> None:
-    # 32 samples of the image path, four of the ghosts of the lens, two of other strays.
+    # 128 samples of the image path, 16 of the ghosts of the lens, two of other strays.
     tracer = Tracer(
-        lf.build(scene_of("image path").changed({"transport.split": "both", "transport.samples": 128})), CHUNK
+        lf.build(scene_of("image path").changed({"transport.split": "both", "transport.samples": 512})), CHUNK
     )
     blocks = tracer.plan.blocks(3)
     assert [(block.first, block.last) for block in blocks] == [(0, 256), (256, 320)]

@@ -11,8 +11,10 @@ figures are kept in FOLDER by the digest of their input and of the program.
 import argparse
 import hashlib
 import json
+import re
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from docs_gallery import gallery
@@ -61,11 +63,19 @@ def copy_sources(place: Path) -> None:
     sources = {path for pattern in GUIDES for path in ROOT.glob(pattern)}
     sources |= {path for name in ASSETS for path in (ROOT / "assets" / name).rglob("*") if path.is_file()}
     wanted = {path.relative_to(ROOT) for path in sources if path.suffix not in (".py", ".pyc")}
+    # Code that guides link to is offered for download.
+    wanted |= {path.relative_to(ROOT) for guide in sources if guide.suffix == ".md" for path in linked_code(guide)}
     for path in [path for path in place.rglob("*") if path.is_file()]:
         if path.relative_to(place) not in wanted and "generated" not in path.parts:
             path.unlink()
     for path in wanted:
         keep(place / path, (ROOT / path).read_bytes())
+
+
+def linked_code(guide: Path) -> Iterator[Path]:
+    """Yield the files of code that a guide links to."""
+    for link in re.findall(r"\]\(([^)#:]+\.py)\)", guide.read_text(encoding="utf-8")):
+        yield (guide.parent / link).resolve()
 
 
 def write_generated(folder: Path, *, quick: bool) -> bool:

@@ -152,7 +152,8 @@ def test_the_readme_is_read_in_one_go() -> None:
 def test_every_part_of_a_page_that_is_linked_is_there() -> None:
     for page, text in PAGES.items():
         for link, part in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
-            headings = re.findall(r"^#+ (.+)$", (page.parent / link).read_text(encoding="utf-8"), flags=re.MULTILINE)
+            linked = page.parent / link if link else page
+            headings = re.findall(r"^#+ (.+)$", linked.read_text(encoding="utf-8"), flags=re.MULTILINE)
             assert part in {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}, f"{page}: {part}"
 
 

@@ -16,7 +16,7 @@ from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import inlined, kernel
 
 FEW = 8
-"""Largest number of pieces that are drawn by power alone, as always."""
+"""Largest number of facets whose pieces are drawn by power alone: so are those of a sheet with a picture, or a ball."""
 
 LEAVES = 1 << 10
 """A node of pieces that are more than this part of all, in number or in power, is parted."""

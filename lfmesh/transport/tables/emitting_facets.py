@@ -96,7 +96,7 @@ def _in_leaves(share: Array, nodes: NDArray[np.void]) -> tuple[Array, Array]:
 def _tree(
     objects: ObjectTables, facet: NDArray[np.int64], place: Array, share: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.void]]:  # fmt: skip
-    """Return the order of pieces in the leaves of their tree, (n,), and its nodes; none where pieces are few.
+    """Return the order of pieces in the leaves of their tree, (n,), and its nodes; none where facets are few.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _tree(
     share : (n,) float64
         Of the power.
     """
-    if len(facet) <= FEW:
+    if len(np.unique(facet)) <= FEW:
         return np.arange(len(facet)), np.zeros(0, EMITTER_NODE)
     corners = objects.facets["corners"][facet]
     low, high = np.full((2, len(facet), 3), [[[np.inf]], [[-np.inf]]])

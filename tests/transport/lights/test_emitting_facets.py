@@ -15,6 +15,7 @@ from lfmesh.transport import engine
 from lfmesh.transport.lights.emitting_facets import density_at, emitting_point
 from lfmesh.transport.lights.many_emitters import chance_of_leaf
 from lfmesh.transport.lights.many_lamps import NO_NORMAL, Place
+from lfmesh.transport.tables import emitting_facets
 from lfmesh.transport.tables.emitting_facets import MOST_PIECES, emitter_table
 from lfmesh.transport.tables.tables import ObjectTables
 
@@ -43,8 +44,10 @@ def scene(targets: list[dict[str, Any]], lights: list[dict[str, Any]], **transpo
                     targets=targets, lights=lights, transport={"samples": 64, "replicates": 2} | transport)  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def objects() -> ObjectTables:
+@pytest.fixture
+def objects(monkeypatch: pytest.MonkeyPatch) -> ObjectTables:
+    """Sheets of a few facets, in a tree all the same."""
+    monkeypatch.setattr(emitting_facets, "FEW", 1)
     return lf.build(scene([SCREEN, *SHINING], [])).tables.objects
 
 

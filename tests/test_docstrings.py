@@ -138,8 +138,13 @@ def test_no_docstring_begins_as_a_question_does() -> None:
 
 
 def test_what_is_missing_is_explained_by_the_first_sentence_of_its_docstring() -> None:
-    with pytest.raises(lfmesh.SceneError, match=r"power_w: missing: Power .* of `transport\.wavelengths_nm`, .* end$"):
+    with pytest.raises(lfmesh.SceneError, match=r"power_w: missing: Power into all directions together, in W$"):
         lfmesh.PointLight(position_mm=(0.0, 0.0, 0.0))  # type: ignore[call-arg]
+
+
+def test_a_point_inside_a_word_ends_no_sentence() -> None:
+    with pytest.raises(lfmesh.SceneError, match=r"grid\.file: missing: Grid file, .* `\.npz`, .* data, `\.vti`$"):
+        lfmesh.Medium(grid={})
 
 
 def test_a_question_is_found_in_every_place() -> None:

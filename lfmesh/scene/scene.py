@@ -60,19 +60,19 @@ class Scene(Model, Shown):
     camera: Camera
     """Lens, microlens array and sensor."""
     targets: tuple[Target, ...] = Field(default=(), json_schema_extra=or_table(GltfTargets))
-    """The bodies in front of the camera; in a file also { file = "scene.glb" }: every object of a glTF file."""
+    """Bodies in front of the camera; also { file = "scene.glb" }: every object of a glTF file."""
     tanks: tuple[Tank, ...] = ()
     """Boxes of windows and liquid in front of the camera."""
     lights: tuple[Light, ...] = Field(default=(), json_schema_extra=or_table(GltfLights))
-    """Lamps; in a file also { file = "scene.glb" }: every light of a glTF file."""
+    """Lamps; also { file = "scene.glb" }: every light of a glTF file."""
     media: tuple[Medium, ...] = ()
-    """Media that light passes through on its way: flames, fog, smoke."""
+    """Media in front of the camera that absorb, scatter or emit: flames, fog, smoke."""
     particles: tuple[Particles, ...] = ()
-    """Points in front of the camera that shine, or that light sheets light."""
+    """Points in front of the camera that shine, or scatter the light of a sheet."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
     """Coatings by the names that surfaces give."""
     transport: Transport = Field(default_factory=Transport)
-    """Settings of the light's transport."""
+    """Settings of a render."""
 
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)

@@ -23,8 +23,8 @@ class BackFace(Model):
     asphere_mm: Annotated[tuple[Coefficient, ...], Field(max_length=MOST_ASPHERE_TERMS)] = ()
     """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass."""
     cylinder_axis: Literal["x", "y"] | None = None
-    """The axis along which the lenslets are cylinders, over a whole column ("y") or row ("x") of a square layout; it
-    may be the other one than that of the first face. Omitted: surfaces of revolution."""
+    """Axis of lenslets that are cylinders: "y" runs over a whole column, "x" over a row of a square layout. It may
+    differ from the one of the first face. Omitted: surfaces of revolution."""
     decenter_mm: tuple[Number, Number] = (0.0, 0.0)
     """Shift of the whole face in x and y against the first one, in mm: a manufacturing error, at most half a pitch."""
 

@@ -38,13 +38,13 @@ class Band(Model):
     name: Text
     """Name of the channel: letters, digits, _ and -."""
     center_nm: Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)] | None = None
-    """Wavelength of the peak of a Gaussian response, which is 1, in nm."""
+    """Wavelength of the peak of a Gaussian response, which is 1, in nm. Or give `response`."""
     fwhm_nm: Positive | None = None
-    """Full width of the Gaussian at half its maximum, in nm. It is cut off at one and a half times that to each side,
-    where the response is 0.2 %."""
+    """Full width of the Gaussian at half its maximum, in nm; cut off at 1.5 times that to each side. The response is
+    0.2 % there."""
     response: FilePath | None = None
-    """A CSV file, relative to the scene file, with the columns wavelength_nm and response (no unit), linear in between
-    and 0 outside. In place of `center_nm` and `fwhm_nm`."""
+    """CSV file, relative to the scene file, with wavelength_nm and response (no unit). Linear in between and 0 outside.
+    In place of `center_nm` and `fwhm_nm`."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield a name that files cannot carry, and what is wrong between the fields."""

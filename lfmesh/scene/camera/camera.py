@@ -23,34 +23,35 @@ class Camera(Model):
     """
 
     focus_mm: ObjectDistance | None = None
-    """Distance of the object plane in front of the first vertex (or of the sensor, by `focus_from`), in mm; solves the
-    omitted distances. inf focuses on infinity."""
+    """Distance of the object plane in front of the first vertex, in mm; inf is at infinity. By `focus_from` it starts
+    at the sensor. Solves the distances that are omitted. Omitted: follows from the given distances."""
     focus_from: Literal["first_vertex", "sensor"] = "first_vertex"
-    """Origin of `focus_mm`. "sensor", as the distance scales of photographic lenses: of the two object
-    planes at that distance it means the farther one, whose image is no larger than the object."""
+    """Origin of `focus_mm`: first vertex of the lens, or the sensor, as on the distance scales of photographic lenses.
+    Two object planes lie at a distance from the sensor: it means the farther one, whose image is no larger than the
+    object."""
     lens: Lens
     """The main lens."""
     mla: MicrolensArray | None = None
-    """The microlens array; omitted in a conventional camera."""
+    """Microlens array. Omitted: a conventional camera."""
     sensor: Sensor
     """The sensor."""
     absorption: Flag = False
-    """Absorption in the glasses of lens, array and sensor cover, by the catalogue's internal transmittance. A
-    glass without it is refused; what has an index, or a dispersion of its own, stays clear."""
+    """Absorption in the glasses of lens, array and sensor cover, by the catalogue's internal transmittance. A glass
+    without it is refused; an index or a dispersion of its own stays clear."""
     air: Air | None = None
-    """Temperature and pressure of the air, where they are not the catalogues' 20 °C and 101.325 kPa. Every glass and
-    liquid that is not given by a plain `index` then has its index relative to this air, everywhere in the scene."""
+    """Temperature and pressure of the air. Every glass and liquid that is not given by a plain `index` has its index
+    relative to this air, everywhere in the scene. Omitted: the catalogues' 20 °C and 101.325 kPa."""
     object_medium: Matter | None = None
-    """Medium that fills object space in place of air, such as { index = 1.333 }: what the first surface looks into, and
-    what targets, lights, media and bodies of glass stand in. It is clear; radiance and power are those in it. It takes
-    the place of the one that the lens's file names; { index = 1.0 } is air."""
+    """Clear medium that fills object space, such as { index = 1.333 }. The first surface looks into it, and targets,
+    lights, media and bodies of glass stand in it; radiance and power are those in it. It replaces the medium that the
+    lens's file names; { index = 1.0 } is air. Omitted: that of the lens file, else air."""
     polariser_deg: Number | None = None
-    """An ideal linear polariser right before the sensor: the angle of the field that it transmits, in degrees, from the
-    sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). It absorbs the field along
-    the axis square to that, as dichroic sheets do. Needs `transport.polarisation`."""
+    """Ideal linear polariser right before the sensor: angle of the transmitted field, in degrees. It counts from the
+    sensor's x axis towards its y axis (counter-clockwise as seen from behind the camera). The polariser absorbs the
+    field along the axis square to that, as dichroic sheets do. Needs `transport.polarisation`. Omitted: none."""
     pose: Pose = Field(default_factory=Pose, json_schema_extra=or_table(GltfPose))
-    """Place of the camera in the world; omitted, the world frame is the camera frame. In a file also
-    { file = "scene.glb" }: the place of a camera of a glTF file."""
+    """Place of the camera in the world; also { file = "scene.glb" }: that of a camera of a glTF file. Omitted: the
+    world frame is the camera frame."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

@@ -62,57 +62,58 @@ class Surface(Model):
     """Radius of curvature at the vertex, in mm: positive when the centre lies towards the sensor; inf is
     flat."""
     thickness_mm: NonNegative | None = None
-    """Distance from this vertex to the next, in mm. Omit it at the last surface only."""
+    """Distance from this vertex to the next, in mm. Omitted: at the last surface only."""
     index: Index | None = None
-    """Refractive index of what follows the surface. Neither `index` nor `glass`: air; behind a flat stop that is the
-    first surface, the lens's object medium."""
+    """Refractive index behind the surface. Or give `glass`. Omitted: air; behind a flat stop that is the first surface,
+    the lens's object medium."""
     glass: Glass | None = None
-    """Glass that follows the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like
-    { nd = 1.5168, vd = 64.17 }."""
+    """Glass behind the surface: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd =
+    64.17 }."""
     semi_diameter_mm: Positive | None = None
     """Radius of the clear aperture, in mm. A stop may omit it whose size `stop_semi_diameter_mm`, `f_number` or
-    `epd_mm` sets. Where a stop is marked, the others may, too: by paraxial rays they then pass the whole beam of every
-    point of the picture, with 5 % to spare, unless the surface ends or meets its neighbour before."""
+    `epd_mm` sets. Where a stop is marked, the others may, too: they then pass the whole beam of every point of the
+    picture, with 5 % to spare, unless the surface ends or meets its neighbour before. Omitted: as wide as the beams by
+    paraxial rays."""
     stop: Flag = False
-    """Mark of the surface whose aperture is the aperture stop of the lens."""
+    """Mark of the aperture stop."""
     coating: Text = UNCOATED
     """Name of a coating of the scene or of the lens, or "none": bare."""
     finish: AnyFinish = POLISHED
-    """"polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
+    """Finish: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     conic: Number = 0.0
     """Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid, above −1 ellipsoid."""
     asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
-    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, mm⁻⁷, ..., so that the sag is in mm; of a toroid
-    those of y⁴, y⁶, y⁸, ..."""
+    """Even aspheric coefficients of r⁴, r⁶, r⁸, ..., in mm⁻³, mm⁻⁵, ...; of a toroid those of y⁴, y⁶, .... The sag is
+    in mm."""
     odd_asphere_mm: tuple[Coefficient, ...] = Field(default=(), max_length=MOST_ASPHERE_TERMS)
-    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, mm⁻⁶, ..., beside the even ones. None of r: that
-    would be a cone, without a normal at the vertex."""
+    """Odd aspheric coefficients of r³, r⁵, r⁷, ..., in mm⁻², mm⁻⁴, ..., beside the even ones. None of r: that would be
+    a cone, without a normal at the vertex."""
     qcon: Qcon | None = None
-    """Forbes' strong asphere in place of, or beside, `asphere_mm`, such as
-    { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }."""
+    """Forbes' strong asphere, such as { norm_radius_mm = 5.0, coefficients_mm = [0.1, -0.02] }. In place of, or beside,
+    `asphere_mm`."""
     qbfs: Qbfs | None = None
-    """Forbes' mild asphere, with the same keys, without `asphere_mm` and `qcon`. It is a deviation along the normal of
-    the sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`. At the vertex the surface has
-    another radius."""
+    """Forbes' mild asphere, with the keys of `qcon`, without `asphere_mm` and `qcon`. It is a deviation along the
+    normal of the sphere of `radius_mm`, which is then the best-fit sphere, or of its `conic`. At the vertex the surface
+    has another radius."""
 
     biconic: Biconic | None = None
-    """Another section in x: `radius_mm` and `conic` are then those of the section y–z, and this gives those of the
-    section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }."""
+    """Radius and conic constant of the section x–z, such as { radius_x_mm = 40.0, conic_x = -1.0 }. `radius_mm` and
+    `conic` are then those of the section y–z."""
     toroid: Toroid | None = None
-    """A circle in x: the curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) in the section y–z turns about
-    a line parallel to y, such as { radius_x_mm = 40.0 }. With inf it is shifted along x: a cylinder."""
+    """Circle in the section x–z, such as { radius_x_mm = 40.0 }: the section y–z turns about a line parallel to y. The
+    curve of `radius_mm`, `conic` and `asphere_mm` (of y⁴, y⁶, ...) is the section y–z. With inf it is shifted along x:
+    a cylinder."""
 
     paraxial: Flag = False
-    """An ideal thin lens in place of an interface: flat, in air, without reflections. It needs `focal_length_mm`."""
+    """Ideal thin lens in place of an interface: flat, in air, without reflections. Needs `focal_length_mm`."""
     focal_length_mm: FocalLength | None = None
     """Focal length of a `paraxial` surface, in mm: positive converges, negative diverges; inf does not bend light."""
 
     refractor: Refractor | None = None
-    """In place of all of the above but `thickness_mm` and `semi_diameter_mm`: a whole element whose shape is a mesh,
-    its axis the mesh's z axis. `thickness_mm` is then the distance from its last vertex to what follows."""
+    """A whole element in place of a surface: its shape is a mesh, its axis the mesh's z axis. Beside it only
+    `thickness_mm`, the distance from its last vertex to the next surface, and `semi_diameter_mm` are given."""
     mesh: MeshFace | None = None
-    """A mesh that gives this surface its real shape; radius and asphere are then its best fit, for first-order
-    optics."""
+    """Mesh that gives this surface its real shape; radius and asphere are its best fit, for first-order optics."""
 
     @property
     def medium(self) -> Medium:
@@ -516,35 +517,36 @@ class Lens(Model):
     }
 
     file: Text | None = None
-    """A TOML file with the keys of this table (name, source, surfaces, ...), a Zemax .zmx, CODE V .seq, OSLO .len or
-    optiland .json file, or a table .csv, relative to the scene file. Or "lib:" and the name of a lens that comes with
-    lfmesh. It is read in place of `surfaces`."""
+    """Lens file (.toml, .zmx, .seq, .len, .json, .csv), relative to the scene file, or "lib:" and a name of the
+    library. A TOML file has the keys of this table (name, source, surfaces, ...); the others are of Zemax, CODE V,
+    OSLO, optiland, or a table. A lens of the library comes with lfmesh. The file is read in place of `surfaces`."""
     substitutes: dict[Text, GlassName | Index] = Field(default_factory=dict)
     """Catalogue glass or index by a glass name that the file uses: { BK7 = "SCHOTT/N-BK7" }."""
     configuration: Count | None = None
-    """Number of the configuration of the file, from 1; if left out, the one whose values stand in its surfaces."""
+    """Number of the configuration of the file, from 1. Omitted: as the file's surfaces stand."""
     coating_file: Text | None = None
-    """Zemax's coating file that defines the coatings which a .zmx file names, relative to the scene file; if left out,
-    the one beside the lens file."""
+    """Zemax's coating file that defines the coatings of a .zmx file, relative to the scene file. Omitted: the one
+    beside the lens file."""
     name: Text | None = None
     """Name of the lens."""
     source: Text | None = None
     """Publication that the prescription is taken from."""
     surfaces: tuple[Surface, ...] = ()
-    """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame."""
+    """The surfaces, from the object to the sensor; the first vertex is the origin of the camera frame. Or give
+    `file`."""
     stop_semi_diameter_mm: Positive | None = None
-    """Radius of the aperture stop, in mm, in place of the one in the prescription. Or give `f_number` or `epd_mm`."""
+    """Radius of the aperture stop, in mm. Or give `f_number` or `epd_mm`. Omitted: that of the prescription."""
     f_number: Positive | None = None
-    """Sets the radius of the stop so that focal length / entrance pupil diameter is this number (no unit)."""
+    """Focal length over diameter of the entrance pupil (no unit), which sets the radius of the stop."""
     epd_mm: Positive | None = None
-    """Sets the radius of the stop so that the entrance pupil has this diameter, in mm."""
+    """Diameter of the entrance pupil, in mm, which sets the radius of the stop."""
     elements: tuple[Element, ...] = ()
     """Rigid groups of surfaces with a pose of their own: tilted and decentred elements."""
     coatings: dict[str, Coating] = Field(default_factory=dict)
-    """Coatings that the lens brings, by the name that its surfaces use, beside those of the scene."""
+    """Coatings of the lens itself, by the name that its surfaces use, in addition to the coatings of the scene."""
     object_medium: Matter | None = None
-    """Medium before the first surface that the lens is designed for, such as { index = 1.333 }; omitted: air. A scene's
-    `camera.object_medium` takes its place."""
+    """Medium before the first surface that the lens is designed for, such as { index = 1.333 }. A scene's
+    `camera.object_medium` takes its place. Omitted: air."""
 
     def __hash__(self) -> int:
         values = (frozenset(value.items()) if isinstance(value, dict) else value for _, value in self)

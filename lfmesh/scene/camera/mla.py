@@ -45,7 +45,7 @@ class MicrolensArray(Model):
     """A plate with one curved face and one that is flat, or curved too."""
 
     layout: Literal["square", "hexagonal"] = "square"
-    """"square", or "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
+    """Grid of the lenslets; "hexagonal": rows pitch · √3/2 apart, every second one shifted by half a pitch."""
     count: Pair
     """Number of lenslets: columns, rows."""
     pitch_mm: Positive
@@ -54,25 +54,26 @@ class MicrolensArray(Model):
     """Focal length of a lenslet in air, in mm; a list of up to 3 makes a multi-focus array. Or give
     `radius_mm`."""
     radius_mm: OneOrMore | None = None
-    """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list as above."""
+    """Radius of the curved face, in mm: positive converges, whichever way the face looks; a list: one a type. Or give
+    `focal_length_mm`."""
     conic: ConicPerType = (0.0,)
     """Conic constant of the lenslets: 0 sphere, −1 paraboloid, below −1 hyperboloid; a list: one a type."""
     asphere_mm: TermsPerType = ((),)
     """Even aspheric coefficients of r⁴, r⁶, ..., in mm⁻³, mm⁻⁵, ..., positive into the glass; a list of lists: one a
     type."""
     cylinder_axis: Literal["x", "y"] | None = None
-    """The axis along which the lenslets are cylinders, over a whole column ("y") or row ("x") of a square layout, as on
-    a lenticular sheet. Omitted: surfaces of revolution."""
+    """Axis of lenslets that are cylinders: "y" runs over a whole column, "x" over a row of a square layout. A
+    lenticular sheet has such. Omitted: surfaces of revolution."""
     clear_diameter_mm: Positive | None = None
-    """Diameter of the clear aperture of each lenslet, a circle about the centre of its cell in an opaque mask on the
-    curved face, in mm, at most the pitch. Omitted: the whole cell is clear."""
+    """Diameter of round clear apertures in an opaque mask on the curved face, in mm, at most the pitch. Each is centred
+    in its cell. Omitted: the whole cell is clear."""
     index: Index | None = None
     """Refractive index of the plate. Or give `glass`."""
     glass: Glass | None = None
     """Glass of the plate: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168,
     vd = 64.17 }."""
     thickness_mm: Positive
-    """From the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
+    """Thickness from the apex of the curved face to the flat face, or to the apexes of `back`, in mm."""
     curved_coating: Text = UNCOATED
     """Name of the coating of the curved face, or "none": bare."""
     flat_coating: Text = UNCOATED
@@ -80,19 +81,19 @@ class MicrolensArray(Model):
     curved_finish: AnyFinish = POLISHED
     """Finish of the curved face: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     flat_finish: AnyFinish = POLISHED
-    """Finish of the flat face, or of that of `back`."""
+    """Finish of the flat face, or of that of `back`: as `curved_finish`."""
     curved_side: Literal["lens", "sensor"] = "lens"
-    """Side that the curved face looks to."""
+    """Face with the curvature: towards the lens, or towards the sensor."""
     back: BackFace | None = None
-    """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. With it the
-    curved face is given by `radius_mm`."""
+    """Lenslets on the other face too, one behind each of the curved face's, such as { radius_mm = 0.5 }. The curved
+    face is then given by `radius_mm`. Omitted: the other face is flat."""
     distance_mm: Positive | None = None
-    """From the last lens vertex to the array's face nearest the lens (the apexes where the curved face looks
-    there), in mm. Omitted: solved from `focus_mm`."""
+    """Distance from the last lens vertex to the array's face nearest the lens, in mm. Where the curved face looks at
+    the lens, it ends at the apexes. Omitted: solved from `focus_mm`."""
     pose: Pose = Field(default_factory=Pose)
-    """Installation error, about the array's centre."""
+    """Installation error: a motion about the array's centre."""
     form: ArrayForm = Field(default_factory=ArrayForm)
-    """Manufacturing error."""
+    """Manufacturing error of pitch, centres and radii."""
 
     @property
     def medium(self) -> Medium:

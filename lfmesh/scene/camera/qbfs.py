@@ -32,9 +32,9 @@ class Qbfs(Model):
     """Deviation from the sphere, or conic, by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Height at which the surface meets its conic again, in mm: the radius of the clear aperture, or a little more."""
+    """Normalisation radius, in mm, where the surface meets its conic again: the clear aperture, or a little more."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
-    """a₀, a₁, ..., in mm."""
+    """Coefficients a₀, a₁, and on, in mm."""
 
     @property
     def largest_error_mm(self) -> float:

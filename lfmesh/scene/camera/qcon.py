@@ -22,9 +22,9 @@ class Qcon(Model):
     """Deviation from the conic by Forbes' coefficients."""
 
     norm_radius_mm: Positive
-    """Height at which every polynomial is 1, in mm: about the radius of the clear aperture; beyond it they grow."""
+    """Normalisation radius, in mm, where every polynomial is 1: about the clear aperture. Beyond it they grow."""
     coefficients_mm: tuple[Coefficient, ...] = Field(min_length=1, max_length=MOST_ASPHERE_TERMS)
-    """a₀, a₁, ..., in mm."""
+    """Coefficients a₀, a₁, and on, in mm."""
 
     @property
     def asphere_mm(self) -> tuple[float, ...]:

@@ -253,8 +253,8 @@ class Toroid(Form):
     symmetric = True
     without = ("odd_asphere_mm", "qcon", "qbfs", "mesh")
     radius_x_mm: Radius
-    """Radius of the circle that is the section x–z, in mm: the distance from the vertex to the line, parallel to y,
-    about which the curve of the section y–z turns. Positive towards the sensor; inf is a cylinder's."""
+    """Radius of the circle in the section x–z, in mm: positive towards the sensor; inf is a cylinder's. It is the
+    distance from the vertex to the line, parallel to y, about which the curve of the section y–z turns."""
 
     def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.

@@ -19,22 +19,22 @@ class Sensor(Model):
     pixel_mm: Positive
     """Width of a pixel, which is also the distance to the next, in mm."""
     distance_mm: Positive | None = None
-    """From the microlens array's face nearest the sensor, or from the last lens vertex in a conventional
-    camera, to the sensor, in mm. Omitted: the microlens focal plane; in a conventional camera the image of
-    `focus_mm`."""
+    """Distance to the sensor from the array's face nearest it, or from the last lens vertex without array, in mm.
+    Omitted: the microlens focal plane; without array the image of `focus_mm`."""
     reflectance: FractionOfOne = 0.0
-    """Share of the light that the pixels' surface reflects, as a mirror does and at any angle; they detect the rest.
-    What is reflected may come back. Beside the pixels all light is absorbed."""
+    """Share of the light that the pixels' surface reflects at any angle, as a mirror does; they detect the rest.
+    Reflected light may come back. Beside the pixels all light is absorbed."""
     cover: Cover | None = None
-    """Cover glass before the pixels. It lies between the array, or the lens, and the sensor, and does not move the
-    sensor: it moves the image away from the lens, by t (1 - 1/n), which a `distance_mm` that is omitted follows."""
+    """Cover glass before the pixels, parallel to them. It lies between the array, or the lens, and the sensor, and does
+    not move the sensor: it moves the image away from the lens, by t (1 - 1/n), which an omitted `distance_mm`
+    follows."""
     bands: Bands | None = None
-    """Channels of the image, each a range of wavelengths, in place of `transport.wavelengths_nm`. A list of bands, or
-    "rgb": Gaussians at 600, 540 and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm. Or
-    "xyz": the CIE 1931 colour-matching functions from 380 to 780 nm. A pixel's value is the power by wavelength,
-    weighted with the response. First-order optics takes the centroid of the first band's response."""
+    """Channels of the image, each a range of wavelengths: a list of bands, "rgb" or "xyz". "rgb": Gaussians at 600, 540
+    and 460 nm, 90 nm wide at half maximum, which together reach from 380 to 735 nm. "xyz": the CIE 1931 colour-matching
+    functions from 380 to 780 nm. A pixel's value is the power by wavelength, weighted with the response. First-order
+    optics takes the centroid of the first band's response. Omitted: single wavelengths, `transport.wavelengths_nm`."""
     pose: Pose = Field(default_factory=Pose)
-    """Installation error, about the sensor's centre."""
+    """Installation error: a motion about the sensor's centre."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the bands."""

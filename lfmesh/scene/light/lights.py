@@ -36,7 +36,8 @@ class LinearPolarisation(Model):
     kind: Literal["linear"] = "linear"
     """Kind of polarisation."""
     angle_deg: Number
-    """From the world's x axis, in degrees, counter-clockwise as seen by somebody whom the light comes to."""
+    """Angle of the field from the world's x axis, in degrees, counter-clockwise as the receiver of the light sees
+    it."""
 
     @property
     def stokes(self) -> tuple[float, float, float]:
@@ -51,8 +52,8 @@ class CircularPolarisation(Model):
     kind: Literal["circular"] = "circular"
     """Kind of polarisation."""
     handedness: Literal["right", "left"] = "right"
-    """"right": somebody whom the light comes to sees the field turn counter-clockwise (IEEE, IAU); "left":
-    clockwise."""
+    """Sense of rotation of the field: "right" is counter-clockwise as the receiver of the light sees it (IEEE, IAU).
+    "left": clockwise."""
 
     @property
     def stokes(self) -> tuple[float, float, float]:
@@ -72,9 +73,9 @@ class _InOnePlace(Protocol):
 
 class _Shines(Model):
     spectrum: Shape | None = None
-    """Spectrum of its power, in any unit; the same at all wavelengths if omitted. An illuminant's name such as "D65",
-    a table { wavelengths_nm = [...], values = [...] }, a CSV file with the columns wavelength_nm and value, or
-    { blackbody_k = ... }. Needs bands."""
+    """Spectrum of the power, in any unit: an illuminant's name such as "D65", a table, a CSV file or { blackbody_k =
+    ... }. A table is { wavelengths_nm = [...], values = [...] }; a CSV file has the columns wavelength_nm and value.
+    Needs bands. Omitted: the same at all wavelengths."""
 
     law: ClassVar[Emission] = "even"
 
@@ -137,13 +138,13 @@ class PointLight(_Shines):
     position_mm: Vector
     """Position, in mm."""
     power_w: Positive
-    """Power into all directions together, in W: at each wavelength of `transport.wavelengths_nm`, or with
+    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
     polarisation: Polarisation | None = None
-    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
+    """State of complete polarisation. Needs `transport.polarisation`. Omitted: unpolarised."""
     profile: FilePath | None = None
-    """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
-    to `power_w`. Its vertical angles start at -y, down, its horizontal ones at +x, towards -z."""
+    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
+    `power_w`. Its vertical angles start at -y, down, its horizontal ones at +x, towards -z. Omitted: even."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations of the profile about x, then y, then z, in degrees."""
 
@@ -200,10 +201,11 @@ class DirectionalLight(_Directed):
     kind: Literal["directional"] = "directional"
     """Kind of light."""
     irradiance_w_m2: Positive
-    """On a plane square to the direction, in W/m²: at each wavelength of `transport.wavelengths_nm`, or with bands over
-    the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Irradiance of a plane square to the direction, in W/m². It holds at each wavelength of
+    `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
+    last one's end."""
     polarisation: Polarisation | None = None
-    """State of polarisation, complete; omitted, the light is unpolarised. Needs `transport.polarisation`."""
+    """State of complete polarisation. Needs `transport.polarisation`. Omitted: unpolarised."""
 
     @property
     def strength(self) -> float:
@@ -227,12 +229,12 @@ class DiskLight(_Directed):
     kind: Literal["disk"] = "disk"
     """Kind of light."""
     position_mm: Vector
-    """Its centre, in mm."""
+    """Centre, in mm."""
     radius_mm: Positive
-    """Its radius, in mm."""
+    """Radius, in mm."""
     power_w: Positive
-    """Power into its half space, in W: at each wavelength of `transport.wavelengths_nm`, or with
-    bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
+    """Power into its half space, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over
+    the whole range of wavelengths from the first band's beginning to the last one's end."""
 
     law: ClassVar[Emission] = "lambert"
 
@@ -258,22 +260,22 @@ class RectangleLight(_Directed):
     kind: Literal["rectangle"] = "rectangle"
     """Kind of light."""
     position_mm: Vector
-    """Its centre, in mm."""
+    """Centre, in mm."""
     width_mm: Positive
-    """Its extent along the part of the world's x axis that is square to `direction` (of the y axis where `direction` is
-    along x), in mm; `turn_deg` turns it."""
+    """Extent along the part of the world's x axis that is square to `direction`, in mm; `turn_deg` turns it. Where
+    `direction` is along x, it lies along y."""
     height_mm: Positive
-    """Its extent square to that, in mm."""
+    """Extent square to the width, in mm."""
     turn_deg: Number = 0.0
-    """Turn of the rectangle and its profile about `direction`, counter-clockwise as seen from behind the lamp, by an
-    eye that looks along `direction`, in degrees."""
+    """Turn of rectangle and profile about `direction`, in degrees, counter-clockwise as seen from behind the lamp. The
+    eye there looks along `direction`."""
     power_w: Positive
-    """Power, in W: at each wavelength of `transport.wavelengths_nm`, or with bands over the whole range of wavelengths
-    from the first band's beginning to the last one's end."""
+    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
+    bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
     profile: FilePath | None = None
-    """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, the same
-    from each point, scaled to `power_w`; omitted, Lambert's law. Its vertical angles start at `direction`, its
-    horizontal ones at the width's axis."""
+    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
+    `power_w`. It is the same from each point. Its vertical angles start at `direction`, its horizontal ones at the
+    width's axis. Omitted: Lambert's law."""
 
     law: ClassVar[Emission] = "lambert"
 
@@ -313,7 +315,7 @@ class LineLight(_Shines):
     end_mm: Vector
     """The other end, in mm."""
     power_w: Positive
-    """Power into all directions together, in W: at each wavelength of `transport.wavelengths_nm`, or with
+    """Power into all directions together, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with
     bands over the whole range of wavelengths from the first band's beginning to the last one's end."""
 
     law: ClassVar[Emission] = "sine"
@@ -358,15 +360,16 @@ class SpotLight(_Directed):
     half_angle_deg: HalfAngle | None = None
     """Angle between the cone's axis and its outer edge, in degrees, up to 180. Or give `profile`."""
     edge_deg: NonNegative = 0.0
-    """Width of the soft edge inside the cone, in degrees: there the intensity falls to zero, linearly in the cosine of
-    the angle from the axis. 0 is a sharp edge."""
+    """Width of the soft edge inside the cone, in degrees; 0 is a sharp edge. The intensity falls to zero there,
+    linearly in the cosine of the angle from the axis."""
     power_w: Positive
-    """Power into the cone, in W: at each wavelength of `transport.wavelengths_nm`, or with bands over the whole range
-    of wavelengths from the first band's beginning to the last one's end."""
+    """Power into the cone, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over the
+    whole range of wavelengths from the first band's beginning to the last one's end."""
     profile: FilePath | None = None
-    """An IES file (LM-63, type C), relative to the scene file: the shape of the intensity over the directions, scaled
-    to `power_w`. Its vertical angles start at `direction`, its horizontal ones at the side of +x (+y where `direction`
-    is along x), counter-clockwise as seen from behind the lamp, by an eye that looks along `direction`."""
+    """IES file (LM-63, type C), relative to the scene file: shape of the intensity over the directions, scaled to
+    `power_w`. Its vertical angles start at `direction`, its horizontal ones at the side of +x (+y where `direction` is
+    along x), counter-clockwise as seen from behind the lamp, by an eye that looks along `direction`. Or give
+    `half_angle_deg`."""
     turn_deg: Number = 0.0
     """Turn of the profile about `direction`, counter-clockwise as seen from behind the lamp, in degrees."""
 

@@ -44,7 +44,7 @@ class Sheet(Model):
     point_mm: Vector
     """A point of the sheet's middle plane, in the middle of its width, in mm."""
     normal: Vector
-    """Square to the sheet; of any length from 1e-100 to 1e100."""
+    """Direction square to the sheet; of any length from 1e-100 to 1e100."""
     direction: Vector
     """Direction of the light in the sheet; of any length from 1e-100 to 1e100."""
     thickness_mm: Positive
@@ -52,8 +52,8 @@ class Sheet(Model):
     width_mm: Positive
     """Extent of the sheet square to `normal` and `direction`, in mm; beyond it there is no light."""
     power_w: Positive
-    """Power of the sheet, in W: at each wavelength of `transport.wavelengths_nm`, or with bands over the whole range of
-    wavelengths from the first band's beginning to the last one's end."""
+    """Power of the sheet, in W. It holds at each wavelength of `transport.wavelengths_nm`, or with bands over the whole
+    range of wavelengths from the first band's beginning to the last one's end."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield directions that are none, or not square to each other."""
@@ -93,7 +93,7 @@ class UniformDisplacement(Model):
     kind: Literal["uniform"] = "uniform"
     """Kind of displacement field."""
     vector_mm: Vector
-    """From one frame to the next, in mm."""
+    """Displacement from one frame to the next, in mm."""
 
 
 class _AboutAxis(Model):
@@ -114,7 +114,7 @@ class RotationDisplacement(_AboutAxis):
     kind: Literal["rotation"] = "rotation"
     """Kind of displacement field."""
     angle_deg: Number
-    """From one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
+    """Angle from one frame to the next, in degrees, counter-clockwise as seen against the axis's arrow."""
 
 
 class VortexDisplacement(_AboutAxis):
@@ -134,8 +134,8 @@ class MeasuredDisplacement(Model):
     kind: Literal["file"] = "file"
     """Kind of displacement field."""
     file: FilePath
-    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm. The
-    places are all nodes of a grid with edges along x, y, z, in any order. Particles beyond it are not moved."""
+    """CSV file, relative to the scene file, with x_mm, y_mm, z_mm, dx_mm, dy_mm and dz_mm on the nodes of a grid. The
+    grid has edges along x, y, z; its nodes stand in any order. Particles beyond it are not moved."""
 
 
 Displacement = Annotated[
@@ -149,40 +149,38 @@ class Particles(Model):
     name: Text | None = None
     """Name of the particles in messages."""
     file: FilePath | None = None
-    """A CSV file, relative to the scene file, with the columns x_mm, y_mm, z_mm and, without `sheet` and
-    `intensity_w_sr`, intensity_w_sr. Or give `count` and `bounds`."""
+    """CSV file, relative to the scene file, with x_mm, y_mm, z_mm and intensity_w_sr. The last column is left out with
+    `sheet` or `intensity_w_sr`. Or give `count` and `bounds`."""
     count: Annotated[Count, Field(le=MOST_PARTICLES)] | None = None
     """Number of particles that are drawn evenly in `bounds`."""
     bounds: Bounds | None = None
-    """Body in which they are drawn: box, sphere or cylinder, as of targets."""
+    """Body filled with particles: box, sphere or cylinder."""
     seed: Whole = 0
-    """Of their places (no unit); the same seed draws the same places."""
+    """Seed of the drawn places (no unit); the same seed draws the same places."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the centre of `bounds`, or of the origin of the file's coordinates, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations of `bounds`, or of the file's places, about x, then y, then z, in degrees."""
     intensity_w_sr: NonNegative | None = None
-    """Radiant intensity of each particle, in W/sr, alike in all directions: at each wavelength of
+    """Radiant intensity of each particle, in W/sr, alike in all directions. It holds at each wavelength of
     `transport.wavelengths_nm`, or with bands over the whole range of wavelengths from the first band's beginning to the
-    last one's end."""
+    last one's end. Omitted: that of the file or by `sheet`."""
     spectrum: SpectralShape | None = None
-    """Spectrum of their power, or of the sheet's, in any unit; as of lights. Needs bands."""
+    """Spectrum of their power, or of the sheet's, in any unit; as of lights. Needs bands. Omitted: the same at all
+    wavelengths."""
     sheet: Sheet | None = None
-    """The light sheet that lights them, in place of an intensity of their own."""
+    """Light sheet that lights them, in place of an intensity of their own."""
     phase: Phase = Field(default_factory=IsotropicPhase)
-    """Phase function of the sheet's light: a table with `kind` "isotropic", "henyey_greenstein", "rayleigh", "mie" or
-    "table"."""
+    """Phase function of the light scattered from the sheet."""
     diameter_um: Positive | None = None
-    """Diameter, in µm, of particles that scatter as much light as falls on their cross-section. With `kind = "mie"`,
-    where the diameter stands in `phase`, the scattering cross-section follows from it."""
+    """Diameter, in µm; particles scatter as much light as falls on their cross-section. With `kind = "mie"`, where the
+    diameter stands in `phase`, the scattering cross-section follows from it."""
     displacement: Displacement | None = None
-    """Displacement from one frame to the next, for image pairs: a table with `kind` "uniform", "rotation",
-    "vortex" or "file"."""
+    """Displacement from one frame to the next, for image pairs."""
     frame: Annotated[int, Field(strict=True, ge=0, le=100_000)] = 0
     """Number of times that they have been displaced (no unit)."""
     samples: Count = 64
-    """Packets that start from each particle at each wavelength, towards the lens, shared by all replicates; at least
-    one a replicate."""
+    """Packets from each particle to the lens at each wavelength, in all replicates; at least one a replicate."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is missing, or given twice."""

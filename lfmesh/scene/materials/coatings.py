@@ -31,7 +31,7 @@ class MeasuredIndex(Model):
     index: tuple[LayerIndex, ...]
     """Refractive index n at each of them."""
     extinction: tuple[Extinction, ...] = ()
-    """Extinction k at each of them; none if omitted."""
+    """Extinction k at each of them. Omitted: none."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the columns."""
@@ -67,8 +67,8 @@ class Layer(Model):
     extinction: Extinction = 0.0
     """Imaginary part k of the index n + ik, of a layer that absorbs (no unit); beside `index` only."""
     glass: GlassName | None = None
-    """A glass or film of the catalogue, like "SCHOTT/N-BK7" or "main/TiO2/Devore-o", with its extinction where the
-    catalogue has it."""
+    """A glass or film of the catalogue, like "SCHOTT/N-BK7" or "main/TiO2/Devore-o". Its extinction is that of the
+    catalogue, if any."""
     measured: MeasuredIndex | None = None
     """Its index and extinction by wavelength."""
     thickness_nm: Positive
@@ -140,11 +140,12 @@ class Coating(Model):
     reflectance: FractionOfOne | None = None
     """Share of the light that is reflected, 0..1, at every angle and wavelength; the rest passes."""
     table: FilePath | None = None
-    """A CSV file, relative to the scene file, with the columns wavelength_nm, angle_deg (in the thinner medium, from 0
-    to 90) and reflectance, every angle at every wavelength; what is not reflected passes. Between wavelengths it is
-    linear, between angles a monotone cubic in the cosine, as layers behave: give angles close enough."""
+    """CSV file, relative to the scene file, with wavelength_nm, angle_deg and reflectance. Angles are those in the
+    thinner medium, from 0 to 90; every angle stands at every wavelength. The rest of the light passes. Between
+    wavelengths it is linear, between angles a monotone cubic in the cosine, as layers behave: give angles close
+    enough."""
     measured: MeasuredReflectance | None = None
-    """Content of such a file, in its place."""
+    """Content of a file as `table` names, in its place."""
     layers: tuple[Layer, ...] | None = None
     """The layers of a stack, from the air side to the glass; between two glasses from the object to the sensor."""
 

@@ -17,11 +17,12 @@ class Finish(Model):
     """The finish of an interface; without parameters its name is enough."""
 
     kind: Literal["polished", "diffuse", "ground"] = "polished"
-    """"polished": smooth. "diffuse": reflects and transmits by the cosine law, whatever the direction of the light.
-    "ground": microfacets, each of which reflects and refracts as a smooth interface does."""
+    """Scatter of the interface: none, by the cosine law, or at microfacets. "polished": smooth. "diffuse": reflects and
+    transmits by the cosine law, whatever the direction of the light. "ground": microfacets, each of which reflects and
+    refracts as a smooth interface does."""
     roughness: Roughness | None = None
-    """Of "ground": Walter's α_g of the GGX distribution, 0..1 (no unit); half of the surface has a slope above it. A
-    roughness r of glTF is r²."""
+    """Walter's α_g of the GGX distribution of "ground", 0..1 (no unit); a glTF roughness r is r². Half of the surface
+    has a slope above it."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

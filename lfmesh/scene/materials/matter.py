@@ -14,8 +14,8 @@ class Matter(Model):
     index: Index | None = None
     """Refractive index. Or give `glass`."""
     glass: Glass | None = None
-    """Material of the catalogue, like "SCHOTT/N-BK7" or "main/H2O/Daimon-20.0C", or by its dispersion, like
-    { nd = 1.5168, vd = 64.17 }."""
+    """Glass or liquid of the catalogue, like "main/H2O/Daimon-20.0C", or by its dispersion, like { nd = 1.5168, vd =
+    64.17 }."""
 
     @property
     def medium(self) -> Medium:

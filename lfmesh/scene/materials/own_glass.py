@@ -34,25 +34,25 @@ class OwnGlass(Model):
     """A glass by its dispersion: `nd` with `vd`, Sellmeier's coefficients or a table; or by name, in other air."""
 
     nd: Index | None = None
-    """Index at the d line, 587.56 nm, of a normal glass whose other indices follow from `vd`."""
+    """Index at the d line, 587.56 nm, of a glass of normal dispersion by `vd`. Its other indices follow."""
     vd: AbbeNumber | None = None
     """Abbe number (nd − 1) / (nF − nC) (no unit)."""
     sellmeier_b: tuple[Number, ...] | None = None
     """Coefficients of n² = 1 + Σ b λ² / (λ² − c) (no unit)."""
     sellmeier_c_um2: tuple[Number, ...] | None = None
-    """The coefficients c of that formula, in µm²."""
+    """Coefficients c of that formula, in µm²."""
     table: FilePath | None = None
-    """A CSV file with the columns wavelength_nm and n, relative to the file that names it; what it holds is read at
-    once and takes its place as `wavelengths_nm` and `values`."""
+    """CSV file with wavelength_nm and n, relative to the file that names it. Its content is read at once and takes its
+    place as `wavelengths_nm` and `values`."""
     wavelengths_nm: tuple[Positive, ...] | None = None
     """Wavelengths of a table, increasing, in nm; smooth in between, nothing outside."""
     values: tuple[Number, ...] | None = None
     """The refractive index at each of `wavelengths_nm`."""
     name: GlassName | None = None
-    """Its name in the catalogue."""
+    """Name of the glass in the catalogue, for a glass in other air."""
     air: Air | None = None
-    """The air that it stands in, where that is not the catalogues' of 20 °C and 101.325 kPa: its index is relative to
-    that air. `camera.air` sets it for all glasses."""
+    """Air around the glass, to which its index is relative. `camera.air` sets it for all glasses. Omitted: the
+    catalogues' 20 °C and 101.325 kPa."""
 
     @property
     def catalogue_name(self) -> str | None:

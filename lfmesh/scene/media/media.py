@@ -15,10 +15,10 @@ from lfmesh.scene.quantities import FilePath, Positive, Text, Vector
 
 
 class MeshBounds(BodyFile):
-    """A closed mesh, which what it bounds fills up to its flat facets."""
+    """A closed mesh, filled up to its flat facets."""
 
     kind: Literal["mesh"] = "mesh"
-    """Kind of shape; may be left out beside `file`."""
+    """Kind of shape. Omitted: "mesh", beside `file`."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the file's name and what is said of it."""
@@ -42,17 +42,19 @@ class Grid(Model):
     """A voxel grid in a file."""
 
     file: FilePath
-    """A file relative to the scene file: `.npz`, `.npy` with a single array, or VTK image data, `.vti`, in mm. Arrays
-    [x, y, z] are named absorption_per_mm, scattering_per_mm, emission_w_mm3_sr or temperature_k. A `.npz` file also has
-    spacing_mm and, if its middle is not the medium's own origin, origin_mm (centre of voxel 0)."""
+    """Grid file, relative to the scene file: `.npz`, `.npy` with one array, or VTK image data, `.vti`. Arrays [x, y, z]
+    are named absorption_per_mm, scattering_per_mm, emission_w_mm3_sr or temperature_k. A `.npz` file also has
+    spacing_mm and, if its middle is not the medium's own origin, origin_mm (centre of voxel 0). A `.vti` file is in
+    mm."""
     quantity: Literal["absorption_per_mm", "scattering_per_mm", "emission_w_mm3_sr", "temperature_k"] | None = None
     """Quantity in the array of a `.npy` file, or in the only one of a `.vti` file."""
     spacing_mm: tuple[Positive, Positive, Positive] | None = None
-    """Distance between neighbouring voxels along x, y and z, in mm, where the file does not say."""
+    """Distance between neighbouring voxels along x, y and z, in mm. Omitted: that of the file."""
     origin_mm: Vector | None = None
-    """Centre of voxel [0, 0, 0] in the medium's own frame, in mm, where the file does not say."""
+    """Centre of voxel [0, 0, 0] in the medium's own frame, in mm. Omitted: that of the file, else the middle lies at
+    the origin."""
     interpolation: Literal["trilinear", "constant"] = "trilinear"
-    """Between the centres of voxels, trilinear; or constant in each voxel."""
+    """Values between the centres of voxels: linear, or constant in each voxel."""
 
 
 def _of_path(value: Any) -> Any:
@@ -72,27 +74,27 @@ class Medium(Model):
     name: Text | None = None
     """Name of the medium in reports."""
     bounds: AnyBounds | None = None
-    """A box, sphere or cylinder, or a closed mesh by its `file`, about the medium's own origin. Omitted: where its grid
-    is or, without a grid, all of the body that it is inside, or else everywhere in front of the first lens vertex, so
-    that the camera looks into it from its edge."""
+    """Body that the medium fills, about its own origin: box, sphere, cylinder or closed mesh. Omitted: its grid, else
+    the body it is inside, else all space. All space begins at the first lens vertex, so that the camera looks into it
+    from its edge."""
     inside: Text | None = None
-    """The body of glass or liquid that it is in, by its name in reports: "tanks[0] liquid", or the name of a target
-    with a refractor. Omitted: it is in none."""
+    """Body of glass or liquid around the medium, by its name in reports: "tanks[0] liquid", or a target with a
+    refractor. Omitted: none."""
     grid: AnyGrid | None = None
-    """Voxels with quantities that vary in space; a number beside it gives a quantity that the grid does not hold."""
+    """Voxel grid of quantities that vary in space; a number beside it gives a quantity that the grid lacks."""
     absorption_per_mm: Coefficient = 0.0
     """Absorption coefficient, in 1/mm; a number, or by wavelength."""
     scattering_per_mm: Coefficient = 0.0
     """Scattering coefficient, in 1/mm; a number, or by wavelength."""
     emission_w_mm3_sr: Radiance = 0.0
-    """Emission of a cubic millimetre in each direction, in W/(mm³ sr): a number at each wavelength, or in bands over
-    the whole range that they reach. By wavelength it is in W/(mm³ sr nm), which needs bands."""
+    """Emission of a cubic millimetre in each direction, in W/(mm³ sr). A number holds at each wavelength, or in bands
+    over the whole range that they reach. By wavelength it is in W/(mm³ sr nm), which needs bands."""
     spectrum: SpectralShape | None = None
-    """Spectrum of the emission, a number or that of a grid, in any unit; the same at all wavelengths if omitted. Needs
-    bands."""
+    """Spectrum of an emission that is a number or a grid, in any unit. Needs bands. Omitted: the same at all
+    wavelengths."""
     temperature_k: Kelvin | None = None
-    """Temperature, in K, in place of an emission: the medium emits what it absorbs of a black body's radiance (Planck,
-    Kirchhoff). Needs bands."""
+    """Temperature, in K, in place of an emission: the medium emits the share of a black body's radiance that it
+    absorbs. That is Planck's and Kirchhoff's law. Needs bands."""
     phase: Phase = Field(default_factory=IsotropicPhase)
     """Phase function: distribution of scattered light over directions."""
     position_mm: Vector = (0.0, 0.0, 0.0)

@@ -58,8 +58,7 @@ class MiePhase(_PhaseFunction):
     extinction: NonNegative = 0.0
     """Extinction coefficient k of the spheres: their index is n + ik (no unit)."""
     surrounding_index: Index | None = None
-    """Refractive index of what the spheres are in: 1.333 of water. Omitted: that of the place where they are, air or
-    the liquid of a tank."""
+    """Refractive index around the spheres: 1.333 of water. Omitted: that of the air or liquid they are in."""
     sigma: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
     """Standard deviation of the natural logarithm of the diameter (no unit); 0: all have the same."""
 
@@ -85,8 +84,8 @@ class TabulatedPhase(_PhaseFunction):
     kind: Literal["table"] = "table"
     """Kind of phase function."""
     file: FilePath
-    """A CSV file, relative to the scene file, with the columns angle_deg, from 0 (straight on) to 180, and value, in
-    any unit; linear in the cosine of the angle between its rows."""
+    """CSV file, relative to the scene file, with angle_deg, from 0 (straight on) to 180, and value, in any unit. Linear
+    in the cosine of the angle between its rows."""
 
 
 Phase = Annotated[

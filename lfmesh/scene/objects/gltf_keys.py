@@ -26,7 +26,7 @@ class GltfFile(Model):
     """A glTF file that something is taken from."""
 
     file: FilePath
-    """A GLB or glTF file, relative to the scene file; its origin and axes are those of the world, its unit is m."""
+    """GLB or glTF file, relative to the scene file, in the world's axes; its unit is m."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield a file of another kind."""
@@ -42,15 +42,15 @@ class GltfLights(GltfFile):
     """All lights of a glTF file (KHR_lights_punctual)."""
 
     lighting: Literal["standard", "unitless", "raw"] = "standard"
-    """Unit of its intensities, by Blender's names for the lighting modes of its exporter. "standard": candela and lux,
-    as glTF has them, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
+    """Unit of the file's intensities, by the lighting modes of Blender's exporter. "standard": candela and lux, as glTF
+    has them, at 683 lm/W; "unitless": W/sr and W/m²; "raw": W into all directions and W/m²."""
 
 
 class GltfPose(GltfFile):
     """The place of a camera of a glTF file, whose origin is the entrance pupil."""
 
     camera: NodeKey | None = None
-    """Its node's name, or number; may be left out where the file has one camera."""
+    """Name or number of the camera's node. Omitted: the only camera of the file."""
 
 
 class GltfKeys(Model):

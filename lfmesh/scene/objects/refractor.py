@@ -37,14 +37,15 @@ class BodyFile(Model):
     """Body of a mesh file, and the tessellation of a STEP file's curved faces."""
 
     file: FilePath | None = None
-    """A mesh file (STL, OBJ, PLY, OFF, GLB, glTF, STEP, 3MF), relative to the scene file."""
+    """Mesh file (STL, OBJ, PLY, OFF, GLB, glTF, STEP, 3MF), relative to the scene file."""
     node: NodeKey | None = None
-    """One object of a GLB, glTF, STEP or 3MF file alone: the name of the node or body, or its number where it has no
-    name of its own. It stands where the file places it; nodes below it are not taken along."""
+    """One object of a GLB, glTF, STEP or 3MF file: name of the node or body, or number of one without a name. It stands
+    where the file places it; nodes below it are not taken along. Omitted: all of the file."""
     units: Units | None = None
-    """Unit of length of the mesh file; required where the format carries none."""
+    """Unit of length of the mesh file. Omitted: that of the file; STL, OBJ, PLY and OFF files have none."""
     tolerance_mm: Positive | None = None
-    """Of a STEP file: how far a facet may lie off its surface, in mm. Omitted: 3e-4 of the largest body's diagonal."""
+    """Largest distance of a STEP file's facets from their surface, in mm. Omitted: 3e-4 of the largest body's
+    diagonal."""
 
     def file_faults(self) -> Iterator[Fault]:
         """Yield what is wrong with the mesh file's name and what is said of it.
@@ -74,12 +75,13 @@ class MeshShape(BodyFile):
     """The mesh that gives glass its shape."""
 
     surface: FaceLevel = "exact"
-    """Surface that a facet stands for: itself, itself with smooth normals, or a curved patch. "exact": a face of a lens
-    element is the exact surface that it lies on, where that is recognised, and every other facet a patch."""
+    """Surface behind a facet: flat, flat with smooth normals, a curved patch, or the exact surface of a lens face.
+    "exact": a face of a lens element is the exact surface on which it lies, where that is recognised, and every other
+    facet a patch."""
     crease_deg: CreaseAngle | None = None
-    """Facets that meet at a larger angle, in degrees, meet at an edge of the body; below, on a smooth surface, whose
-    normals are estimated. Omitted: what the file's own vertex normals say, where it has them, else a few times the
-    angle at which most of the mesh's curved facets meet."""
+    """Angle above which facets meet at an edge of the body, in degrees. Below it they meet on a smooth surface with
+    estimated normals. Omitted: as the file's vertex normals say, else estimated. The estimate is a few times the angle
+    at which most of the mesh's curved facets meet."""
 
     @property
     def facets(self) -> FacetLevel:
@@ -100,20 +102,20 @@ class Refractor(MeshShape):
     """A closed body of glass, its shape a mesh or, in object space, a box."""
 
     box_mm: tuple[Positive, Positive, Positive] | None = None
-    """In object space, in place of a mesh file: a box, centred, with edges of these lengths along x, y, z, in mm."""
+    """Edges of a box along x, y, z, in mm, centred, in object space. Or give `file`."""
     index: Index | None = None
-    """Refractive index of the glass. Or give `glass`."""
+    """Refractive index. Or give `glass`."""
     glass: Glass | None = None
     """Glass: of the catalogue, like "SCHOTT/N-BK7", or by its dispersion, like { nd = 1.5168, vd = 64.17 }."""
     absorption_per_mm: Coefficient = 0.0
-    """In object space: absorption coefficient of the glass, in 1/mm; a number, or by wavelength."""
+    """Absorption coefficient in object space, in 1/mm; a number, or by wavelength."""
     coating: Text = UNCOATED
     """Name of the coating of its whole surface, or "none": bare."""
     finish: AnyFinish = POLISHED
     """Finish of its whole surface: "polished", "diffuse" or { kind = "ground", roughness = 0.1 }."""
     priority: Priority = 0
-    """In object space: where bodies overlap, the one of the highest priority is there, and of equal ones that which
-    lies inside the other. So water that reaches a little into the glass round it touches that everywhere."""
+    """Rank where bodies in object space overlap: the highest is there, of equal ones the inner. So water that reaches a
+    little into the glass round it touches that everywhere."""
 
     @property
     def medium(self) -> Medium:

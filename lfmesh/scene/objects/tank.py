@@ -33,7 +33,7 @@ class Tank(Model):
     name: Text | None = None
     """Name of the tank in reports."""
     size_mm: tuple[Positive, Positive, Positive]
-    """Lengths of its outer edges along its own x, y, z, in mm."""
+    """Outer lengths along its own x, y, z, in mm."""
     wall_mm: Positive
     """Thickness of its walls, in mm."""
     wall: Wall
@@ -41,8 +41,8 @@ class Tank(Model):
     liquid: Liquid
     """Liquid inside the walls."""
     open: Side | None = None
-    """The side that has no wall, where the liquid reaches to the end of the other walls. "top" is its own +y. "front"
-    is its own +z, which looks at the camera where the tank is not turned. Omitted: it is closed."""
+    """Side without a wall: "top" is its own +y, "front" its own +z. The liquid reaches to the end of the other walls
+    there. "front" looks at the camera where the tank is not turned. Omitted: closed."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of its centre, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)

@@ -78,9 +78,10 @@ class Gloss(Model):
     """A rough boundary that reflects as GGX facets do: of a dielectric layer over the base, or of metal."""
 
     index: GlossIndex | None = None
-    """Refractive index of a dielectric layer, whose transmitted light reaches the base below. Or give `metal`."""
+    """Refractive index of a dielectric layer over the base. Its transmitted light reaches the base below. Or give
+    `metal`."""
     metal: MetalName | None = None
-    """A metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
+    """Metal of the catalogue: a symbol like "Al", or a page like "main/Al/Rakic". No light reaches the base, so that
     the reflectance and the texture of the material do not count."""
     roughness: Annotated[float, Field(strict=True, ge=SMALLEST_ROUGHNESS, le=LARGEST_ROUGHNESS)]
     """Walter's α_g, 0.01..1; a glTF roughness r is r². Smoother ones are mirrors, which a target cannot be."""
@@ -97,35 +98,36 @@ class Material(Model):
     """Material of a target: Lambertian reflection, with or without gloss over it, and emission."""
 
     opacity: Opacity = 1.0
-    """Share of the surface that is there, 0..1: the rest lets light pass straight on. "texture_alpha": as the alpha of
-    the texture, or else of the mesh file's own pictures and colours, says. A closed body that is not opaque scatters
-    and emits on its inside, too."""
+    """Share of the surface that is there, 0..1; "texture_alpha" takes the alpha of the texture. Through the rest light
+    passes straight on. Without a texture it is the alpha of the mesh file's own pictures and colours. A closed body
+    that is not opaque scatters and emits on its inside, too."""
     sides: Literal["both", "front"] = "both"
-    """Sides of an open sheet that reflect and emit. "front": the side from which the corners of its facets run
-    counter-clockwise (of a plane or disk, its own +z side); the other is black. A closed body has its outside only."""
+    """Sides of an open sheet that reflect and emit; the other side is black. "front": the side from which the corners
+    of its facets run counter-clockwise (of a plane or disk, its own +z side). A closed body has its outside only."""
 
     reflectance: Reflectance = 0.8
-    """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of what reaches the base. A number,
-    a table { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and value."""
+    """Share of the light that is scattered, by Lambert's law, 0..1; under `gloss`, of the light that reaches the base.
+    A number, a table { wavelengths_nm = [...], values = [...] } or a CSV file with the columns wavelength_nm and
+    value."""
     gloss: Gloss | None = None
-    """A boundary over the base that also reflects; omitted, the surface is matt."""
+    """Boundary over the base that also reflects. Omitted: matt."""
     radiance_w_m2_sr: Radiance = 0.0
-    """The surface's own emission, the same in every direction. A number, in W/(m² sr), at each wavelength of
+    """Emission of the surface, the same in every direction. A number, in W/(m² sr), holds at each wavelength of
     `transport.wavelengths_nm`; with bands it is the radiance over the whole range of wavelengths from the first band's
-    beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or
-    { blackbody_k = ... }, in W/(m² sr nm)."""
+    beginning to the last one's end, spread evenly or by `spectrum`. With bands also a table, a CSV file or {
+    blackbody_k = ... }, in W/(m² sr nm)."""
     spectrum: SpectralShape | None = None
-    """Spectrum of a number in `radiance_w_m2_sr`, in any unit: an illuminant's name such as "D65", a
+    """Spectrum of a number in `radiance_w_m2_sr`, in any unit; as of lights. An illuminant's name such as "D65", a
     table, a CSV file or { blackbody_k = ... }. Needs bands."""
     temperature_k: Kelvin | None = None
-    """Temperature, in K, in place of a radiance: the surface emits by Planck's law, with an emissivity of 1 less the
-    share that it scatters of light from that direction, gloss, metal and texture included. In a room of its own
-    temperature it looks like a black body. The black side of `sides = "front"` emits as a black body. Needs bands."""
+    """Temperature, in K, in place of a radiance: the surface emits by Planck's law. Its emissivity is 1 less the share
+    that it scatters of light from that direction, gloss, metal and texture included. In a room of its own temperature
+    it looks like a black body. The black side of `sides = "front"` emits as a black body. Needs bands."""
     texture: FilePath | None = None
-    """A picture, relative to the scene file; its linearised values multiply the reflectance (under `gloss` that of the
-    base alone) and the radiance. It reads correctly from outside the body: on a shape its top lies towards +y (on faces
-    that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh files bring their own
-    coordinates."""
+    """Picture, relative to the scene file: its linearised values multiply reflectance and radiance. Under `gloss` they
+    multiply the reflectance of the base alone. It reads correctly from outside the body: on a shape its top lies
+    towards +y (on faces that look along ±y towards ∓z), so its right towards +x on the face towards the camera; mesh
+    files bring their own coordinates."""
 
     @property
     def emits(self) -> bool:
@@ -159,32 +161,32 @@ class Target(BodyFile):
     name: Text | None = None
     """Name of the target in reports."""
     shape: Shape | None = None
-    """A primitive shape. Or give `file`."""
+    """Primitive shape. Or give `file`."""
     materials: Literal["file", "colours", "ignore"] | None = None
-    """Use of the mesh file's own materials. "file": those of a glTF file whole, base colour, metallic, roughness and
-    alpha, with their pictures. Then the target has no `material`. "colours": their base colours and the pictures of
-    these alone, which multiply the reflectance and the radiance of `material`. Its own texture replaces them. "ignore":
-    nothing. Omitted, it is "file" for glTF files where no `material` is given, as programs that show such files do, and
-    else "colours"."""
+    """Use of a mesh file's own materials: whole, base colours only, or none. "file": those of a glTF file whole, base
+    colour, metallic, roughness and alpha, with their pictures. Then the target has no `material`. "colours": their base
+    colours and the pictures of these alone, which multiply the reflectance and the radiance of `material`. Its own
+    texture replaces them. "ignore": nothing. Omitted: "file" for glTF files without `material`, else "colours".
+    Programs that show glTF files do so, too."""
     normals: Literal["file", "facets"] = "file"
-    """Normals by which a mesh file's surface is shaded. "file": those at its vertices, interpolated, where the file has
-    any (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant. "facets": those of its facets. What a
-    ray meets, on which side, and what is in shadow follows the facets."""
+    """Normals that shade a mesh file's surface: those at its vertices, interpolated, or of its facets. "file": those at
+    its vertices, where the file has any (OBJ, PLY, GLB, glTF), which makes a mesh look as smooth as it is meant. A ray
+    meets the facets in both cases, which also decide the side and the shadow."""
     scale: Positive | None = None
-    """Factor of a mesh file's coordinates, after its own unit: 0.001 where a GLB file, which is in metres, was written
-    with numbers that are millimetres. Omitted: 1."""
+    """Factor of a mesh file's coordinates, after its own unit. It is 0.001 where a GLB file, which is in metres, was
+    written with numbers that are millimetres. Omitted: 1."""
     anchor: Literal["origin", "centre", "base"] | None = None
-    """Point of a mesh file that `position_mm` places. "origin": that of its coordinates. "centre": the middle of the
-    box round it. "base": the middle of the lowest side, towards -y, of the box round the body as `rotation_deg` turns
-    it. Omitted: "origin"."""
+    """Point of a mesh file that `position_mm` places: origin, or centre or base of its box. "origin": that of its
+    coordinates. "centre": the middle of the box round it. "base": the middle of the lowest side, towards -y, of the box
+    round the body as `rotation_deg` turns it. Omitted: "origin"."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the target's own origin, or of its `anchor`, in mm."""
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     """Rotations about x, then y, then z, in degrees."""
     material: Material = Field(default_factory=Material)
-    """Of the whole surface."""
+    """Material of the whole surface."""
     refractor: Refractor | None = None
-    """A closed body of glass from a mesh file, in place of shape or file; it has no material."""
+    """Closed body of glass from a mesh file, in place of shape or file; it has no material."""
 
     def faults(self) -> Iterator[Fault]:
         """Yield what is wrong between the fields."""

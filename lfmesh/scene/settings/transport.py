@@ -45,49 +45,50 @@ class Transport(Model):
     """The settings of a render."""
 
     method: Literal["adjoint", "forward"] = "adjoint"
-    """"adjoint" follows importance from the sensor to the lights, "forward" light from the lights to the
-    sensor."""
+    """Direction of the tracing: "adjoint" from the sensor to the lights, "forward" from the lights to the sensor."""
     engine: Literal["auto", "mesh", "sequential"] = "auto"
-    """"mesh": Embree, everything; "sequential": the image path only; "auto": the fastest that supports the
-    scene, or the image path with the one and the reflections with the other."""
+    """Tracer: "mesh" (Embree) takes everything, "sequential" the image path only, "auto" the fastest that supports the
+    scene. "auto" may take the image path with the one and the reflections with the other."""
     surface: Literal["flat", "smooth", "patch", "exact"] = "exact"
-    """Surface that a facet stands for: itself, itself with smooth normals, a curved patch, or the analytic
-    surface. Opaque spheres, cylinders and disks of `[[targets]]` are exact with "exact", else fine meshes."""
+    """Surface behind a facet: flat, flat with smooth normals, a curved patch, or the analytic surface. Opaque spheres,
+    cylinders and disks of `[[targets]]` are exact with "exact", else fine meshes."""
     tessellation: Tessellation = Field(default_factory=Tessellation)
     """Fineness of the lens's meshes."""
     split: Literal["both", "roulette", "transmit"] = "both"
-    """At an interface follow both children, one by chance, or the refracted one alone."""
+    """At an interface follow both children, one of them by chance, or the refracted one alone."""
     samples: Count = 64
-    """Adjoint: per pixel, in all replicates; forward: packets in all = samples · pixels. Rounded up to a multiple of
+    """Samples per pixel, in all replicates; forward traces samples · pixels packets in all. Rounded up to a multiple of
     `replicates`."""
     replicates: Annotated[Count, Field(le=MOST_REPLICATES)] = Field(default_factory=_usual_replicates)
-    """Independent randomisations that share the samples; their spread is the standard error. 8 if omitted, 4 with
-    split = "transmit". With `camera.sensor.bands` more than 8 form 8 independent groups, whose spread it is."""
+    """Independent randomisations that share the samples; their spread is the standard error. With `camera.sensor.bands`
+    more than 8 form 8 independent groups, whose spread it is. Omitted: 8, or 4 with `split = "transmit"`."""
     target_error: Annotated[Positive, Field(lt=1)] | None = None
-    """Adjoint: relative standard error (no unit) up to which pixels get more than `samples`, in a second stage."""
+    """Relative standard error (no unit) as the goal of a second stage, which adds samples to noisy pixels. Needs
+    `method = "adjoint"`."""
     max_samples: Count = 4096
-    """With `target_error`: per pixel, in all, at most."""
+    """Largest number of samples per pixel, in all, with `target_error`."""
     max_events: Annotated[Count, Field(le=MOST_EVENTS)] = 64
-    """Surfaces a packet may meet before it is cut."""
+    """Largest number of surfaces that a packet meets before it is cut."""
     polarisation: Flag = False
-    """Carry the polarisation of light: Stokes vectors through lens, array and glass, whose coatings are layers. Targets
-    depolarise. Traced by the mesh engine."""
+    """Stokes vectors through lens, array and glass; coatings are layers. Targets depolarise. Traced by the mesh
+    engine."""
     diffraction: Literal["none", "lenslets", "stop"] = "none"
-    """"lenslets": light that passes a lenslet turns by chance, by the Fraunhofer pattern of its aperture. Right to some
-    per cent for extended light; not for points, whose waves interfere between lenslets. "stop": at the lens's stop, of
-    cameras without an array, along the image path (split = "transmit"). With either, particles are not traced but
-    pictured by point spreads. Rays that are given are traced without it."""
+    """Diffraction at each lenslet, or at the stop of a camera without array. "lenslets": light that passes a lenslet
+    turns by chance, by the Fraunhofer pattern of its aperture. Right to some per cent for extended light; not for
+    points, whose waves interfere between lenslets. "stop": at the lens's stop, of cameras without an array, along the
+    image path (split = "transmit"). With either, particles are not traced but pictured by point spreads. Rays that are
+    given are traced without it."""
     weight_cutoff: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.3
     """Share of its starting weight below which a child plays Russian roulette (no unit). A ray that is not aimed at a
     lenslet weighs far more than one that is; the latter's weight counts."""
     wavelengths_nm: tuple[Annotated[float, Field(strict=True, ge=SHORTEST_NM, le=LONGEST_NM)], ...] = Field(
         default=(PRIMARY_NM,), min_length=1
     )
-    """Wavelength samples, in nm; the middle one is the primary. Not used with `camera.sensor.bands`."""
+    """Wavelength of each channel, in nm; the middle one is the primary. Not used with `camera.sensor.bands`."""
     seed: Whole = 0
-    """Of the random numbers."""
+    """Seed of the random numbers."""
     threads: Annotated[Whole, Field(le=MOST_THREADS)] = 0
-    """0: all there are; the result is the same for any number."""
+    """Threads; 0: all there are. The result is the same for any number."""
 
     @property
     def samples_each(self) -> int:

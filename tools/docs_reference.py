@@ -3,7 +3,7 @@
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import StringIO
 from typing import Any
 
@@ -110,47 +110,52 @@ def _section(name: str, table: Schema) -> Iterator[str]:
     for key, field in table.get("properties", {}).items():
         fixed = f"`{json.dumps(field['const'])}`" if "const" in field else ""
         type_ = fixed or type_in_words(field)
-        default = "" if field.get("default") in (None, [], {}) or fixed else f", default `{_toml(field['default'])}`"
+        default = "" if field.get("default") in (None, [], {}) or fixed else f", default `{toml(field['default'])}`"
         yield f"`{key}`: {type_}{', required' if key in required else default}"
         yield f": {plain(field.get('description', '')) or '(no description)'}"
         yield ""
 
 
-def type_in_words(field: Schema) -> str:
-    """Return what a value of the schema may be, with links to tables.
+def _section_link(name: str) -> str:
+    return f"[{name}](#table-{name.lower()})"
+
+
+def type_in_words(field: Schema, link: Callable[[str], str] = _section_link) -> str:
+    """Return the values that a schema allows, with links to tables.
 
     Parameters
     ----------
     field : dict
         JSON Schema of the value.
+    link : callable, optional
+        Returns the link to the table of a model, by the model's name.
     """
     if "$ref" in field:
-        name = field["$ref"].rsplit("/", 1)[1]
-        return f"[{name}](#table-{name.lower()})"
+        return link(field["$ref"].rsplit("/", 1)[1])
     if "const" in field:
         return f"`{json.dumps(field['const'])}`"
     if "enum" in field:
         return " or ".join(f"`{json.dumps(value)}`" for value in field["enum"])
     for key in ("anyOf", "oneOf"):
         if key in field:
-            kinds = [type_in_words(each) for each in field[key] if each.get("type") != "null"]
+            kinds = [type_in_words(each, link) for each in field[key] if each.get("type") != "null"]
             return " or ".join(dict.fromkeys(kinds))
     kind = field.get("type")
     if kind == "array":
-        return _list_in_words(field)
+        return _list_in_words(field, link)
     if kind == "object":
         values = field.get("additionalProperties")
-        return f"table of {type_in_words(values)} by name" if isinstance(values, dict) else "table"
+        return f"table of {type_in_words(values, link)} by name" if isinstance(values, dict) else "table"
     words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true` or `false`"}
     return words.get(str(kind), "any value") + _limits(field)
 
 
-def _list_in_words(field: Schema) -> str:
+def _list_in_words(field: Schema, link: Callable[[str], str]) -> str:
     items = field.get("prefixItems")
     if items is not None:
-        kinds = list(dict.fromkeys(map(type_in_words, items)))
+        kinds = list(dict.fromkeys(type_in_words(each, link) for each in items))
         return f"list of {len(items)}: {kinds[0] if len(kinds) == 1 else ', '.join(kinds)}"
-    return f"list of {type_in_words(field['items'])}" if "items" in field else "list"
+    return f"list of {type_in_words(field['items'], link)}" if "items" in field else "list"
 
 
 def _limits(field: Schema) -> str:
@@ -159,7 +164,13 @@ def _limits(field: Schema) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-def _toml(value: Any) -> str:
+def toml(value: Any) -> str:
+    """Return a default as a file would have it.
+
+    Parameters
+    ----------
+    value : object
+    """
     return "inf" if value == float("inf") else json.dumps(value, ensure_ascii=False)
 
 

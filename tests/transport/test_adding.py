@@ -1,6 +1,7 @@
 """The recipes of `transport/ADDING.md`, put into a copy of the package, make what they promise."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -156,18 +157,19 @@ for name, changes in lamps.items():
             samples, camera=camera({}), targets=[plane(-50.0, 8.0, {"reflectance": 0.9})], lights=[near],
             transport={"method": method})
 
-# A lamp with a size: a disk less the disk of its hole, far and near, and both methods, in fog as well.
+# A lamp with a size: two halves of a disk, and both methods, in fog as well.
 wide = {"kind": "disk", "position_mm": [8.0, 2.0, -38.0], "direction": [-8.0, -2.0, -14.0], "radius_mm": 6.0}
-ring = wide | {"kind": "ring", "inner_mm": 3.0, "power_w": 3.0}
+half = wide | {"kind": "sector", "angle_deg": 180.0, "power_w": 2.0}
+third = wide | {"kind": "sector", "angle_deg": 120.0, "turn_deg": 50.0, "power_w": 3.0}
 cloud = {"bounds": {"kind": "sphere", "radius_mm": 14.0}, "position_mm": [0.0, 0.0, -46.0], "scattering_per_mm": 0.01}
 sheet = [plane(-50.0, 8.0, {"reflectance": 0.9})]
-full, hole = wide | {"power_w": 4.0}, wide | {"radius_mm": 3.0, "power_w": 1.0}
-for name, lamp in (("whole", full), ("hole", hole), ("ring", ring)):
+full, other_half = wide | {"power_w": 4.0}, half | {"turn_deg": 180.0}
+for name, lamp in (("whole", full), ("half", half), ("other half", other_half)):
     found["sized " + name] = watts(16384, camera=camera({}), targets=sheet, lights=[lamp])
 for name, media in (("air", []), ("fog", [cloud])):
     for method, samples in (("adjoint", 16384), ("forward", 262144)):
         found[f"sized {name} {method}"] = watts(
-            samples, camera=camera({}), targets=sheet, lights=[ring], media=media, transport={"method": method})
+            samples, camera=camera({}), targets=sheet, lights=[third], media=media, transport={"method": method})
 
 # A phase function.
 sun = {"kind": "directional", "direction": [0.6, 0.0, 0.8], "irradiance_w_m2": 100.0}
@@ -243,8 +245,8 @@ GROUND_TURN = """    px, py, pz, qx, qy, qz = tangents(-nx, -ny, -nz)
 
 
 def add_shape(tree: Path) -> None:
-    form, field, fills, height = blocks_of("A shape of surface")
-    lens, surface = "scene/camera/lens.py", "geometry/surfaces/surface.py"
+    form, field, fills, height, heights, bends = blocks_of("A shape of surface")
+    lens, surface, bounds = "scene/camera/lens.py", "geometry/surfaces/surface.py", "geometry/surfaces/bends.py"
     put(tree, "scene/camera/sections.py", "def reach_of_conic_mm(", form + "\n\n", 0)
     put(tree, lens, "    paraxial: Flag = False\n", field, 4)
     change(tree, lens, ("    Form,\n", "    Form,\n    Saddle,\n"))
@@ -252,34 +254,37 @@ def add_shape(tree: Path) -> None:
     put(tree, surface, "    ]\n)\n\nNEWTON_STEPS", '("twist", "f8"),', 8)
     put(tree, surface, "    if of.toroid is not None:\n        record", fills, 4)
     put(tree, surface, "    if s.kind == TOROID:\n", height, 4)
+    put(tree, bounds, "    # Out from the axis a biconic rises", heights, 4)
+    put(tree, bounds, '    if surface["kind"] == BICONIC:\n        return extremes', bends, 4)
+    change(tree, bounds, ("import BICONIC, is_revolved", "import BICONIC, SADDLE, is_revolved"))
 
 
 def add_light(tree: Path) -> None:
-    cosine, law, intensity, drawn, ring, area, hole, places, holds = blocks_of("A light")
+    cosine, law, intensity, drawn, sector, area, angle, places, holds = blocks_of("A light")
     models, tables, kernels = "scene/light/lights.py", "transport/tables/lights.py", "transport/lights/intensity.py"
-    put(tree, models, "Light = Annotated[", cosine + "\n\n\n" + ring + "\n\n", 0)
+    put(tree, models, "Light = Annotated[", cosine + "\n\n\n" + sector + "\n\n", 0)
     change(
         tree,
         models,
-        ("    PointLight | DirectionalLight", "    CosineLight | RingLight | PointLight | DirectionalLight"),
+        ("    PointLight | DirectionalLight", "    CosineLight | SectorLight | PointLight | DirectionalLight"),
     )
     change(tree, models, ('"sine", "profile"]', '"sine", "profile", "cosine"]'))
     change(tree, tables, ("SINE, PROFILED = range(5)", "SINE, PROFILED, COSINE = range(6)"))
     change(tree, tables, ('"profile": PROFILED}', '"profile": PROFILED, "cosine": COSINE}'))
-    put(tree, tables, "    ]\n)\n", '("exponent", "f8"),\n("inner_mm", "f8"),', 8)
+    put(tree, tables, "    ]\n)\n", '("exponent", "f8"),\n("sector", "f8"),', 8)
     put(tree, tables, '    elif light.emission == "lambert":', law, 4)
     put(tree, kernels, "    return light.power * _profile_at", intensity, 4)
     put(tree, kernels, PROFILE_CELLS, drawn, 4)
     change(tree, kernels, ("import CONE, EVEN", "import CONE, COSINE, EVEN"))
-    change(tree, "scene/light/region.py", ('"straight", "round"]', '"straight", "round", "ring"]'))
-    put(tree, "scene/light/region.py", "\n    @property\n    def is_round", "inner_mm: float = 0.0", 4)
+    change(tree, "scene/light/region.py", ('"straight", "round"]', '"straight", "round", "sector"]'))
+    put(tree, "scene/light/region.py", "\n    @property\n    def is_round", "angle_deg: float = 360.0", 4)
     put(tree, "scene/light/region.py", "        return float(one * other)", area, 8)
-    change(tree, tables, ("STRAIGHT, ROUND = range(2)", "STRAIGHT, ROUND, RING = range(3)"))
-    change(tree, tables, ('"round": ROUND}', '"round": ROUND, "ring": RING}'))
-    put(tree, tables, "\n\ndef _set_emission", hole, 4)
+    change(tree, tables, ("STRAIGHT, ROUND = range(2)", "STRAIGHT, ROUND, SECTOR = range(3)"))
+    change(tree, tables, ('"round": ROUND}', '"round": ROUND, "sector": SECTOR}'))
+    put(tree, tables, "\n\ndef _set_emission", angle, 4)
     put(tree, "transport/lights/places.py", "    if light.shape == ROUND:\n        r, phi", places, 4)
     put(tree, "transport/lights/places.py", "    return px * px + py * py + pz * pz <=", holds, 4)
-    change(tree, "transport/lights/places.py", ("import ROUND, STRAIGHT", "import RING, ROUND, STRAIGHT"))
+    change(tree, "transport/lights/places.py", ("import ROUND, STRAIGHT", "import ROUND, SECTOR, STRAIGHT"))
 
 
 PROFILE_CELLS = """    row = profiles.rows[light.profile]
@@ -298,12 +303,156 @@ def add_phase(tree: Path) -> None:
     change(tree, tables, ("    IsotropicPhase,\n", "    IsotropicPhase,\n    LinearPhase,\n"))
 
 
+def add_detector(tree: Path) -> None:
+    field, check, effect, option, argument = blocks_of("A sensor")
+    detector, command = "lightfield/detector.py", "cli/lightfield.py"
+    put(tree, detector, "\n    def __post_init__", field, 4)
+    put(tree, detector, '        _refuse("bits"', check, 8)
+    put(tree, detector, "        lit = np.minimum(", effect, 8)
+    put(tree, command, "    full_well_e: Annotated[", option, 4)
+    put(tree, command, "        full_well_e=full_well_e,", argument, 8)
+
+
+def add_command(tree: Path) -> None:
+    file, example = blocks_of("A command")
+    (tree / "lfmesh" / "cli" / "lamps.py").write_text(file + "\n")
+    change(tree, "cli/__init__.py", ("            frames,\n", "            frames,\n            lamps,\n"))
+    put(tree, "cli/tasks.py", '        "schema": ', example, 8)
+
+
 def test_every_file_that_a_recipe_names_is_there() -> None:
     named = set(re.findall(r"`([\w/]+\.(?:py|md|toml))`", RECIPES))
     lone = {"test_generator.py", "examine.py"}
     assert lone <= named
     beside = [PACKAGE, PACKAGE.parent]
     assert [name for name in named - lone if not any((folder / name).is_file() for folder in beside)] == []
+
+
+QUICK = """
+import json
+from types import SimpleNamespace
+
+import numpy as np
+
+import lfmesh as lf
+from lfmesh.cli import main
+from lfmesh.geometry.surfaces.bends import height_range, set_bends
+from lfmesh.geometry.surfaces.surface import form_at, surface_of
+from lfmesh.scene.light.lights import SectorLight
+from lfmesh.transport.lights.places import _holds, point_of_light
+from lfmesh.transport.tables.lights import LIGHT, _set_region
+
+found = {}
+
+# A shape: the height and the second derivative in all directions are within their bounds, which are as close as can be.
+twist, rim = -0.03, 4.0
+saddle = surface_of(lf.Surface(saddle={"twist_per_mm": twist}, index=1.5, semi_diameter_mm=rim), semi_diameter=rim)
+set_bends(saddle, rim)
+height, _, _ = form_at.py_func(np.rec.array(saddle), rim * 0.5**0.5, rim * 0.5**0.5)
+found["bends"] = [float(saddle["least_bend"]), float(saddle["most_bend"])]
+found["heights"] = [height_range(saddle, rim), float(height)]
+
+# A lamp with a size: its points fill it evenly, and it holds them.
+dice = np.random.default_rng(7)
+given = {"position_mm": [1.0, 2.0, 3.0], "direction": [0.0, 0.6, -0.8], "radius_mm": 2.0, "power_w": 1.0}
+for angle in (90.0, 300.0, 360.0):
+    sector = SectorLight(**given, angle_deg=angle, turn_deg=20.0)
+    axes, row = sector.axes, np.zeros(1, LIGHT)
+    row["direction"] = axes[2]
+    _set_region(row[0], sector.region, np.eye(3, 4))
+    light = SimpleNamespace(**{name: row[0][name] for name in LIGHT.names})
+    drawn = [point_of_light.py_func(light, *dice.random(2)) for _ in range(400)]
+    rest = np.array(drawn) - given["position_mm"]
+    around = [axes[:2].T @ dice.uniform(-2.0, 2.0, 2) for _ in range(4000)]
+    found[f"sector {angle:g}"] = {
+        "held": all(_holds.py_func(light, *(point * (1.0 - 1e-12))) for point in rest),
+        "off plane": float(np.abs(rest @ axes[2]).max()),
+        "middle": (rest @ axes[:2].T).mean(axis=0).tolist(),
+        "area": [16.0 * np.mean([_holds.py_func(light, *point) for point in around]), float(row["area"][0])],
+    }
+
+# A detector: the pattern stays from exposure to exposure, and has the spread that is given.
+camera = {"lens": {"surfaces": [{"radius_mm": 50.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 5.0},
+                                {"radius_mm": -50.0, "semi_diameter_mm": 5.0, "stop": True}]},
+          "focus_mm": 500.0, "sensor": {"pixels": [64, 64], "pixel_mm": 0.01}}
+image = SimpleNamespace(scene=lf.Scene(camera=camera), mean=np.full((64, 64, 1), 1e-9), wavelengths_nm=(550.0,))
+shots = [lf.Detector(prnu=0.05, seed=seed).expose(image).expected_e for seed in (1, 2)]
+found["pattern"] = [bool((shots[0] == shots[1]).all()), float(shots[0].std() / shots[0].mean())]
+found["no pattern"] = float(np.ptp(lf.Detector().expose(image).expected_e))
+try:
+    lf.Detector(prnu=1.5)
+except lf.LfmeshError as error:
+    found["no such pattern"] = str(error)
+
+# A command.
+head = ["[camera]", "focus_mm = 500.0", "[camera.sensor]", "pixels = [4, 4]", "pixel_mm = 0.01", "[camera.lens]",
+        "surfaces = [{ radius_mm = 50.0, thickness_mm = 3.0, index = 1.5, semi_diameter_mm = 5.0 },",
+        "            { radius_mm = -50.0, semi_diameter_mm = 5.0, stop = true }]"]
+lamps = ["[[lights]]", 'kind = "point"', "position_mm = [1.0, 2.0, -300.0]", "power_w = 1.0",
+         "[[lights]]", 'kind = "directional"', "direction = [0.0, 0.0, 1.0]", "irradiance_w_m2 = 5.0"]
+for name, lines in (("lit.toml", head + lamps), ("dark.toml", head)):
+    with open(name, "w") as file:
+        file.write("schema_version = 1\\n" + "\\n".join(lines))
+    found[name] = main(["lamps", name])
+found["help"] = main(["lamps", "--help"])
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+    """Return what a copy of the package shows without kernels, and the lines that it printed before."""
+    tree = tmp_path_factory.mktemp("copy")
+    shutil.copytree(PACKAGE, tree / "lfmesh", ignore=shutil.ignore_patterns("*.nb?"))
+    for add in (add_shape, add_light, add_detector, add_command):
+        add(tree)
+    printed, _, last = run_in(tree, QUICK).strip().rpartition("\n")
+    return json.loads(last), printed
+
+
+def test_bounds_of_a_saddle_are_its_own(quick: tuple[dict[str, Any], str]) -> None:
+    """Second derivatives lie between −c and c, the height within c r² / 2, in either case as close as can be."""
+    found, _ = quick
+    assert found["bends"] == [-0.03, 0.03]
+    (least, most), height = found["heights"]
+    assert (least, most) == (pytest.approx(-0.24), pytest.approx(0.24))
+    assert height == pytest.approx(least)
+
+
+@pytest.mark.parametrize("angle", [90, 300, 360])
+def test_points_of_a_sector_lamp_fill_it_evenly(angle: int, quick: tuple[dict[str, Any], str]) -> None:
+    """It holds them, they lie about its centroid, and its area is that of the points that it holds, to 4 errors."""
+    found = quick[0][f"sector {angle}"]
+    assert found["held"]
+    assert found["off plane"] < 1e-14
+    counted, area = found["area"]
+    share = math.radians(angle) / 2.0 * 4.0 / 16.0
+    assert area == pytest.approx(16.0 * share)
+    assert abs(counted - area) < 4.0 * 16.0 * (share * (1.0 - share) / 4000) ** 0.5
+    half = math.radians(angle) / 2.0
+    error = 2.0 / 400**0.5  # at most, as no point is farther than 2 mm from the centre
+    assert abs(found["middle"][0] - 2.0 * 2.0 * math.sin(half) / (3.0 * half)) < 4.0 * error
+    assert abs(found["middle"][1]) < 4.0 * error
+
+
+def test_a_pattern_of_pixels_is_added_as_its_recipe_says(quick: tuple[dict[str, Any], str]) -> None:
+    """It is the same in each exposure, of the spread that is given, to 4 errors; without it pixels are alike."""
+    found, _ = quick
+    same, spread = found["pattern"]
+    assert same
+    assert abs(spread - 0.05) < 4.0 * 0.05 / (2.0 * 64 * 64) ** 0.5
+    assert found["no pattern"] == 0.0
+    assert found["no such pattern"] == "prnu = 1.5: must be 0 or more and below 1"
+
+
+def test_a_command_is_added_as_its_recipe_says(quick: tuple[dict[str, Any], str]) -> None:
+    """It prints a line for each lamp, refuses a scene without any, and has its example in its help."""
+    found, printed = quick
+    assert (found["lit.toml"], found["dark.toml"], found["help"]) == (0, 2, 0)
+    assert printed.splitlines()[:2] == [
+        "lights[0]: point, position_mm = [1.0, 2.0, -300.0]", "lights[1]: directional, parallel light"
+    ]  # fmt: skip
+    assert "Example: lfmesh lamps scene.toml" in printed
 
 
 @pytest.fixture(scope="module")
@@ -379,12 +528,11 @@ def test_a_cosine_lamp_is_added_as_its_recipe_says(found: dict[str, Any]) -> Non
 
 
 @pytest.mark.long
-def test_a_ring_lamp_is_added_as_its_recipe_says(found: dict[str, Any]) -> None:
-    """It is a disk less its hole, in the adjoint method too, and forward equals adjoint in air and in fog."""
-    hole, error = found["sized hole"][:2]
-    filled = [found["sized ring"][0] + hole, (found["sized ring"][1] ** 2 + error**2) ** 0.5]
-    assert agree(filled, found["sized whole"])
-    assert not agree(found["sized ring"], found["sized whole"])
+def test_a_sector_lamp_is_added_as_its_recipe_says(found: dict[str, Any]) -> None:
+    """Two halves are a disk, and give unequal light; forward equals adjoint in air and in fog."""
+    (one, error), (other, of_other) = found["sized half"][:2], found["sized other half"][:2]
+    assert agree([one + other, (error**2 + of_other**2) ** 0.5], found["sized whole"])
+    assert not agree(found["sized half"], found["sized other half"])
     for name in ("air", "fog"):
         assert agree(found[f"sized {name} adjoint"], found[f"sized {name} forward"])
 

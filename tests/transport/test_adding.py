@@ -312,13 +312,13 @@ def add_phase(tree: Path) -> None:
 
 
 def add_detector(tree: Path) -> None:
-    field, check, effect, option, argument = blocks_of("A sensor")
+    field, check, effect, option = blocks_of("A sensor")
     detector, command = "lightfield/detector.py", "cli/lightfield.py"
     put(tree, detector, "\n    def __post_init__", field, 4)
     put(tree, detector, '        _refuse("bits"', check, 8)
     put(tree, detector, "        lit = np.minimum(", effect, 8)
-    put(tree, command, "    full_well_e: Annotated[", option, 4)
-    put(tree, command, "        full_well_e=full_well_e,", argument, 8)
+    put(tree, command, "    full_well_e: Annotated[", option + ",", 4)
+    put(tree, command, "        full_well_e=full_well_e,", "prnu=prnu,", 8)
 
 
 def add_command(tree: Path) -> None:

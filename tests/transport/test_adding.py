@@ -264,7 +264,7 @@ def add_shape(tree: Path) -> None:
     put(tree, surface, "    if s.kind == TOROID:\n", height, 4)
     put(tree, bounds, "    # Out from the axis a biconic rises", heights, 4)
     put(tree, bounds, '    if surface["kind"] == BICONIC:\n        return extremes', bends, 4)
-    change(tree, bounds, ("import BICONIC, is_revolved", "import BICONIC, SADDLE, is_revolved"))
+    change(tree, bounds, ("import BICONIC, TOROID, is_revolved", "import BICONIC, SADDLE, TOROID, is_revolved"))
 
 
 def add_light(tree: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.surfaces.surface import BICONIC, is_revolved
+from lfmesh.geometry.surfaces.surface import BICONIC, TOROID, is_revolved
 from lfmesh.geometry.surfaces.tessellation import last_radius
 from lfmesh.optics.bounds import (
     ACROSS,
@@ -131,8 +131,10 @@ def height_range(surface: Any, rim: float) -> tuple[float, float]:
             partial(_biconic_heights, surface),
             [((0.0, 0.0), (0.0, 0.0)), ((radius**2, 0.0), (radius**2, 1.0))],
         )
-    else:
+    elif surface["kind"] == TOROID:
         ranges_in, lines = partial(_toroid_heights, surface, radius), [((0.0, at), (radius, at)) for at in (0.0, 1.0)]
+    else:
+        raise _without_bounds(surface)
     least, most = zip(*(extremes(ranges_in, low, high, HEIGHT_WITHIN) for low, high in lines), strict=True)
     return min(least), max(most)
 
@@ -187,7 +189,13 @@ def _bends(surface: Any, domain: float) -> tuple[float, float]:
         return _of_revolution(surface, domain, (ACROSS, ALONG), WITHIN)
     if surface["kind"] == BICONIC:
         return extremes(lambda *cells: _biconic_bends(surface, *cells), [0.0, 0.0], [domain**2, 1.0], WITHIN_BOTH)
-    return extremes(lambda *cells: _toroid_bends(surface, domain, *cells), [0.0, 0.0], [domain, 1.0], WITHIN_BOTH)
+    if surface["kind"] == TOROID:
+        return extremes(lambda *cells: _toroid_bends(surface, domain, *cells), [0.0, 0.0], [domain, 1.0], WITHIN_BOTH)
+    raise _without_bounds(surface)
+
+
+def _without_bounds(surface: Any) -> NotImplementedError:
+    return NotImplementedError(f"geometry/surfaces/bends.py has no bounds of surfaces of kind {int(surface['kind'])}")
 
 
 def _of_revolution(surface: Any, radius: float, orders: tuple[int, ...], within: float) -> tuple[float, float]:

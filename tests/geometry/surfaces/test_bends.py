@@ -162,3 +162,11 @@ def test_boxes_hold_posed_surfaces_and_are_close_round_those_of_revolution(kind)
         assert (high >= points.max(axis=0)).all()
         if kind == CONIC_AND_EVEN:
             assert np.allclose([low, high], [points.min(axis=0), points.max(axis=0)], rtol=0.0, atol=2e-3 * rim)
+
+
+def test_a_kind_without_bounds_is_no_toroid():
+    of = surface(30.0, kind=TOROID, radius_x_mm=20.0).copy()
+    of["kind"] = TOROID + 1
+    for bounds in (set_bends, height_range):
+        with pytest.raises(NotImplementedError, match=f"kind {TOROID + 1}"):
+            bounds(of, 5.0)

@@ -168,16 +168,22 @@ class World(Shown):
     def ghosts(self) -> GhostTables | None:
         """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
         if "ghosts" not in self.kept:
-            self.kept["ghosts"] = self._ghosts()
+            everywhere = bool(self.scene.media) or not self.targets
+            boxes = None if everywhere else np.array([target.box_mm for target in self.targets])
+            self.kept["ghosts"] = self._ghosts(boxes)
         found: GhostTables | None = self.kept["ghosts"]
         return found
 
-    def _ghosts(self) -> GhostTables | None:
+    def seen_everywhere(self) -> "World":
+        """Return the same world with ghosts drawn wherever they go, for a caller who sees more than its scene holds."""
+        world = copy(self)
+        world.kept = self.kept | {"ghosts": self._ghosts(None)}
+        return world
+
+    def _ghosts(self, boxes: Array | None) -> GhostTables | None:
         if self.tables.mla.apertures is not None:
             # Sequences know no random numbers.
             return None
-        everywhere = bool(self.scene.media) or not self.targets
-        boxes = None if everywhere else np.array([target.box_mm for target in self.targets])
         return ghost_tables(self.aimed_tables, boxes, self.scene.transport.max_events)
 
     @property

@@ -168,22 +168,16 @@ class World(Shown):
     def ghosts(self) -> GhostTables | None:
         """Sequences of the camera's ghosts, and how they are drawn; None where they are not followed by sequence."""
         if "ghosts" not in self.kept:
-            everywhere = bool(self.scene.media) or not self.targets
-            boxes = None if everywhere else np.array([target.box_mm for target in self.targets])
-            self.kept["ghosts"] = self._ghosts(boxes)
+            self.kept["ghosts"] = self._ghosts()
         found: GhostTables | None = self.kept["ghosts"]
         return found
 
-    def seen_everywhere(self) -> "World":
-        """Return the same world with ghosts drawn wherever they go, for a caller who sees more than its scene holds."""
-        world = copy(self)
-        world.kept = self.kept | {"ghosts": self._ghosts(None)}
-        return world
-
-    def _ghosts(self, boxes: Array | None) -> GhostTables | None:
+    def _ghosts(self) -> GhostTables | None:
         if self.tables.mla.apertures is not None:
             # Sequences know no random numbers.
             return None
+        # Media are left out, so that their images and the projection matrix of such a medium have the same rays.
+        boxes = np.array([target.box_mm for target in self.targets]) if self.targets else None
         return ghost_tables(self.aimed_tables, boxes, self.scene.transport.max_events)
 
     @property

@@ -280,8 +280,7 @@ class Projector:
         alone: dict[str, Any] = {
             "transport.method": "adjoint", "transport.diffraction": "none", "lights": (), "particles": (),
         }  # fmt: skip
-        # Ghosts show the grid wherever it stands, not only where targets do.
-        self.world = build(scene.changed(alone | ({} if absorption else {"media": ()}))).seen_everywhere()
+        self.world = build(scene.changed(alone | ({} if absorption else {"media": ()})))
         self._volumes = self.world.tables.objects.volumes
         self._place = _place_of(self.world, inside)
         front = frames.points(self.world.tables.frames[WORLD_FRAME, CAMERA_FRAME], self.grid.corners_mm())[:, 2].max()

@@ -92,7 +92,7 @@ def test_a_sheet_emits_pi_l_from_each_side_and_a_ball_from_its_outside() -> None
 def test_pixels_see_a_whole_hemisphere() -> None:
     """∫ cos θ dω = π over what a pixel's packets are spread over, so no direction is missed."""
     pixels = 4e-6  # m²: 20 x 20 of 0.1 mm
-    emitted = [image.ledger.emitted for image in by_seed(crowded(samples=64, replicates=1), range(24))]
+    emitted = [image.ledger.emitted for image in by_seed(crowded(samples=256, replicates=1), range(24))]
     assert stats.sem(emitted) < 0.01 * np.mean(emitted)
     assert stats.ttest_1samp(emitted, np.pi * pixels).pvalue > LEVEL
 

@@ -8,6 +8,7 @@ proves that there is one. Intervals without ends stand for rays that may end bef
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -224,13 +225,35 @@ def _met(surface: Surface, height: Range, steep: Range) -> Range:
     sag = surface.sag_mm(middle)
     apart = plus((middle, middle), scaled(-1.0, height), scaled(-1.0, times((sag, sag), steep)))
     spare = WIDER * np.maximum(-apart[0], apart[1]) / np.abs(1.0 - rise[0] * t) + np.spacing(np.abs(middle)) * 1024.0
+
+    def falls(trial: Range) -> Range:
+        exists = (trial[0] >= -surface.reach_mm) & (trial[1] <= surface.reach_mm)
+        _, rise, _ = _shape(surface, known_where(exists, trial))
+        return _one_less(times(rise, steep))
+
+    return enclosed(middle, apart, falls, spare)
+
+
+def enclosed(middle: Array, apart: Range, falls: Callable[[Range], Range], spare: Array) -> Range:
+    """Return ranges that hold the one zero of each of some functions, by interval Newton; without ends if unproven.
+
+    Parameters
+    ----------
+    middle : (n,) float64
+        Places near the zeros.
+    apart : (n,) float64 each
+        Bounds of the functions there.
+    falls : callable
+        Returns bounds of their derivatives over ranges.
+    spare : (n,) float64
+        Half the widths of the ranges that are tried first.
+    """
     found = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
     open_ = np.ones(len(middle), np.bool_)
     for _ in range(WIDENINGS):
-        trial = known_where(np.abs(middle) + spare <= surface.reach_mm, (middle - spare, middle + spare))
-        _, rise, _ = _shape(surface, trial)
-        newton = plus((middle, middle), scaled(-1.0, quotient(apart, _one_less(times(rise, steep)))))
-        holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1]) & np.isfinite(trial[0])
+        trial = middle - spare, middle + spare
+        newton = plus((middle, middle), scaled(-1.0, quotient(apart, falls(trial))))
+        holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1])
         for end, of_newton in zip(found, newton, strict=True):
             end[holds] = of_newton[holds]
         open_ &= ~holds

@@ -27,7 +27,7 @@ from lfmesh.optics.bounds import (
 )
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDENINGS, WIDER, Beam
+from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed
 
 Jet = Range
 """Bounds (3, n) of a number and of its derivatives by x and by y of the entry."""
@@ -206,19 +206,7 @@ def _met(surface: Surface, x: Jet, y: Jet, u: Jet, v: Jet) -> Jet:
 
     apart = plus(point, scaled(-1.0, at(point)[0]))
     spare = WIDER * np.maximum(-apart[0], apart[1]) + np.spacing(np.abs(middle)) * 1024.0
-    found = np.full_like(middle, -np.inf), np.full_like(middle, np.inf)
-    open_ = np.ones(len(middle), np.bool_)
-    for _ in range(WIDENINGS):
-        trial = middle - spare, middle + spare
-        bends = at(trial)
-        newton = plus(point, scaled(-1.0, quotient(apart, falls(bends))))
-        holds = open_ & (newton[0] >= trial[0]) & (newton[1] <= trial[1])
-        for end, of_newton in zip(found, newton, strict=True):
-            end[holds] = of_newton[holds]
-        open_ &= ~holds
-        spare = WIDER * np.maximum(spare, np.maximum(middle - newton[0], newton[1] - middle))
-        if not open_.any():
-            break
+    found = enclosed(middle, apart, lambda trial: falls(at(trial)), spare)
     bends = at(found)
     fall = falls(bends)
     rates = []

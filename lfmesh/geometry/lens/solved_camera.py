@@ -17,10 +17,9 @@ from lfmesh.geometry.lens.lens_shape import PIXEL_SHARE, LensShape, lens_shape
 from lfmesh.geometry.objects.refractors import face_lines, measured
 from lfmesh.geometry.objects.tanks import with_tanks
 from lfmesh.scene import FirstOrder, Paraxial, Scene, Tessellation, solved
-from lfmesh.scene.advice import warnings
 from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.files import with_lens_file
-from lfmesh.scene.first_order.compute import without_warnings
+from lfmesh.scene.first_order.compute import with_warnings, without_warnings
 from lfmesh.scene.inputs import file_stamp, files_of
 from lfmesh.scene.literals import plain
 
@@ -46,7 +45,7 @@ class SolvedCamera:
     @cached_property
     def report(self) -> FirstOrder:
         """The first-order report."""
-        return replace(self.facts, warnings=warnings(self.scene, self.facts))
+        return with_warnings(self.scene, self.facts)
 
     @cached_property
     def facts(self) -> FirstOrder:

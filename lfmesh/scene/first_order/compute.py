@@ -48,12 +48,12 @@ def first_order(scene: Scene) -> FirstOrder:
     SceneError
         As `solved`.
     """
-    return report_of_solved(solved(scene))
+    ready = solved(scene)
+    return with_warnings(ready, without_warnings(ready))
 
 
-def report_of_solved(scene: Scene) -> FirstOrder:
-    """Return the first-order report of a scene that is solved already; see `first_order`."""
-    facts = without_warnings(scene)
+def with_warnings(scene: Scene, facts: FirstOrder) -> FirstOrder:
+    """Return the report of a scene that is solved already with the warnings that follow from it."""
     return replace(facts, warnings=warnings(scene, facts))
 
 

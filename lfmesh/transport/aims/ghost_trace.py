@@ -160,9 +160,7 @@ def rms_weights(
     if rays.rays == 0:
         return np.zeros((sequences, 0))
     kinds = rays.rays // of_a_kind
-    weights = np.broadcast_to(factors, rays.rays)[rays.ray] * np.where(
-        counted, rays.weight, SHARE_PAST_ALL * rays.weight
-    )
+    weights = np.broadcast_to(factors, rays.rays)[rays.ray] * np.where(counted, 1.0, SHARE_PAST_ALL) * rays.weight
     cell = rays.sequence * kinds + rays.ray // of_a_kind
     sums = np.bincount(cell, weights**2, sequences * kinds)
     return np.asarray(np.sqrt(sums / of_a_kind).reshape(sequences, kinds))

@@ -38,7 +38,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 
         return found
 
-    monkeypatch.setattr(ghost_aim, "_ghost_tables", counted("ghosts", ghost_aim._ghost_tables))
+    monkeypatch.setattr(ghost_aim, "_traced", counted("ghosts", ghost_aim._traced))
     monkeypatch.setattr(glass_aim, "_found", counted("glass", glass_aim._found))
     monkeypatch.setattr(ghost_aim, "_kept", Kept())
     monkeypatch.setattr(glass_aim, "_aims", Kept())
@@ -48,7 +48,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 @pytest.fixture
 def in_vain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches take no time and find nothing."""
-    monkeypatch.setattr(ghost_aim, "_ghost_tables", lambda *_: None)
+    monkeypatch.setattr(ghost_aim, "_traced", lambda *_: None)
     monkeypatch.setattr(glass_aim, "_found", lambda *_: (None, None))
 
 

@@ -25,11 +25,11 @@ from lfmesh.geometry.meshes.flatness import in_one_plane
 from lfmesh.geometry.meshes.levels import SURFACE_LEVEL
 from lfmesh.geometry.meshes.mesh import Array, Mesh, joined
 from lfmesh.geometry.objects.targets import TargetMesh, target_body
+from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.division import divided
 from lfmesh.geometry.surfaces.tessellation import element, revolved
 from lfmesh.notebook import Shown
 from lfmesh.scene import FirstOrder, Scene
-from lfmesh.scene.camera.sections import AZIMUTHS
 from lfmesh.transport.aims.aim_table import all_before, shapes_in_camera, unaimed
 from lfmesh.transport.aims.ghost_aim import ghost_tables
 from lfmesh.transport.built import Key, keep, key_of, known, let_go, refuse_other
@@ -307,7 +307,8 @@ class World(Shown):
         z = self.scene.camera.lens.vertices_mm[number]
         inner = surfaces[number].semi_diameter_mm or 0.0
         outer = max(1.3 * inner, *self.lens_shape.rims)
-        z += surfaces[number].sags_mm(inner, AZIMUTHS).max()
+        if number in self.lens_shape.numbers:
+            z += rim_range(self.lens_shape.surfaces[self.lens_shape.numbers.index(number)], inner)[1]
         ring = revolved(np.array([[outer, z], [inner, z]]), 96)
         return ring.moved(pose_of(self.scene.camera.lens, number)).solid()
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from lfmesh.geometry import frame
+from lfmesh.geometry.surfaces.sag import sag
 from lfmesh.geometry.surfaces.surface import BICONIC, TOROID, is_revolved
-from lfmesh.geometry.surfaces.tessellation import last_radius
+from lfmesh.geometry.surfaces.tessellation import AZIMUTHS, last_radius
 from lfmesh.optics.bounds import (
     ACROSS,
     ALONG,
@@ -28,6 +29,9 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
+
+Line = tuple[tuple[float, float], tuple[float, float]]
+"""Two corners of a row of cells."""
 
 WITHIN, WITHIN_BOTH = 0.005, 0.02
 """Largest distance of a bound from the extreme, over its size: on a meridian, and where it depends on x and y."""
@@ -125,18 +129,45 @@ def height_range(surface: Any, rim: float) -> tuple[float, float]:
     if is_revolved(surface):
         return _of_revolution(surface, radius, (SAG,), HEIGHT_WITHIN)
     # Out from the axis a biconic rises or falls all along a meridian, and a toroid all along a line y = const.
-    ranges_in: Callable[[Array, Array], Range]
-    if surface["kind"] == BICONIC:
-        ranges_in, lines = (
-            partial(_biconic_heights, surface),
-            [((0.0, 0.0), (0.0, 0.0)), ((radius**2, 0.0), (radius**2, 1.0))],
-        )
-    elif surface["kind"] == TOROID:
-        ranges_in, lines = partial(_toroid_heights, surface, radius), [((0.0, at), (radius, at)) for at in (0.0, 1.0)]
-    else:
-        raise _without_bounds(surface)
-    least, most = zip(*(extremes(ranges_in, low, high, HEIGHT_WITHIN) for low, high in lines), strict=True)
-    return min(least), max(most)
+    return _extremes_on(*_height_cells(surface, radius))
+
+
+def rim_range(surface: Any, rim: float) -> tuple[float, float]:
+    """Return bounds of the least and the largest height of the rim of a surface over its vertex, mm.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+        Radius of the circle about the axis; beyond the end of the surface, its heights are those of the end.
+    """
+    radius = min(rim, last_radius(surface))
+    if is_revolved(surface):
+        return (float(sag(surface, radius)),) * 2
+    if surface["kind"] not in (BICONIC, TOROID):
+        # Bounds of all heights inside are some of these, too.
+        return height_range(surface, rim)
+    ranges_in, (circle, _) = _height_cells(surface, radius)
+    return _extremes_on(ranges_in, [circle])
+
+
+def rim_hull(surface: Any, rim: float) -> Array:
+    """Return points (n, 3) whose convex hull holds the rim of a surface where it stands, camera frame, mm.
+
+    A polygon round the circle, at the rim's least and at its largest height. Along any direction, and from any axis,
+    the points reach at least as far as the rim.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    rim : float, mm
+        As for `rim_range`.
+    """
+    turn = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    around = rim / np.cos(np.pi / AZIMUTHS) * np.column_stack([np.cos(turn), np.sin(turn)])
+    levels = [float(surface["vertex_z"]) + height for height in rim_range(surface, rim)]
+    points = np.concatenate([np.column_stack([around, np.full(AZIMUTHS, z)]) for z in levels])
+    return frame.points(surface["pose"], points) if surface["posed"] else points
 
 
 def box_of(surface: Any, rim: float) -> Array:
@@ -201,6 +232,23 @@ def _without_bounds(surface: Any) -> NotImplementedError:
 def _of_revolution(surface: Any, radius: float, orders: tuple[int, ...], within: float) -> tuple[float, float]:
     curvature, conic = float(surface["curvature"]), float(surface["conic"])
     return profile_extremes((curvature, curvature), conic, powers_of(surface), radius, orders, within)
+
+
+def _height_cells(surface: Any, radius: float) -> tuple[Callable[[Array, Array], Range], list[Line]]:
+    """Return a function that bounds heights in cells, and the two lines of cells on which heights have their extremes.
+
+    The first is the circle of the given radius, mm.
+    """
+    if surface["kind"] == BICONIC:
+        return partial(_biconic_heights, surface), [((radius**2, 0.0), (radius**2, 1.0)), ((0.0, 0.0), (0.0, 0.0))]
+    if surface["kind"] == TOROID:
+        return partial(_toroid_heights, surface, radius), [((0.0, 1.0), (radius, 1.0)), ((0.0, 0.0), (radius, 0.0))]
+    raise _without_bounds(surface)
+
+
+def _extremes_on(ranges_in: Callable[[Array, Array], Range], lines: list[Line]) -> tuple[float, float]:
+    least, most = zip(*(extremes(ranges_in, low, high, HEIGHT_WITHIN) for low, high in lines), strict=True)
+    return min(least), max(most)
 
 
 def _mixed(low: Array, high: Array, of_x: float, of_y: float) -> Range:

@@ -8,7 +8,6 @@ from itertools import zip_longest
 from typing import ClassVar, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from lfmesh.optics.bounds import ACROSS, SAG, Range, profile_range
@@ -203,32 +202,6 @@ class Surface(Model):
         """Height up to which the surface exists at every azimuth; inf where it never ends."""
         form = self.form
         return reach_of_conic_mm(self.vertex_radius_mm, self.vertex_conic) if form is None else form.reach_mm(self)
-
-    def sags_mm(self, height_mm: float | NDArray[np.float64], azimuths: int = 1) -> NDArray[np.float64]:
-        """Return z above the vertex plane at heights from the axis, at azimuths from the y axis to the x axis and on.
-
-        Their order is that of every surface: those of a quarter turn, then their mirror images in x, in y, in both.
-
-        Parameters
-        ----------
-        height_mm : float or array, mm
-        azimuths : int
-            In a quarter turn; one is enough for a surface of revolution.
-
-        Returns
-        -------
-        ndarray
-            (..., 4 azimuths), mm.
-        """
-        form = self.form
-        heights = np.asarray(height_mm, np.float64)[..., None]
-        if form is None:
-            return np.repeat(self.sag_mm(heights), 4 * azimuths, axis=-1)
-        turns = 0.5 * math.pi * np.arange(azimuths) / max(1, azimuths - 1)
-        x, y = heights * np.sin(turns), heights * np.cos(turns)
-        quarters = ((1.0, 1.0),) if form.symmetric else ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0))
-        sags = [self.sag_at_mm(across * x, up * y) for across, up in quarters]
-        return np.concatenate(sags * (4 // len(quarters)), axis=-1)
 
     def sag_at_mm(self, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z of the surface above its vertex plane at a point, all in mm.

@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 Heights = TypeVar("Heights", float, NDArray[np.float64])
 """One height, or coordinate, or an array of them."""
 
-AZIMUTHS = 33
-"""Azimuths in a quarter turn at which surfaces are measured that are not of revolution."""
-
 END_WITHIN = 1e-6
 """Largest relative distance of a toroid's end from the height that it is proven to reach."""
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from lfmesh.geometry import frame
 from lfmesh.geometry.meshes.mesh import Array
 from lfmesh.geometry.objects.targets import TargetMesh
+from lfmesh.geometry.surfaces.bends import rim_hull
 from lfmesh.geometry.surfaces.surface import is_revolved
-from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene import FirstOrder, Scene
 from lfmesh.scene.first_order.solve import cover_shift_mm
@@ -324,7 +324,8 @@ def widest_disk(lens: LensTables, p: Array, *, front: bool, nearest: float = 0.0
     plane = lens.box_low[2] if front else lens.box_high[2]
     outer = surfaces[0] if front else surfaces[-1]
     rim = float(max(abs(lens.box_low[0]), abs(lens.box_high[0]), abs(lens.box_low[1]), abs(lens.box_high[1])))
-    z = on_circles(outer, np.array([0.0, outer["semi_diameter"]]))[..., 2]
+    # Rays come to what is deeper than the rim through the rim, and to what is less deep nearer to the plane.
+    z = np.concatenate([rim_hull(outer, r)[:, 2] for r in (0.0, float(outer["semi_diameter"]))])
     depth = abs(float(z.max() if front else z.min()) - plane)
     distance = np.maximum((plane - p[:, 2]) if front else (p[:, 2] - plane), max(depth, nearest))
     spread = (np.hypot(p[:, 0], p[:, 1]) + rim) * np.divide(

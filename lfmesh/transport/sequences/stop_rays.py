@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.geometry.surfaces.tessellation import ALL_ROUND, mesh_heights
+from lfmesh.geometry.surfaces.bends import height_range
 from lfmesh.kernels.by_address import by_address
 from lfmesh.kernels.decorators import kernel
 from lfmesh.transport.events.kick import kick_by_key
@@ -299,13 +299,13 @@ def _to_plane(lens: LensTables, space: int, z: float, plane_z: float) -> tuple[f
 
 
 def _stop_of(lens: LensTables) -> tuple[int, float, float, float, Array]:
-    """Return the space that the stop lies in or bounds, z and radius of the stop, sag of its surface, and its pose."""
+    """Return the space that the stop lies in or bounds, z and radius of the stop, its largest sag, and its pose."""
     if lens.stop_space >= 0:
         return lens.stop_space, lens.stop_z, lens.stop_radius, 0.0, lens.stop_pose
     surfaces = lens.surfaces
     k = int(np.argmax(surfaces["stop"] == 1))
     rim = float(surfaces[k]["semi_diameter"])
-    depth = float(np.abs(mesh_heights(surfaces[k], rim * np.cos(ALL_ROUND), rim * np.sin(ALL_ROUND))).max())
+    depth = max(map(abs, height_range(surfaces[k], rim)))
     return k, float(surfaces[k]["vertex_z"]), rim, depth, np.array(surfaces[k]["pose"])
 
 

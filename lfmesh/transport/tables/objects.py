@@ -11,8 +11,8 @@ from lfmesh.geometry.meshes.patch_tree import patch_tree
 from lfmesh.geometry.objects.round_faces import ROUND, RoundFaces, round_faces
 from lfmesh.geometry.objects.targets import TargetMesh
 from lfmesh.geometry.objects.texture import Texture, is_grey
-from lfmesh.geometry.surfaces.surface import is_revolved
-from lfmesh.geometry.surfaces.tessellation import mesh_sag, on_circles, revolved
+from lfmesh.geometry.surfaces.bends import rim_hull
+from lfmesh.geometry.surfaces.tessellation import revolved
 from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import Scene
 from lfmesh.scene.materials.coatings import UNCOATED
@@ -55,17 +55,14 @@ def middle_of(targets: list[TargetMesh]) -> Array:
 
 def housing_mesh(scene: Scene, shape: LensShape) -> Mesh:
     """Return the camera's housing: a plate around the first rim, the barrel, and the body around array and sensor."""
-    rim = shape.rims[0]
-    barrel = 1.05 * max(shape.rims)
-    if not shape.surfaces["posed"].any() and all(map(is_revolved, shape.surfaces)):
-        front = float(shape.surfaces[0]["vertex_z"] + mesh_sag(shape.surfaces[0], shape.rims[0]))
-        back = float(shape.surfaces[-1]["vertex_z"] + mesh_sag(shape.surfaces[-1], shape.rims[-1]))
-    else:
-        # The hole in the plate and the barrel are as wide as poses ask for, and no rim stands behind the plate.
-        first, *others = (on_circles(s, np.array([r]))[0] for s, r in zip(shape.surfaces, shape.rims, strict=True))
-        rim = float(np.hypot(first[:, 0], first[:, 1]).max())
-        barrel = 1.05 * max([rim, *(float(np.hypot(line[:, 0], line[:, 1]).max()) for line in others)])
-        front, back = float(first[:, 2].max()), float((others or [first])[-1][:, 2].max())
+    hulls = [rim_hull(surface, rim) for surface, rim in zip(shape.surfaces, shape.rims, strict=True)]
+    rim, barrel = shape.rims[0], 1.05 * max(shape.rims)
+    if shape.surfaces["posed"].any():
+        # The hole in the plate and the barrel are as wide as poses ask for.
+        reaches = [float(np.hypot(hull[:, 0], hull[:, 1]).max()) for hull in hulls]
+        rim, barrel = reaches[0], 1.05 * max(reaches)
+    # No rim stands behind the plate.
+    front, back = float(hulls[0][:, 2].max()), float(hulls[-1][:, 2].max())
     moves = frame_table(scene, np.zeros(3))
     corners = [np.multiply(0.5, scene.camera.sensor.size_mm)]
     if scene.camera.mla is not None:

@@ -15,9 +15,8 @@ from lfmesh.errors import LfmeshError
 from lfmesh.geometry import frame as frames
 from lfmesh.geometry.lens.element_poses import pose_of
 from lfmesh.geometry.lens.solved_camera import solved_camera
+from lfmesh.geometry.surfaces.bends import rim_range
 from lfmesh.geometry.surfaces.sag import gradients, heights
-from lfmesh.geometry.surfaces.surface import in_place
-from lfmesh.geometry.surfaces.tessellation import on_circles
 from lfmesh.optics.ray_aiming import aim_rays
 from lfmesh.transport.packets.packet import CAMERA_FRAME, WORLD_FRAME
 from lfmesh.transport.trace import Status, trace
@@ -193,8 +192,7 @@ class Aim:
     def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
         """Return a path that misses the first surface, as far as the plane of that surface's rim."""
         front = self.world.lens_shape.surfaces[0]
-        rim = np.array([self.world.lens_shape.rims[0]])
-        z = float(in_place(front, on_circles(front, rim))[..., 2].max())
+        z = float(front["vertex_z"]) + rim_range(front, self.world.lens_shape.rims[0])[1]
         before = points[points[:, 2] < z]
         if (len(before) == len(points) and not escaped) or not len(before):
             return points

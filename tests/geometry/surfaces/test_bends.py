@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lfmesh.geometry import frame
-from lfmesh.geometry.surfaces.bends import BEFORE_END, box_of, height_range, set_bends
+from lfmesh.geometry.surfaces.bends import BEFORE_END, box_of, height_range, rim_hull, rim_range, set_bends
 from lfmesh.geometry.surfaces.sag import gradients, heights
 from lfmesh.geometry.surfaces.surface import BICONIC, CONIC_AND_EVEN, TOROID, put_in_pose, surface
 from lfmesh.scene.camera.sections import toroid_reach_mm
@@ -162,6 +162,33 @@ def test_boxes_hold_posed_surfaces_and_are_close_round_those_of_revolution(kind)
         assert (high >= points.max(axis=0)).all()
         if kind == CONIC_AND_EVEN:
             assert np.allclose([low, high], [points.min(axis=0), points.max(axis=0)], rtol=0.0, atol=2e-3 * rim)
+
+
+@pytest.mark.parametrize("kind", [CONIC_AND_EVEN, BICONIC, TOROID])
+def test_no_point_of_a_rim_lies_outside_its_hull_or_far_inside(kind):
+    """Along any direction the hull reaches as far as the rim at 40,000 azimuths.
+
+    Beyond, it reaches 2e-3 of the radius and the rim's own rise and fall at most.
+    """
+    draw = np.random.default_rng(70 + kind)
+    phi = np.linspace(0.0, 2.0 * np.pi, 40_000)
+    for _ in range(8):
+        of, rim = drawn_surface(draw, max(kind, BICONIC))
+        if kind == CONIC_AND_EVEN:
+            of = surface(20.0, draw.uniform(-3.0, 0.8), draw.normal(size=4) / 8.0 ** np.arange(3, 10, 2))
+        x, y = rim * np.cos(phi), rim * np.sin(phi)
+        z = heights(of, x, y)
+        low, high = rim_range(of, rim)
+        assert low - 1e-12 <= z.min() < low + 1e-3 * np.ptp(z) + 1e-12
+        assert high + 1e-12 >= z.max() > high - 1e-3 * np.ptp(z) - 1e-12
+        of["vertex_z"] = draw.uniform(-5.0, 5.0)
+        put_in_pose(of, frame.frame(draw.uniform(-20.0, 20.0, 3), draw.normal(size=3)))
+        points = frame.points(of["pose"], np.column_stack([x, y, of["vertex_z"] + z]))
+        hull = rim_hull(of, rim)
+        spare = 2e-3 * rim + (0.0 if kind == CONIC_AND_EVEN else np.ptp(z))
+        for way in draw.normal(size=(20, 3)):
+            way /= np.linalg.norm(way)
+            assert -1e-12 <= (hull @ way).max() - (points @ way).max() < spare
 
 
 def test_a_kind_without_bounds_is_no_toroid():

@@ -90,10 +90,11 @@ class _Rays(NamedTuple):
 
 def widest_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, entry_mm: float, clear_mm: ArrayLike = 0.0
-) -> Beam:  # fmt: skip
+) -> tuple[Beam, bool]:  # fmt: skip
     """Return the largest height at each surface of the rays up to one that pass the stop, no aperture in their way.
 
-    Zones are divided until no ray of any can be higher, by more than `CLOSE`, than one that was found.
+    Zones are divided until no ray of any can be higher, by more than `CLOSE`, than one that was found. True if it is
+    proven that all these rays pass the stop.
 
     Parameters
     ----------
@@ -110,6 +111,7 @@ def widest_mm(
     edges = np.linspace(0.0, entry_mm, ZONES + 1)
     low, high, widest = edges[:-1], edges[1:], np.zeros((len(lens.surfaces), 1))
     clear = np.broadcast_to(np.asarray(clear_mm, np.float64), len(widest))[:, None]
+    all_pass = True
     for halving in range(HALVINGS + 1):
         # Both edges of each zone, and the zone.
         zones = followed(
@@ -130,6 +132,7 @@ def widest_mm(
         low_enough = (bounds < np.inf) & (bounds <= np.maximum(widest * (1.0 + CLOSE), clear))
         settled = low_enough | (steady & whole) | beside[2 * count :] | (np.maximum.accumulate(widest) == np.inf)
         open_ = ~settled.all(axis=0)
+        all_pass &= bool(whole[~open_].all())
         low, high = low[open_], high[open_]
         if halving == HALVINGS or not 0 < 2 * len(low) <= MOST_OPEN:
             break
@@ -139,7 +142,8 @@ def widest_mm(
     # Zones round a ray that ends stay open, and hold hardly any light. Of more than that, bounds are all that is known.
     if float((high - low) @ (high + low)) > CLOSE * entry_mm**2:
         proven = np.maximum(proven, np.where(settled, 0.0, bounds)[:, open_].max(axis=1))
-    return Beam([float(each) for each in widest[:, 0]], [float(each) for each in proven])
+    found = Beam([float(each) for each in widest[:, 0]], [float(each) for each in proven])
+    return found, all_pass and not len(low)
 
 
 def followed(lens: Lens, wavelength_nm: float, object_mm: float, low_mm: Array, high_mm: Array) -> Zones:

@@ -1,14 +1,17 @@
 """Real rays in the meridional plane of a lens: how wide its axial beam really is where the paraxial one would be wider.
 
-Plain floats: a scene is judged before anything is built.
+Plain floats: a scene is judged before anything is built. Bounds prove what single rays cannot.
 """
 
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
+from lfmesh.optics.bounds import ROUNDING, Array, Range, first_below
 from lfmesh.optics.glass import refractive_index
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.first_order.beam_bounds import Beam, widest_mm
+from lfmesh.scene.first_order.beam_bounds import Beam, followed, widest_mm
 
 STEPS = 50
 """Of Newton's method towards a surface."""
@@ -66,7 +69,8 @@ def beam_mm(
 ) -> Beam:
     """Return how far from the axis the beam that fills the stop meets each surface, no aperture in its way.
 
-    Spherical aberration can carry rays from within the stop farther out than those from its edge.
+    It ends with the first ray, out from the axis, that meets the edge of the stop. Spherical aberration can carry rays
+    from within the stop farther out than those from its edge.
 
     Parameters
     ----------
@@ -81,15 +85,52 @@ def beam_mm(
         Without heights where no ray reaches the edge of the stop.
     """
     entry, edge = edge_of_stop_mm(lens, wavelength_nm, object_mm, guess_mm)
-    if not edge:
+    if edge:
+        beam, all_pass = widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
+        if all_pass:
+            return beam
+    # Some rays before this one miss the stop: the beam ends at the first of them.
+    entry = _end_of_beam_mm(lens, wavelength_nm, object_mm, entry)
+    heights = heights_mm(lens, wavelength_nm, object_mm, entry)
+    if not _meets_edge(lens, heights):
         return Beam([], [])
-    return widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)
+    return widest_mm(lens, wavelength_nm, object_mm, entry, clear_mm)[0]
+
+
+def _end_of_beam_mm(lens: Lens, wavelength_nm: float, object_mm: float, most_mm: float) -> float:
+    """Return the height of the first ray that passes the stop's edge or ends before the stop; `most_mm`: there is none.
+
+    Parameters
+    ----------
+    lens, wavelength_nm, object_mm
+        As for `heights_mm`.
+    most_mm : float
+        Height up to which it is looked for.
+    """
+    stop = lens.stop_index or 0
+
+    def ranges_of(low: Array, high: Array) -> list[Range]:
+        """Return bounds of the height in the stop, below 0, and of its derivative."""
+        zones = followed(lens, wavelength_nm, object_mm, low[:, 0], high[:, 0])
+        (least, most), rate = zones.heights_mm[stop], np.abs(zones.slopes[stop]).max(axis=0)
+        near = np.where((least < 0.0) & (most > 0.0), 0.0, np.minimum(np.abs(least), np.abs(most)))
+        return [(-np.maximum(np.abs(least), np.abs(most)), -near), (-rate, rate)]
+
+    radius = lens.surfaces[stop].semi_diameter_mm or math.nan
+    with np.errstate(invalid="ignore"):
+        return first_below(ranges_of, [0.0], [most_mm], -radius, ROUNDING)
+
+
+def _meets_edge(lens: Lens, heights: Sequence[float]) -> bool:
+    """Tell whether a ray that meets surfaces at these heights meets the edge of the stop, within rounding."""
+    stop = lens.stop_index or 0
+    return len(heights) > stop and abs(heights[stop]) >= (lens.surfaces[stop].semi_diameter_mm or math.nan) * (1 - 1e-6)
 
 
 def edge_of_stop_mm(
     lens: Lens, wavelength_nm: float, object_mm: float, guess_mm: float
 ) -> tuple[float, list[float]]:  # fmt: skip
-    """Return the real axial ray that meets the edge of the stop, no aperture in its way.
+    """Return a real axial ray that meets the edge of the stop, no aperture in its way; of several any.
 
     Parameters
     ----------
@@ -133,7 +174,7 @@ def edge_of_stop_mm(
         else:
             low, below, inside = height, excess, heights
     height, heights = (high, outside) if above < -below else (low, inside)
-    return height, heights if len(heights) > stop and abs(heights[stop]) >= radius * (1 - 1e-6) else []
+    return height, heights if _meets_edge(lens, heights) else []
 
 
 def _meet(surface: Surface, y: float, z: float, slope: float) -> tuple[float, float] | None:

@@ -64,6 +64,24 @@ def test_the_ray_at_the_edge_of_a_stop_behind_is_found_from_any_guess(guess: flo
     assert abs(10.0 * math.sin(2 * inside - outside)) == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("guess", [5.0, 8.0, 15.0, 30.0])
+def test_the_axial_beam_ends_with_the_first_ray_that_meets_the_edge_of_the_stop(guess: float) -> None:
+    """Rays farther out come back into this stop: of 4000 rays the first beyond its edge bounds the beam."""
+    lens = Lens(
+        surfaces=(
+            Surface(radius_mm=800.0, conic=9999.0, thickness_mm=30.0, index=1.5, semi_diameter_mm=7.9),
+            Surface(asphere_mm=(2e-4, -3e-6), thickness_mm=40.0, semi_diameter_mm=12.0),
+            Surface(semi_diameter_mm=6.0, stop=True),
+        )
+    )
+    fan = [heights_mm(lens, 587.6, math.inf, 0.002 * ray) for ray in range(4000)]
+    first = next(ray for ray, heights in enumerate(fan) if abs(heights[2]) > 6.0)
+    assert any(abs(heights[2]) < 5.9 for heights in fan[first:])
+    found = beam_mm(lens, 587.6, math.inf, guess).found_mm
+    assert 0.002 * (first - 1) <= found[0] <= 0.002 * first
+    assert found[2] == pytest.approx(6.0, rel=2e-6)
+
+
 def test_a_ray_that_no_surface_meets_ends_there() -> None:
     assert heights_mm(ball(), 587.6, math.inf, 10.5) == []
 

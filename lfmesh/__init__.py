@@ -70,7 +70,8 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.views.field import LightField
     from lfmesh.lightfield.views.focused import focused
     from lfmesh.lightfield.views.patches import patches_in_focus, render_patches
-    from lfmesh.lightfield.volumes.projection import ProjectionMatrix, projection_matrix
+    from lfmesh.lightfield.volumes.projection import projection_matrix
+    from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
     from lfmesh.lightfield.volumes.reconstruction import Reconstruction, reconstruct, volume_quality
     from lfmesh.lightfield.volumes.voxel_box import VoxelBox
     from lfmesh.scene import (
@@ -369,7 +370,8 @@ _HOMES = {
     "lfmesh.lightfield.views.focused": ["focused"],
     "lfmesh.lightfield.views.patches": ["patches_in_focus", "render_patches"],
     "lfmesh.lightfield.photographs.photograph": ["AllInFocus", "FocalStack", "Photograph", "all_in_focus"],
-    "lfmesh.lightfield.volumes.projection": ["ProjectionMatrix", "projection_matrix"],
+    "lfmesh.lightfield.volumes.projection": ["projection_matrix"],
+    "lfmesh.lightfield.volumes.projection_matrix": ["ProjectionMatrix"],
     "lfmesh.lightfield.rays.ray_model": ["RayModel"],
     "lfmesh.lightfield.volumes.reconstruction": ["Reconstruction", "reconstruct", "volume_quality"],
     "lfmesh.lightfield.photographs.refocus": ["focal_stack", "refocus"],

@@ -92,16 +92,16 @@ def matrix(
 def _print_resolution(out: Path) -> None:
     """Print what the camera of a matrix resolves, where the matrix fits into memory."""
     from lfmesh.files.matrix import open_projection_matrix
-    from lfmesh.lightfield.volumes.projection import fits_into_memory
-    from lfmesh.lightfield.volumes.resolution import in_words
+    from lfmesh.lightfield.volumes.resolution_messages import resolution_message
+    from lfmesh.scene.memory import fits_into_memory
 
     if not fits_into_memory(COPIES * out.stat().st_size):
         print(wrapped("too large for this machine's memory to find what the camera resolves"))
         return
     with status() as report:
         report("finding what the camera resolves")
-        words = in_words(open_projection_matrix(out))
-    print(wrapped(words), flush=True)
+        message = resolution_message(open_projection_matrix(out))
+    print(wrapped(message), flush=True)
 
 
 def _box(given: Voxels) -> "VoxelBox":

@@ -23,14 +23,13 @@ from lfmesh.files.folder import made_inside, staged_file
 from lfmesh.files.json_values import parse_json
 from lfmesh.files.whole import make_like_any_other
 from lfmesh.lightfield.volumes.projection import (
-    THRESHOLD,
-    ProjectionMatrix,
-    Projector,
     computed,
     not_seen,
     pixels_of,
     size_in_words,
 )
+from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
+from lfmesh.lightfield.volumes.projector import THRESHOLD, Projector
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.regular_file import Header, open_arrays, open_regular, read_text
 from lfmesh.scene import Scene

@@ -40,7 +40,7 @@ SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 @pytest.fixture
 def _files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lfmesh.lightfield.volumes.projection.RAYS_AT_ONCE", 400)
+    monkeypatch.setattr("lfmesh.lightfield.volumes.projector.RAYS_AT_ONCE", 400)
     for name, text in (("scene.toml", SCENE), ("study.toml", STUDY), ("data.toml", DATASET)):
         (tmp_path / name).write_text(text)
     # A shell ignores Ctrl-C for what it runs in the background, these tests perhaps.

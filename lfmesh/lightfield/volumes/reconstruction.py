@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from lfmesh.errors import LfmeshError, PictureWarning, UnknownErrorWarning, warn_caller
 from lfmesh.lightfield.volumes import regularised, volume_error
 from lfmesh.lightfield.volumes.algebraic import ITERATIONS, SOLVERS, relative_residual
-from lfmesh.lightfield.volumes.projection import ProjectionMatrix
-from lfmesh.lightfield.volumes.resolution import fine_voxels
+from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
+from lfmesh.lightfield.volumes.resolution_messages import fine_voxels
 from lfmesh.scene.literals import literal
 from lfmesh.transport.render.image import Image
 

@@ -18,7 +18,7 @@ from lfmesh.errors import LfmeshError
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from lfmesh.lightfield.volumes.projection import ProjectionMatrix
+    from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]

@@ -5,12 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import FineVoxelsWarning
-
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-    from lfmesh.lightfield.volumes.projection import ProjectionMatrix
 
 Array = NDArray[np.float64]
 
@@ -31,9 +27,6 @@ PROBED, STEPS = 30_000, 160
 
 MOST_KEPT = 50_000_000
 """Numbers that are kept of all steps; of very large matrices there are fewer steps."""
-
-MOST_HIDDEN = 0.1
-"""Share of the features of a volume that may be below the noise before voxels count as too fine."""
 
 
 def resolved_lengths(matrix: "csr_array", shape: tuple[int, ...], spacing_mm: Array) -> Array:
@@ -126,42 +119,3 @@ def _count_above(rows: "csr_array") -> float:
         roots = np.sqrt(np.maximum(squares, 0.0))
         below.append(np.interp(NOISE * roots[-1], roots, np.cumsum(share) - 0.5 * share))
     return n * (1.0 - float(np.mean(below)))
-
-
-def fine_voxels(matrix: "ProjectionMatrix", seen: int) -> list[FineVoxelsWarning]:
-    """Return the warning of voxels that are finer than the camera resolves.
-
-    Parameters
-    ----------
-    matrix : ProjectionMatrix
-    seen : int
-        Number of voxels that some pixel looks at.
-    """
-    if matrix.effective_rank >= (1.0 - MOST_HIDDEN) * seen:
-        return []
-    axes = "".join(
-        f"; along {name} {in_mm(length)} are resolved, with voxels of {spacing:.3g} mm"
-        for name, spacing, length in zip("xyz", matrix.grid.spacing_mm, matrix.resolved_mm, strict=True)
-        if length > spacing
-    )
-    return [
-        FineVoxelsWarning(
-            f"voxels are finer than the camera resolves: of the features of {seen:,} voxels {matrix.effective_rank:,} "
-            f"stand out of noise of 1 %{axes}; finer details come from the method, not from the image: take coarser "
-            "voxels"
-        )
-    ]
-
-
-def in_mm(length: float) -> str:
-    """Return a length in words."""
-    return f"{length:.3g} mm" if np.isfinite(length) else "an unlimited length"
-
-
-def in_words(matrix: "ProjectionMatrix") -> str:
-    """Return what a camera resolves in a box of voxels, in one line."""
-    lengths = ", ".join(
-        f"{name} {in_mm(length)}" for name, length in zip("xyz", matrix.resolved_mm, strict=True) if length == length
-    )
-    along = f"resolved along the box's own {lengths}; " if lengths else ""
-    return f"{along}effective rank {matrix.effective_rank:,} of {matrix.grid.voxels:,} voxels at 1 % noise"

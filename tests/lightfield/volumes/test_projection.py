@@ -12,8 +12,9 @@ import lfmesh as lf
 from lfmesh.cli import main
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.files import matrix as files
-from lfmesh.lightfield.volumes import resolution
-from lfmesh.lightfield.volumes.projection import Projector, projection_matrix
+from lfmesh.lightfield.volumes import resolution_messages
+from lfmesh.lightfield.volumes.projection import projection_matrix
+from lfmesh.lightfield.volumes.projector import Projector
 from lfmesh.lightfield.volumes.voxel_box import VoxelBox
 from lfmesh.scene import Scene
 from tests.cameras import close_up_camera
@@ -244,7 +245,7 @@ def test_dropped_entries_are_booked():
 
 
 def test_a_matrix_that_was_cut_short_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
-    monkeypatch.setattr("lfmesh.lightfield.volumes.projection.RAYS_AT_ONCE", 400)
+    monkeypatch.setattr("lfmesh.lightfield.volumes.projector.RAYS_AT_ONCE", 400)
     said = []
     whole = lf.write_projection_matrix(camera(), box(), tmp_path / "whole.npz", say=said.append)
     assert "256 pixels × 120 voxels: about" in said[0]
@@ -454,7 +455,7 @@ def test_a_grid_in_water_needs_its_place():
 
 
 def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, monkeypatch):
-    monkeypatch.setattr("lfmesh.lightfield.volumes.projection._memory", lambda: 1e3)
+    monkeypatch.setattr("lfmesh.scene.memory.physical_memory_bytes", lambda: 1e3)
     with pytest.raises(LfmeshError, match="more than this machine's memory; stream it"):
         projection_matrix(camera(), box())
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
@@ -466,7 +467,7 @@ def test_a_matrix_larger_than_the_memory_or_the_disk_is_refused_first(tmp_path, 
 @pytest.mark.parametrize("ending", ["npz", "h5"])
 def test_a_matrix_warns_of_light_that_it_lacks_as_an_image_does(ending, tmp_path, monkeypatch):
     """In Python and in its file; the warning is that of all its blocks, of those that an earlier run had made, too."""
-    monkeypatch.setattr("lfmesh.lightfield.volumes.projection.RAYS_AT_ONCE", 1 << 8)
+    monkeypatch.setattr("lfmesh.lightfield.volumes.projector.RAYS_AT_ONCE", 1 << 8)
     # Half of the view is behind glass, whose faces are two events more.
     block = {"refractor": {"index": 1.5, "box_mm": [30.0, 30.0, 3.0]}, "position_mm": [15.3, 0.0, -40.0]}
     scene = camera((block,), max_events=4)
@@ -521,7 +522,7 @@ def test_the_command_writes_a_matrix_and_says_its_size(tmp_path, capsys):
     assert "256 pixels × 120 voxels: about" in printed
     assert "of their sum dropped" in printed
     made = lf.open_projection_matrix(out)
-    assert resolution.in_words(made) in printed
+    assert resolution_messages.resolution_message(made) in printed
     assert f"effective rank {made.effective_rank} of 120 voxels" in printed
     assert (made.resolved_mm >= made.grid.spacing_mm).all()
     np.testing.assert_array_equal(made.matrix.toarray(), projection_matrix(camera(), box()).matrix.toarray())

@@ -53,7 +53,7 @@ def convert(
 ) -> int:
     """Read a lens file of another program, say what became of its lines, and write it in another format."""
     from lfmesh.imports import read_lens_file, write_lens_file
-    from lfmesh.scene.camera.lens import FileChoices
+    from lfmesh.scene.camera.file_choices import FileChoices
 
     if configuration is not None and configuration < 1:
         raise LfmeshError(f"--configuration {configuration}: they count from 1")

@@ -2,9 +2,11 @@
 
 from lfmesh.scene.camera.back_face import BackFace
 from lfmesh.scene.camera.camera import Camera
-from lfmesh.scene.camera.lens import Element, Lens, Surface
+from lfmesh.scene.camera.element import Element
+from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.camera.mla import ArrayForm, MicrolensArray
 from lfmesh.scene.camera.sensor import Sensor
+from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.files import load, load_lens, loads
 from lfmesh.scene.first_order.compute import first_order
 from lfmesh.scene.first_order.paraxial import Paraxial

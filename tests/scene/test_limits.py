@@ -8,7 +8,7 @@ import pytest
 from lfmesh.errors import SceneError
 from lfmesh.geometry.surfaces.surface import MAX_ASPHERE_TERMS
 from lfmesh.scene import MicrolensArray, loads
-from lfmesh.scene.camera.lens import MOST_ASPHERE_TERMS
+from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 from lfmesh.scene.first_order.compute import first_order
 from lfmesh.scene.model import MOST_FAULTS
 from tests.cameras import bench_camera

@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lfmesh.optics.bounds import ACROSS, SAG, Array, Range, first_below, least, plus, profile_range, scaled
-
-if TYPE_CHECKING:
-    from lfmesh.scene.camera.lens import Surface
+from lfmesh.scene.camera.forms import SurfaceShape
 
 ALLOWED_OVERLAP = 1e-9
 """Depth up to which neighbours in contact may overlap in a prescription: over the distance of their vertices plus 1 mm.
@@ -23,13 +20,13 @@ Signs = tuple[float, float]
 
 
 def least_gap_mm(
-    front: "Surface", back: "Surface", inner_mm: float, outer_mm: float, enough_mm: float = math.inf
+    front: SurfaceShape, back: SurfaceShape, inner_mm: float, outer_mm: float, enough_mm: float = math.inf
 ) -> tuple[float, float]:
     """Return the least difference of sags, back less front, between two heights, and the height there, mm.
 
     Parameters
     ----------
-    front, back : Surface
+    front, back : SurfaceShape
         Neighbours, which do not end before.
     inner_mm, outer_mm : float
     enough_mm : float
@@ -41,12 +38,12 @@ def least_gap_mm(
     return gap, math.sqrt(place[0])
 
 
-def rim_gap_mm(front: "Surface", back: "Surface", front_mm: float, back_mm: float) -> float:
+def rim_gap_mm(front: SurfaceShape, back: SurfaceShape, front_mm: float, back_mm: float) -> float:
     """Return the least difference of sags, back less front, between rims at heights of their own, at any azimuth, mm.
 
     Parameters
     ----------
-    front, back : Surface
+    front, back : SurfaceShape
         Neighbours, which do not end before.
     front_mm, back_mm : float
     """
@@ -57,12 +54,12 @@ def rim_gap_mm(front: "Surface", back: "Surface", front_mm: float, back_mm: floa
         return least(ranges_of, low, high, math.inf, touching_mm(front))[0]
 
 
-def room_mm(front: "Surface", back: "Surface", most_mm: float) -> float:
+def room_mm(front: SurfaceShape, back: SurfaceShape, most_mm: float) -> float:
     """Return the height up to which two neighbours are proven not to cross, `most_mm` at most.
 
     Parameters
     ----------
-    front, back : Surface
+    front, back : SurfaceShape
         They do not end before.
     most_mm : float
     """
@@ -75,13 +72,13 @@ def room_mm(front: "Surface", back: "Surface", most_mm: float) -> float:
     return math.sqrt(end)
 
 
-def touching_mm(front: "Surface") -> float:
+def touching_mm(front: SurfaceShape) -> float:
     """Return the depth up to which a crossing with the next surface is rounding, mm."""
     return ALLOWED_OVERLAP * (1.0 + (front.thickness_mm or 0.0))
 
 
 def _box(
-    front: "Surface", back: "Surface", inner: float, outer: float, wider: float = 1.0
+    front: SurfaceShape, back: SurfaceShape, inner: float, outer: float, wider: float = 1.0
 ) -> tuple[Ranges, list[float], list[float]]:
     """Return the bounds of the gap in cells, and the corners of the box of all: r², and the azimuth where it tells.
 
@@ -103,7 +100,7 @@ def _box(
     return ranges_of, [inner**2, 0.0], [outer**2, 0.5 * math.pi]
 
 
-def _on_circles(front: "Surface", back: "Surface", low: Array, high: Array) -> list[Range]:
+def _on_circles(front: SurfaceShape, back: SurfaceShape, low: Array, high: Array) -> list[Range]:
     """Return bounds of the gap of two surfaces of revolution, and of its derivative, by r².
 
     What both have in common leaves no part in either.
@@ -127,7 +124,7 @@ def _on_circles(front: "Surface", back: "Surface", low: Array, high: Array) -> l
 
 
 def _in_a_quarter(
-    front: "Surface", back: "Surface", low: Array, high: Array, signs: Signs, wider: float
+    front: SurfaceShape, back: SurfaceShape, low: Array, high: Array, signs: Signs, wider: float
 ) -> list[Range]:  # fmt: skip
     """Return bounds of the gap, and of its derivatives by r² and by the azimuth, in cells of one quarter turn."""
     inner, turn = ((low[:, k], high[:, k]) for k in (0, 1))

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from lfmesh.scene.camera.lens import FileChoices, Lens
+from lfmesh.scene.camera.file_choices import FileChoices
+from lfmesh.scene.camera.lens import Lens
 
 Reader = Callable[[Path, FileChoices], tuple[Lens, tuple[float, ...]]]
 """Function that returns the lens of a file and the file's wavelengths in nm, the primary one first."""

@@ -7,11 +7,9 @@ Each is a `Form`, and a field of `Surface`. The keys of the surface itself (`rad
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfmesh.optics.bounds import (
     ACROSS,
@@ -28,112 +26,11 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.section_bounds import BiconicParts, biconic_parts, toroid_height, toroid_seconds
-from lfmesh.scene.model import Model
+from lfmesh.scene.camera.forms import Form, Heights, SurfaceShape, reach_of_conic_mm
 from lfmesh.scene.quantities import Number, Radius
-
-if TYPE_CHECKING:
-    from lfmesh.scene.camera.lens import Surface
-
-Heights = TypeVar("Heights", float, NDArray[np.float64])
-"""One height, or coordinate, or an array of them."""
 
 END_WITHIN = 1e-6
 """Largest relative distance of a toroid's end from the height that it is proven to reach."""
-
-
-class Form(Model):
-    """A shape of surface in place of one of revolution; what it does not override is that of its section y–z."""
-
-    symmetric: ClassVar[bool] = False
-    """It is symmetric about x and about y, so that a quarter turn tells all of it."""
-    without: ClassVar[tuple[str, ...]] = ("asphere_mm", "odd_asphere_mm", "qcon", "qbfs", "mesh")
-    """Keys of the surface that it does not go with."""
-
-    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
-        """Return z above the vertex plane at a point, in mm; where it has ended, a finite number.
-
-        Parameters
-        ----------
-        surface : Surface
-            Whose form it is: it has the keys of the section y–z.
-        x_mm, y_mm : float or array
-        """
-        raise NotImplementedError
-
-    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
-        """Return bounds of its sag, in mm, and of the sag's derivatives by r² and by the azimuth.
-
-        They decide whether surfaces cross. See `lfmesh/optics/bounds.py` for sums and products of ranges.
-
-        Parameters
-        ----------
-        surface : Surface
-            That this is the form of.
-        square : Range
-            The least and the largest r² in each of a number of cells, mm².
-        sine, cosine : Range
-            x/r and y/r there, each of one sign.
-
-        Returns
-        -------
-        tuple of three Range
-            mm, 1/mm and mm.
-        """
-        raise NotImplementedError
-
-    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
-        """Return bounds of its sag and of the sag's derivatives by x, by y, by x twice, by both, and by y twice.
-
-        They decide whether apertures clip the axial beam; without them `check` says that this is not proven.
-
-        Parameters
-        ----------
-        surface : Surface
-            That this is the form of.
-        x, y : Range, mm
-            Inside its reach.
-
-        Returns
-        -------
-        list of six Range
-            mm, 1, 1, 1/mm, 1/mm and 1/mm.
-        """
-        return [(np.full_like(x[0], -np.inf), np.full_like(x[0], np.inf))] * 6
-
-    def reach_mm(self, surface: "Surface") -> float:
-        """Return the height up to which it exists at every azimuth, in mm."""
-        return reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
-
-    def is_flat(self, surface: "Surface") -> bool:
-        """Return whether its sag is proven to be zero all over its aperture.
-
-        Parameters
-        ----------
-        surface : Surface
-            That this is the form of.
-
-        Returns
-        -------
-        bool
-        """
-        to_one = np.zeros(1), np.ones(1)
-        to_minus_one = scaled(-1.0, to_one)
-        square = np.zeros(1), np.full(1, (surface.semi_diameter_mm or 1.0) ** 2)
-        quarters = product((to_one, to_minus_one), repeat=2)
-        return not any(np.any(self.ranges_in(surface, square, *turned)[0]) for turned in quarters)
-
-    def curvature_x_per_mm(self, surface: "Surface") -> float:
-        """Return the curvature at the vertex in the section x–z."""
-        return surface.curvature_per_mm
-
-    def in_words(self) -> str:
-        """Return its keys with their values.
-
-        Returns
-        -------
-        str
-        """
-        return " and ".join(f"{key} = {value:g}" for key, value in self.model_dump().items())
 
 
 class Biconic(Form):
@@ -145,7 +42,7 @@ class Biconic(Form):
     conic_x: Number = 0.0
     """Conic constant in the section x–z."""
 
-    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
+    def sag_at_mm(self, surface: SurfaceShape, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.
 
         Parameters
@@ -161,7 +58,7 @@ class Biconic(Form):
         c_x, c_y = curvature(self.radius_x_mm), surface.curvature_per_mm
         return biconic_sag_mm(c_x, self.conic_x, c_y, surface.conic, x_mm, y_mm)
 
-    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
+    def ranges_in(self, surface: SurfaceShape, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
         """Return bounds of its sag and of its derivatives.
 
         See `BiconicParts`.
@@ -180,7 +77,7 @@ class Biconic(Form):
         by_x2, by_y2 = (parts.by_square(*each) for each in zip(c, a, strict=True))
         return parts.height, *_polar(by_x2, by_y2, square, sine, cosine)
 
-    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
+    def bends_in(self, surface: SurfaceShape, x: Range, y: Range) -> list[Range]:
         """Return bounds of its sag and of the sag's derivatives.
 
         See `BiconicParts`.
@@ -205,7 +102,7 @@ class Biconic(Form):
         return [parts.height, by_x, by_y, xx, times(x, y, parts.mixed(c, a)), yy]
 
     def _parts_in(
-        self, surface: "Surface", x2: Range, y2: Range
+        self, surface: SurfaceShape, x2: Range, y2: Range
     ) -> tuple[BiconicParts, tuple[tuple[float, float], tuple[float, float]]]:
         """Return its parts in cells, and c and a of x and of y."""
         c = curvature(self.radius_x_mm), surface.curvature_per_mm
@@ -213,7 +110,7 @@ class Biconic(Form):
         bulge, dip = (plus(scaled(of[0], x2), scaled(of[1], y2)) for of in (c, a))
         return biconic_parts(bulge, dip), (c, a)
 
-    def reach_mm(self, surface: "Surface") -> float:
+    def reach_mm(self, surface: SurfaceShape) -> float:
         """Return the height at which the first of its conics turns back.
 
         Parameters
@@ -228,7 +125,7 @@ class Biconic(Form):
         """
         return min(super().reach_mm(surface), reach_of_conic_mm(self.radius_x_mm, self.conic_x))
 
-    def curvature_x_per_mm(self, surface: "Surface") -> float:
+    def curvature_x_per_mm(self, surface: SurfaceShape) -> float:
         """Return its own curvature.
 
         Parameters
@@ -253,7 +150,7 @@ class Toroid(Form):
     """Radius of the circle in the section x–z, in mm: positive towards the sensor; inf is a cylinder's. It is the
     distance from the vertex to the line, parallel to y, about which the curve of the section y–z turns."""
 
-    def sag_at_mm(self, surface: "Surface", x_mm: Heights, y_mm: Heights) -> Heights:
+    def sag_at_mm(self, surface: SurfaceShape, x_mm: Heights, y_mm: Heights) -> Heights:
         """Return z above the vertex plane at a point.
 
         Parameters
@@ -268,7 +165,7 @@ class Toroid(Form):
         """
         return toroid_sag_mm(curvature(self.radius_x_mm), surface.sag_mm(y_mm), x_mm)
 
-    def ranges_in(self, surface: "Surface", square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
+    def ranges_in(self, surface: SurfaceShape, square: Range, sine: Range, cosine: Range) -> tuple[Range, Range, Range]:
         """Return bounds of its sag and of its derivatives.
 
         With its curve f(y), u = 1 − c_x f and v² = u² − c_x² x², its sag is f + c_x x² / (u + v). Its derivatives by
@@ -296,7 +193,7 @@ class Toroid(Form):
                 scaled(c_x, over), times(across, u, over), square, sine, cosine
             )
 
-    def bends_in(self, surface: "Surface", x: Range, y: Range) -> list[Range]:
+    def bends_in(self, surface: SurfaceShape, x: Range, y: Range) -> list[Range]:
         """Return bounds of its sag and of the sag's derivatives.
 
         With the names of `ranges_in` and e = f′ c_x x / v they are c_x x / v, f′ u / v, then c_x u² / v³, c_x e u / v²
@@ -325,7 +222,7 @@ class Toroid(Form):
         both = scaled(c_x, times(e, along, over))
         return [toroid_height(c_x, f, x2, u, v), by_x, times(rise, along), in_x, both, plus(turned, bent)]
 
-    def reach_mm(self, surface: "Surface") -> float:
+    def reach_mm(self, surface: SurfaceShape) -> float:
         """Return the height at which it turns back at some azimuth.
 
         Parameters
@@ -340,7 +237,7 @@ class Toroid(Form):
         """
         return _toroid_reach_mm(surface)
 
-    def curvature_x_per_mm(self, surface: "Surface") -> float:
+    def curvature_x_per_mm(self, surface: SurfaceShape) -> float:
         """Return that of its circle.
 
         Parameters
@@ -356,13 +253,8 @@ class Toroid(Form):
         return curvature(self.radius_x_mm)
 
 
-def reach_of_conic_mm(radius_mm: float, conic: float) -> float:
-    """Return the height at which a conic turns back and ends."""
-    return abs(radius_mm) / math.sqrt(1 + conic) if conic > -1 else math.inf
-
-
 @lru_cache(maxsize=256)
-def _toroid_reach_mm(surface: "Surface") -> float:
+def _toroid_reach_mm(surface: SurfaceShape) -> float:
     most = reach_of_conic_mm(surface.vertex_radius_mm, surface.vertex_conic)
     conic = surface.curvature_per_mm, surface.vertex_conic
     return toroid_reach_mm(surface.curvature_x_per_mm, *conic, surface.powers_mm, most)

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfmesh.optics.glass import refractive_index
 from lfmesh.optics.ray_aiming import continue_rays
-from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam
 from lfmesh.scene.first_order.skew_bounds import widest_mm
 

@@ -27,7 +27,8 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.surface import Surface
 
 STEPS = 24
 """Of the secant method towards a surface, for the middles of zones, at most."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from lfmesh.optics.bounds import ROUNDING, Array, Range, first_below
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import Beam, followed, widest_mm
 
 STEPS = 50

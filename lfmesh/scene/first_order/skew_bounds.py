@@ -26,7 +26,8 @@ from lfmesh.optics.bounds import (
     times,
 )
 from lfmesh.optics.glass import refractive_index
-from lfmesh.scene.camera.lens import Lens, Surface
+from lfmesh.scene.camera.lens import Lens
+from lfmesh.scene.camera.surface import Surface
 from lfmesh.scene.first_order.beam_bounds import CLOSE, STEPS, WIDER, Beam, enclosed
 
 Jet = Range

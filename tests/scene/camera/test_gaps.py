@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from lfmesh.errors import SceneError
+from lfmesh.scene.camera.forms import Form
 from lfmesh.scene.camera.gaps import least_gap_mm, room_mm
 from lfmesh.scene.camera.lens import Lens, Surface
-from lfmesh.scene.camera.sections import Form, toroid_reach_mm
+from lfmesh.scene.camera.sections import toroid_reach_mm
 
 REVOLVED, BICONIC, TOROID = "revolved", "biconic", "toroid"
 KINDS = (REVOLVED, BICONIC, TOROID)

@@ -124,8 +124,6 @@ if TYPE_CHECKING:
         Sheet,
         UniformDisplacement,
         VortexDisplacement,
-        displaced,
-        particle_vectors,
     )
     from lfmesh.scene.light.spectra import Spectrum
     from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredIndex, MeasuredReflectance
@@ -135,6 +133,7 @@ if TYPE_CHECKING:
     from lfmesh.scene.media.media import Grid, Medium, MeshBounds
     from lfmesh.scene.media.phase import HenyeyGreensteinPhase, IsotropicPhase, MiePhase, RayleighPhase, TabulatedPhase
     from lfmesh.scene.objects.refractor import MeshFace
+    from lfmesh.scene.particle_frames import displaced, particle_vectors
     from lfmesh.study.datasets.dataset import Dataset
     from lfmesh.study.fits.board_corners import BoardCorners
     from lfmesh.study.fits.board_fit import BoardFit, fit_boards
@@ -427,9 +426,8 @@ _HOMES = {
         "Sheet",
         "UniformDisplacement",
         "VortexDisplacement",
-        "displaced",
-        "particle_vectors",
     ],
+    "lfmesh.scene.particle_frames": ["displaced", "particle_vectors"],
     "lfmesh.study.datasets.dataset": ["Dataset"],
     "lfmesh.study.fits.board_corners": ["BoardCorners"],
     "lfmesh.study.fits.board_fit": ["BoardFit", "fit_boards"],

@@ -33,7 +33,7 @@ def frames(
     particle, in mm, in the order of the scene. Each frame has random numbers of its own.
     """
     from lfmesh.scene import load
-    from lfmesh.scene.light.particles import displaced, particle_vectors, write_vectors
+    from lfmesh.scene.particle_frames import displaced, particle_vectors, write_vectors
 
     first = overridden(load(scene), overrides).pinned()
     scenes = [displaced(first, number) for number in range(max(count, 1))]

@@ -12,14 +12,15 @@ from pydantic import ValidationError
 from lfmesh.assets import asset_path
 from lfmesh.errors import FileError, LensFileWarning, LfmeshError, SceneError
 from lfmesh.regular_file import MARK, open_regular
-from lfmesh.scene.camera.lens import AS_IT_STANDS, FILE_CHOICES, STOP_SIZES, FileChoices, Lens
+from lfmesh.scene.camera.file_choices import AS_IT_STANDS, FILE_CHOICES, FileChoices
+from lfmesh.scene.camera.lens import STOP_SIZES, Lens
 from lfmesh.scene.camera.lens_readers import endings, reader_of
 from lfmesh.scene.file_kinds import FileKind, mistaken_for
 from lfmesh.scene.literals import LONGEST_BITS, literal, shown_path
 from lfmesh.scene.materials.own_glass import with_tables_beside
 from lfmesh.scene.model import fault_lines, format_path, listed, nearest
-from lfmesh.scene.objects.gltf_keys import reader as gltf_reader
 from lfmesh.scene.objects.gltf_keys import take_keys
+from lfmesh.scene.objects.gltf_reader import gltf_reader
 from lfmesh.scene.quantities import path_fault
 from lfmesh.scene.scene import Scene
 

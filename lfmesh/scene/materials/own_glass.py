@@ -223,3 +223,25 @@ def with_tables_beside(data: Any, folder: Path) -> Any:
         if isinstance(glass, dict) and isinstance(glass.get("table"), str):
             glass["table"] = str(folder.resolve() / glass["table"])
     return data
+
+
+def in_air(model: Any, air: Air | None, part: str | None = None) -> Any:
+    """Return a model whose glass, or that of one of its parts, stands in some air.
+
+    A number in `index` stays, and so does a glass with an `air` of its own.
+
+    Parameters
+    ----------
+    model : object
+        Has `glass`, or a part that has; None stays None.
+    air : Air or None
+        None: the model stays as it is.
+    part : str, optional
+        Field of the model with the glass.
+    """
+    if part is not None:
+        return model.model_copy(update={part: in_air(getattr(model, part), air)})
+    if air is None or model is None or model.glass is None:
+        return model
+    glass = OwnGlass(name=model.glass) if isinstance(model.glass, str) else model.glass
+    return model if glass.air is not None else model.model_copy(update={"glass": glass.model_copy(update={"air": air})})

@@ -1,25 +1,15 @@
-"""Keys by which a scene takes its targets, its lights and the camera's place from a glTF file, as Blender writes it.
-
-The part that reads such files registers itself, as readers of lens files do: the scene knows nothing of it.
-"""
+"""Keys by which a scene takes its targets, its lights and the camera's place from a glTF file, as Blender writes it."""
 
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from pydantic import ValidationError
 
 from lfmesh.scene.model import Fault, Model, fault_lines
 from lfmesh.scene.quantities import FilePath, NodeKey
 
-if TYPE_CHECKING:
-    from lfmesh.scene.scene import Scene
-
 ENDINGS = (".glb", ".gltf")
-
-_PART = "lfmesh.imports"
-"""Module that registers the reader when it is imported."""
 
 
 class GltfFile(Model):
@@ -62,24 +52,6 @@ class GltfKeys(Model):
     """In place of the list of lights."""
     pose: GltfPose | None = None
     """In place of the pose of the camera."""
-
-
-Reader = Callable[["Scene", GltfKeys], "Scene"]
-"""Puts what glTF files hold into a scene; raises LfmeshError where it cannot."""
-
-
-_readers: list[Reader] = []
-
-
-def register(reader: Reader) -> None:
-    """Have glTF scenes read by a function."""
-    _readers[:] = [reader]
-
-
-def reader() -> Reader:
-    """Return what reads glTF scenes."""
-    import_module(_PART)
-    return _readers[0]
 
 
 def take_keys(data: dict[str, Any], folder: Path) -> tuple[GltfKeys | None, list[str]]:

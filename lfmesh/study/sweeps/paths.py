@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from lfmesh.scene import Scene
+from lfmesh.scene.changes import steps_of
 from lfmesh.scene.model import Model, dead_end, format_path, nearest
-from lfmesh.scene.scene import steps_of
 
 
 def value_at(scene: Scene, path: str) -> Any:

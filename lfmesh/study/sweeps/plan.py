@@ -16,8 +16,8 @@ import numpy as np
 from lfmesh.errors import LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene, load, solved
+from lfmesh.scene.changes import steps_of
 from lfmesh.scene.literals import literal
-from lfmesh.scene.scene import steps_of
 from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, in_a_line
 from lfmesh.study.sweeps.axes import Axis, is_number, name_and_unit

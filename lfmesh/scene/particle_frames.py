@@ -1,0 +1,79 @@
+"""Frames of a scene whose particles move: the scene some frames later, and the truth of an image pair."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfmesh.errors import FileError, SceneError
+from lfmesh.scene.light.particles import PLACE, VECTOR, displacements, particle_places
+from lfmesh.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+def displaced(scene: Scene, frames: int = 1) -> Scene:
+    """Return a scene some frames later: all particles with a displacement have moved so many times.
+
+    Parameters
+    ----------
+    scene : Scene
+    frames : int
+        0 or more.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        None of its particles moves.
+    """
+    moving = [i for i, group in enumerate(scene.particles) if group.displacement is not None]
+    if not moving:
+        raise SceneError("none of the scene's particles moves: give [[particles]] a displacement")
+    return scene.changed({f"particles[{i}].frame": scene.particles[i].frame + frames for i in moving})
+
+
+def particle_vectors(scene: Scene) -> tuple[Array, Array]:
+    """Return where all particles of a scene are, and how far they go to the next frame: the truth of an image pair.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    points, steps : (n, 3) float64, mm
+        World frame, in the order of the scene, of dark particles too.
+
+    Raises
+    ------
+    FileError
+        A file cannot be used.
+    """
+    points = [particle_places(group, scene)[0] for group in scene.particles]
+    steps = [displacements(group, p, scene) for group, p in zip(scene.particles, points, strict=True)]
+    return np.concatenate([np.zeros((0, 3)), *points]), np.concatenate([np.zeros((0, 3)), *steps])
+
+
+def write_vectors(path: Path, points: Array, steps: Array) -> None:
+    """Write places and displacements as CSV, in the columns that `displacement = { kind = "file" }` reads.
+
+    Parameters
+    ----------
+    path : Path
+    points, steps : (n, 3) float64, mm
+        World frame.
+
+    Raises
+    ------
+    FileError
+        It cannot be written.
+    """
+    try:
+        table = np.hstack([points, steps])
+        np.savetxt(path, table, delimiter=",", fmt="%.9g", header=",".join((*PLACE, *VECTOR)), comments="")
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None

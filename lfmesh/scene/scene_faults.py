@@ -1,0 +1,322 @@
+"""Faults that only the whole scene shows: glasses at its wavelengths, lenslet radii, coatings, memory."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from lfmesh.errors import GlassError, SceneError
+from lfmesh.optics.glass import Medium as GlassOrAir
+from lfmesh.optics.glass import absorption_per_mm, catalogue_name, refractive_index
+from lfmesh.optics.metals import metal_index
+from lfmesh.scene.light.spectra import Spectrum, curve_of
+from lfmesh.scene.literals import counted
+from lfmesh.scene.materials.coatings import name_fault, unknown_fault
+from lfmesh.scene.materials.own_glass import in_air
+from lfmesh.scene.memory import physical_memory_bytes
+from lfmesh.scene.model import Fault, Location
+from lfmesh.scene.scene_parts import SceneParts
+from lfmesh.scene.settings.transport import PRIMARY_NM
+
+# Mean, squared deviation and the replicate under way, in float64, and two counts of hits, with what merging and writing
+# need on top.
+FILM_BYTES = 48
+LENSLET_BYTES = 32
+
+NEEDS_BANDS = "needs camera.sensor.bands: a spectrum of light has power by the nm, and single wavelengths have no width"
+
+
+def scene_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield the faults that only the whole scene shows: glasses at its wavelengths, lenslet radii, memory.
+
+    Parameters
+    ----------
+    scene : SceneParts
+    """
+    glasses = list(_glass_faults(scene))
+    yield from glasses
+    if not glasses:
+        yield from _lenslet_faults(scene)
+    yield from _coating_faults(scene)
+    yield from _body_faults(scene)
+    yield from _band_faults(scene)
+    yield from _spectrum_faults(scene)
+    yield from _absorption_faults(scene) if not glasses else ()
+    yield from _polarisation_faults(scene)
+    yield from _diffraction_faults(scene)
+    yield from _memory_faults(scene)
+
+
+def _body_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield media in bodies that are not there."""
+    for i, medium in enumerate(scene.media):
+        if medium.inside is not None:
+            try:
+                scene.body_named(medium.inside)
+            except SceneError as error:
+                yield Fault(("media", i, "inside"), medium.inside, str(error))
+
+
+def _checked_nm(scene: SceneParts) -> tuple[float, ...]:
+    """Wavelengths at which glasses are looked for before anything is built; none if they stand in a file."""
+    bands = scene.camera.sensor.bands
+    if isinstance(bands, tuple) and any(band.response is not None for band in bands):
+        return ()
+    return scene.transport.wavelengths_nm if bands is None else scene.reach_nm
+
+
+def _spectrum_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield densities by wavelength that have no bands to be integrated over, and tables that are too short."""
+    in_bands = scene.camera.sensor.bands is not None
+    uses: list[tuple[Location, Any, bool]] = []
+    for i, target in enumerate(scene.targets):
+        material = target.material
+        where: Location = ("targets", i, "material")
+        uses.append(((*where, "reflectance"), material.reflectance, False))
+        uses += [((*where, key), getattr(material, key), True) for key in ("radiance_w_m2_sr", "spectrum")]
+        if material.temperature_k is not None and not in_bands:
+            yield Fault((*where, "temperature_k"), material.temperature_k, NEEDS_BANDS)
+        if target.refractor is not None:
+            where = ("targets", i, "refractor", "absorption_per_mm")
+            uses.append((where, target.refractor.absorption_per_mm, False))
+    for i, tank in enumerate(scene.tanks):
+        uses += [
+            (("tanks", i, key, "absorption_per_mm"), getattr(tank, key).absorption_per_mm, False)
+            for key in ("wall", "liquid")
+        ]
+    uses += [(("lights", i, "spectrum"), light.spectrum, True) for i, light in enumerate(scene.lights)]
+    for i, medium in enumerate(scene.media):
+        where = ("media", i)
+        uses += [((*where, key), getattr(medium, key), False) for key in ("absorption_per_mm", "scattering_per_mm")]
+        uses += [((*where, key), getattr(medium, key), True) for key in ("emission_w_mm3_sr", "spectrum")]
+        if medium.temperature_k is not None and not in_bands:
+            yield Fault((*where, "temperature_k"), medium.temperature_k, NEEDS_BANDS)
+    uses += [(("particles", i, "spectrum"), group.spectrum, True) for i, group in enumerate(scene.particles)]
+    for where, spectrum, is_density in uses:
+        if not isinstance(spectrum, Spectrum):
+            continue
+        if is_density and not in_bands:
+            yield Fault(where, None, NEEDS_BANDS)
+        elif spectrum.file is None and _checked_nm(scene):
+            try:
+                curve_of(spectrum, scene.reach_nm, scene, "spectrum")
+            except SceneError as error:
+                yield Fault(where, None, str(error).removeprefix("spectrum: "))
+
+
+def _band_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield wavelengths beside bands, of which one set must be left out."""
+    wavelengths_nm = scene.transport.wavelengths_nm
+    if scene.camera.sensor.bands is not None and wavelengths_nm != (PRIMARY_NM,):
+        yield Fault(
+            ("transport", "wavelengths_nm"),
+            list(wavelengths_nm),
+            "camera.sensor.bands is given too; give one of them",
+        )
+
+
+def _coating_faults(scene: SceneParts) -> Iterator[Fault]:
+    of_lens = scene.camera.lens.coatings
+    for beginning, coatings in (((), scene.coatings), (("camera", "lens"), of_lens)):
+        for name, coating in coatings.items():
+            where: Location = (*beginning, "coatings", name)
+            if why := name_fault(name):
+                yield Fault(where, None, why)
+            for i, layer in enumerate(coating.layers or ()):
+                for wavelength in _checked_nm(scene) if layer.glass is not None else ():
+                    try:
+                        layer.index_at(wavelength)
+                    except GlassError as error:
+                        yield Fault((*where, "layers", i, "glass"), None, str(error))
+                        break
+    for name, coating in scene.coatings.items():
+        if of_lens.get(name, coating) != coating:
+            yield Fault(("coatings", name), None, "the lens has another coating of this name; take another one")
+    for where, name in scene.coating_uses():
+        if why := unknown_fault(name, tuple(scene.all_coatings)):
+            yield Fault(where, name, why)
+
+
+def _polarisation_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield what asks for polarised light where there is none, or has no known phases where there is."""
+    if not scene.transport.polarisation:
+        states: list[tuple[Location, Any]] = [
+            (("lights", i, "polarisation"), light.state) for i, light in enumerate(scene.lights)
+        ]
+        for where, value in ((("camera", "polariser_deg"), scene.camera.polariser_deg), *states):
+            if value is not None:
+                yield Fault(where, value, "needs transport.polarisation = true")
+        return
+    for where, name in scene.coating_uses():
+        coating = scene.all_coatings.get(name)
+        if coating is not None and coating.layers is None:
+            yield Fault(
+                where,
+                name,
+                f"transport.polarisation needs the phases of this coating, which its {coating.kind} does not tell; "
+                "give it layers",
+            )
+    for where, finish in scene.finishes():
+        if finish.is_rough:
+            yield Fault(where, finish.kind, "transport.polarisation follows light at polished faces only; polish it")
+    for i, surface in enumerate(scene.camera.lens.surfaces):
+        if surface.paraxial:
+            yield Fault(
+                ("camera", "lens", "surfaces", i, "paraxial"),
+                True,
+                "transport.polarisation follows light at real interfaces only; give the lens radii and glass",
+            )
+    for i, target in enumerate(scene.targets):
+        if target.material.gloss is not None:
+            yield Fault(
+                ("targets", i, "material", "gloss"),
+                None,
+                "transport.polarisation knows matt targets and glass, which a gloss is neither of; leave it out",
+            )
+    if scene.camera.sensor.cover is not None:
+        yield Fault(
+            ("camera", "sensor", "cover"), None, "transport.polarisation stops at the array; leave the cover out"
+        )
+    if scene.camera.sensor.reflectance > 0.0:
+        yield Fault(
+            ("camera", "sensor", "reflectance"),
+            scene.camera.sensor.reflectance,
+            "transport.polarisation needs the phases of what is reflected, which a share does not tell; leave "
+            "reflectance out",
+        )
+
+
+def _diffraction_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield what keeps the diffraction of lenslets or stop from being followed."""
+    where, chosen, mla = ("transport", "diffraction"), scene.transport.diffraction, scene.camera.mla
+    if chosen == "none":
+        return
+    if chosen == "stop":
+        if mla is not None:
+            why = 'makes pictures behind an array worse, where light is spread at the lenslets: take "lenslets"'
+            yield Fault(where, chosen, why)
+        elif scene.transport.split != "transmit" or scene.transport.engine == "mesh":
+            why = 'is followed along the image path alone: take split = "transmit", and another engine than "mesh"'
+            yield Fault(where, chosen, why)
+    elif mla is None:
+        yield Fault(where, chosen, 'needs camera.mla; without an array take "stop"')
+    elif mla.curved_finish.is_rough or mla.flat_finish.is_rough:
+        yield Fault(where, chosen, 'needs an array that is polished; take "none" with a rough finish')
+    if scene.transport.polarisation:
+        yield Fault(where, chosen, 'is not followed for polarised light; take "none" with transport.polarisation')
+
+
+def _glass_faults(scene: SceneParts) -> Iterator[Fault]:
+    media: list[tuple[Location, GlassOrAir]] = [
+        (("camera", "lens", "surfaces", i, "glass"), surface.medium)
+        for i, surface in enumerate(scene.camera.lens.surfaces)
+    ]
+    for place, outside in ((("camera",), scene.camera), (("camera", "lens"), scene.camera.lens)):
+        if outside.object_medium is not None:
+            media.append(((*place, "object_medium", "glass"), outside.object_medium.medium))
+    for i, surface in enumerate(scene.camera.lens.surfaces):
+        if surface.refractor is not None:
+            media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
+    for i, target in enumerate(scene.targets):
+        if target.refractor is not None:
+            media.append((("targets", i, "refractor", "glass"), target.refractor.medium))
+    for i, tank in enumerate(scene.tanks):
+        media += [(("tanks", i, "wall", "glass"), tank.wall.medium)]
+        media += [(("tanks", i, "liquid", "glass"), tank.liquid.medium)]
+    if scene.camera.mla is not None:
+        media.append((("camera", "mla", "glass"), scene.camera.mla.medium))
+    if scene.camera.sensor.cover is not None:
+        media.append((("camera", "sensor", "cover", "glass"), scene.camera.sensor.cover.medium))
+    for i, target in enumerate(scene.targets):
+        gloss = target.material.gloss
+        for wavelength in _checked_nm(scene) if gloss is not None and gloss.metal is not None else ():
+            try:
+                metal_index(gloss.metal or "" if gloss is not None else "", wavelength)
+            except GlassError as error:
+                yield Fault(("targets", i, "material", "gloss", "metal"), None, str(error))
+                break
+    for where, medium in media:
+        for wavelength in _checked_nm(scene):
+            try:
+                refractive_index(medium, wavelength)
+            except GlassError as error:
+                yield Fault(where, None, str(error))
+                break
+
+
+def _absorption_faults(scene: SceneParts) -> Iterator[Fault]:
+    """Yield glasses of the camera whose internal transmittance is asked for and not known."""
+    if not scene.camera.absorption:
+        return
+    media: list[tuple[Location, GlassOrAir]] = [
+        (("camera", "lens", "surfaces", i, "glass"), surface.medium)
+        for i, surface in enumerate(scene.camera.lens.surfaces)
+    ]
+    for i, surface in enumerate(scene.camera.lens.surfaces):
+        if surface.refractor is not None:
+            media.append((("camera", "lens", "surfaces", i, "refractor", "glass"), surface.refractor.medium))
+    if scene.camera.mla is not None:
+        media.append((("camera", "mla", "glass"), scene.camera.mla.medium))
+    if scene.camera.sensor.cover is not None:
+        media.append((("camera", "sensor", "cover", "glass"), scene.camera.sensor.cover.medium))
+    named = [(where, name) for where, medium in media if (name := catalogue_name(medium)) is not None]
+    if not named and scene.camera.lens.file is None:
+        yield Fault(
+            ("camera", "absorption"), True,
+            "neither lens, array nor cover has a glass of the catalogue; give such a glass by name, or leave "
+            "absorption out",
+        )  # fmt: skip
+    for where, glass in named:
+        for wavelength in _checked_nm(scene):
+            try:
+                absorption_per_mm(glass, wavelength)
+            except GlassError as error:
+                yield Fault(where, glass, f"camera.absorption: {error}; leave it out, or take another glass")
+                break
+
+
+def _lenslet_faults(scene: SceneParts) -> Iterator[Fault]:
+    mla = scene.camera.mla
+    if mla is None:
+        return
+    if not _checked_nm(scene):
+        return
+    n = refractive_index(in_air(mla, scene.camera.air).medium, scene.primary_nm)
+    if not n > 1.0:
+        medium = "index" if mla.index is not None else "glass"
+        yield Fault(
+            ("camera", "mla", medium), getattr(mla, medium),
+            f"has the index {n:.6g} beside the air; it must be above 1 to bend light as lenslets do",
+        )  # fmt: skip
+        return
+    for kind, focal_length in enumerate(mla.focal_length_mm or ()):
+        radius = focal_length * (n - 1)
+        if why := mla.cap_fault(radius, 1 / (n - 1), kind):
+            yield Fault(
+                ("camera", "mla", "focal_length_mm"),
+                focal_length,
+                f"makes radius_mm = {radius:.6g} with index {n:.6g}; {why}",
+            )
+
+
+def _memory_faults(scene: SceneParts) -> Iterator[Fault]:
+    sensor, mla = scene.camera.sensor, scene.camera.mla
+    channels = scene.channels
+    film = FILM_BYTES * sensor.pixels[0] * sensor.pixels[1] * channels
+    if film > physical_memory_bytes():
+        yield Fault(
+            ("camera", "sensor", "pixels"),
+            list(sensor.pixels),
+            f"with {counted(channels, 'channel')} the film takes {_gigabytes(film)} of "
+            f"memory, and this machine has {_gigabytes(physical_memory_bytes())}",
+        )
+    lenslets = LENSLET_BYTES * mla.count[0] * mla.count[1] if mla is not None else 0
+    if mla is not None and lenslets > physical_memory_bytes():
+        yield Fault(
+            ("camera", "mla", "count"),
+            list(mla.count),
+            f"the lenslets take {_gigabytes(lenslets)} of memory, and this machine has "
+            f"{_gigabytes(physical_memory_bytes())}",
+        )
+
+
+def _gigabytes(size: float) -> str:
+    return f"{size / 1e9:.3g} GB"

@@ -1,0 +1,238 @@
+"""Parts of a scene, and what follows from them without a change: channels, bands, bodies, coatings, finishes, files."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, PrivateAttr
+
+from lfmesh.errors import SceneError
+from lfmesh.scene.camera.bands import Centroids, Passband, passband, preset
+from lfmesh.scene.camera.camera import Camera
+from lfmesh.scene.inputs import file_stamp, found
+from lfmesh.scene.light.lights import Light
+from lfmesh.scene.light.particles import Particles
+from lfmesh.scene.materials.coatings import Coating
+from lfmesh.scene.materials.finishes import Finish
+from lfmesh.scene.media.media import Medium
+from lfmesh.scene.model import Location, Model
+from lfmesh.scene.objects.gltf_keys import GltfLights, GltfTargets, or_table
+from lfmesh.scene.objects.tank import Tank
+from lfmesh.scene.objects.targets import Target
+from lfmesh.scene.quantities import Text
+from lfmesh.scene.settings.transport import Transport
+
+
+class SceneParts(Model):
+    """A camera, what stands in front of it, and how to trace it."""
+
+    schema_version: Literal[1] = 1
+    """Version of this format."""
+    name: Text = ""
+    """Name of the scene."""
+    camera: Camera
+    """Lens, microlens array and sensor."""
+    targets: tuple[Target, ...] = Field(default=(), json_schema_extra=or_table(GltfTargets))
+    """Bodies in front of the camera; also { file = "scene.glb" }: every object of a glTF file."""
+    tanks: tuple[Tank, ...] = ()
+    """Boxes of windows and liquid in front of the camera."""
+    lights: tuple[Light, ...] = Field(default=(), json_schema_extra=or_table(GltfLights))
+    """Lamps; also { file = "scene.glb" }: every light of a glTF file."""
+    media: tuple[Medium, ...] = ()
+    """Media in front of the camera that absorb, scatter or emit: flames, fog, smoke."""
+    particles: tuple[Particles, ...] = ()
+    """Points in front of the camera that shine, or scatter the light of a sheet."""
+    coatings: dict[str, Coating] = Field(default_factory=dict)
+    """Coatings by the names that surfaces give."""
+    transport: Transport = Field(default_factory=Transport)
+    """Settings of a render."""
+
+    _folder: Path = PrivateAttr(default_factory=Path.cwd)
+    _digests: dict[str, str] = PrivateAttr(default_factory=dict)
+    # Table of the lens as the scene file has it, where that names a lens file, whose other choices may be asked for.
+    _lens_table: dict[str, Any] | None = PrivateAttr(default=None)
+    _found: dict[str, tuple[Path, tuple[object, ...]]] = PrivateAttr(default_factory=dict)
+    _digest: str = PrivateAttr(default="")
+
+    @property
+    def folder(self) -> Path:
+        """Folder that relative paths start from: the scene file's; for a scripted scene the current one."""
+        return self._folder
+
+    def resolve(self, path: str | Path) -> Path:
+        """Return the path of a texture or mesh of this scene as one that can be opened.
+
+        Parameters
+        ----------
+        path : str or Path
+            As the scene gives it.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        FileError
+            The scene is that of a run, and the file is not the one that it was rendered with.
+        """
+        name, place = str(path), self._folder / path
+        if name not in self._digests:
+            return place
+        known = self._found.get(name)
+        if known is None or file_stamp(known[0]) != known[1]:
+            file = found(place, self._digests[name], self._folder)
+            known = self._found[name] = file, file_stamp(file)
+        return known[0]
+
+    @property
+    def passbands(self) -> tuple[Passband, ...]:
+        """The bands of the sensor with their responses; none where the channels are single wavelengths.
+
+        Raises
+        ------
+        FileError
+            The file of a response cannot be used.
+        """
+        bands = self.camera.sensor.bands
+        if bands is None:
+            return ()
+        if isinstance(bands, str):
+            return preset(bands)
+        return tuple(
+            passband(band, self.resolve(band.response) if band.response is not None else None) for band in bands
+        )
+
+    @property
+    def channels(self) -> int:
+        """Number of channels of the image."""
+        bands = self.camera.sensor.bands
+        if bands is None:
+            return len(self.transport.wavelengths_nm)
+        return len(preset(bands)) if isinstance(bands, str) else len(bands)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the bands; none where the channels are single wavelengths."""
+        return tuple(band.name for band in self.passbands)
+
+    @property
+    def wavelengths_nm(self) -> tuple[float, ...]:
+        """Wavelength of each channel, nm; of bands their `Centroids`."""
+        bands = self.passbands
+        return Centroids.of(bands) if bands else self.transport.wavelengths_nm
+
+    @property
+    def primary_nm(self) -> float:
+        """The wavelength of first-order optics, nm: of single ones the middle, of bands the centroid of the first."""
+        if self.camera.sensor.bands is not None:
+            return self.wavelengths_nm[0]
+        known = sorted(self.transport.wavelengths_nm)
+        return known[len(known) // 2]
+
+    @property
+    def reach_nm(self) -> tuple[float, float]:
+        """Shortest and longest wavelength that the sensor detects, nm."""
+        ends = [end for band in self.passbands for end in band.response.ends_nm] or self.transport.wavelengths_nm
+        return min(ends), max(ends)
+
+    @property
+    def all_coatings(self) -> dict[str, Coating]:
+        """The scene's coatings and those that the lens brings, by name."""
+        return {**self.camera.lens.coatings, **self.coatings}
+
+    def coating_uses(self) -> Iterator[tuple[Location, str]]:
+        """Yield where surfaces give the name of a coating, and the name.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        coating : str
+        """
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            where: Location = ("camera", "lens", "surfaces", i)
+            yield (*where, "coating"), surface.coating
+            if surface.refractor is not None:
+                yield (*where, "refractor", "coating"), surface.refractor.coating
+        if self.camera.mla is not None:
+            yield ("camera", "mla", "curved_coating"), self.camera.mla.curved_coating
+            yield ("camera", "mla", "flat_coating"), self.camera.mla.flat_coating
+        if self.camera.sensor.cover is not None:
+            yield ("camera", "sensor", "cover", "coating"), self.camera.sensor.cover.coating
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                yield ("targets", i, "refractor", "coating"), target.refractor.coating
+
+    def bodies(self) -> tuple[tuple[str, int], ...]:
+        """Return the names of all bodies of glass and liquid, and their numbers among targets, tanks' bodies last.
+
+        Returns
+        -------
+        tuple of (str, int)
+        """
+        found = []
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                found += [(f"targets[{i}]", i), *([(target.name, i)] if target.name is not None else [])]
+        for k, tank in enumerate(self.tanks):
+            first = len(self.targets) + 2 * k
+            found += [(f"{tank.called(k)} wall", first), (f"{tank.called(k)} liquid", first + 1)]
+        return tuple(found)
+
+    def body_named(self, name: str) -> int:
+        """Return the number of a body of glass or liquid among the targets, where tanks' bodies come last.
+
+        Parameters
+        ----------
+        name : str
+            Such as "prism" or "tanks[0] liquid".
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        SceneError
+            There is no such body, or more than one.
+        """
+        bodies = self.bodies()
+        numbers = [number for own, number in bodies if own == name]
+        if len(numbers) == 1:
+            return numbers[0]
+        known = ", ".join(f'"{own}"' for own in {number: own for own, number in bodies}.values())
+        if numbers:
+            raise SceneError(f"{len(numbers)} bodies have this name; give each its own")
+        raise SceneError(f"no body of glass or liquid has this name; there {f'are {known}' if known else 'is none'}")
+
+    def rough_in_camera(self) -> list[Location]:
+        """Return where lens and array are given a finish that scatters light.
+
+        Returns
+        -------
+        list of tuple
+            Keys from the scene's root.
+        """
+        return [where for where, finish in self.finishes() if finish.is_rough and where[0] == "camera"]
+
+    def finishes(self) -> Iterator[tuple[Location, Finish]]:
+        """Yield where surfaces give a finish, and the finish.
+
+        Yields
+        ------
+        location : tuple of str and int
+            Keys from the scene's root.
+        finish : Finish
+        """
+        for i, surface in enumerate(self.camera.lens.surfaces):
+            where: Location = ("camera", "lens", "surfaces", i)
+            yield (*where, "finish"), surface.finish
+            if surface.refractor is not None:
+                yield (*where, "refractor", "finish"), surface.refractor.finish
+        if self.camera.mla is not None:
+            yield ("camera", "mla", "curved_finish"), self.camera.mla.curved_finish
+            yield ("camera", "mla", "flat_finish"), self.camera.mla.flat_finish
+        for i, target in enumerate(self.targets):
+            if target.refractor is not None:
+                yield ("targets", i, "refractor", "finish"), target.refractor.finish

@@ -1,21 +1,18 @@
 """The figure of a comparison of cameras: what each saw, and how sharp it is from distance to distance."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lfmesh.accuracy.figures import finish
-
-if TYPE_CHECKING:
-    from lfmesh.study.cameras.compare import Comparison
+from lfmesh.study.cameras.comparison import Comparison
 
 COLOURS = ("#777777", "#b4541a", "#1f4e8c")
 MARKERS = ("o", "s", "D")
 SIZE_IN = (10.0, 7.6)
 
 
-def draw(comparison: "Comparison", path: Path) -> None:
+def draw(comparison: Comparison, path: Path) -> None:
     """Draw a comparison as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from lfmesh.errors import FileError, LfmeshError
 from lfmesh.geometry.lens.solved_camera import solved_camera
 from lfmesh.scene import Scene
-from lfmesh.study.metrics.metrics import METRICS, Comparison, Found, metric_of, pictures_of
+from lfmesh.study.metrics.comparison import Comparison, Found
+from lfmesh.study.metrics.metrics import METRICS, metric_of, pictures_of
 from lfmesh.study.metrics.pictures import FARTHEST_MM, Camera, Films, films, in_a_line
 from lfmesh.study.sweeps.statistics import combined
 

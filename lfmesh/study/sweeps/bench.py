@@ -6,21 +6,19 @@ A metric that is not known of a camera, whatever the cause, is NaN and has a rea
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.errors import FileError, LfmeshError
+from lfmesh.errors import FileError, LfmeshError, PictureWarning
 from lfmesh.scene import Scene
-from lfmesh.study.metrics.metrics import METRICS, Comparison, columns_of, metric_of, pictures_of
+from lfmesh.study.metrics.comparison import Comparison, Found
+from lfmesh.study.metrics.metrics import METRICS, columns_of, metric_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, Taken, in_a_line, taken
 from lfmesh.study.sweeps.statistics import Estimate, combined
-from lfmesh.study.tolerances.compensators import compensated
+from lfmesh.study.tolerances.compensators import Compensator, compensated
 from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change
-
-if TYPE_CHECKING:
-    from lfmesh.study.sweeps.unit import Traced, Unit
 
 Array = NDArray[np.float64]
 
@@ -62,11 +60,41 @@ class Compared(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A place where cameras are adjusted, traced and compared with the reference of a unit."""
+class Traced:
+    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures.
 
-    unit: "Unit"
-    reference: "Traced"
+    What metrics find of them alone is kept in `found` for the next unit.
+    """
+
+    films: Taken
+    seconds: float
+    warnings: tuple[PictureWarning, ...] = ()
+    found: Found = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A place where cameras are adjusted, traced and compared with the reference of a unit.
+
+    Attributes
+    ----------
+    camera, reference : Camera
+    reference_traced : Traced
+        Its films.
+    metrics : tuple of str
+    replicates : range
+    threads : int
+        0: as the scenes say.
+    compensators : tuple of Compensator
+    """
+
+    camera: Camera
+    reference: Camera
+    reference_traced: Traced
+    metrics: tuple[str, ...]
+    replicates: range
+    threads: int
+    compensators: tuple[Compensator, ...]
     seen: dict[str, list[str]] = field(default_factory=dict)
     """Of every camera that was judged, by the metric, why it is not known, or ""."""
 
@@ -77,7 +105,7 @@ class Bench:
 
     def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Taken:
         """Trace what some metrics need."""
-        return taken(in_threads(camera, self.unit.threads), pictures_of(metrics), self.unit.replicates)
+        return taken(in_threads(camera, self.threads), pictures_of(metrics), self.replicates)
 
     def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> Compared:
         """Compare a camera with the reference by some metrics; one that is not known leaves the others as they are.
@@ -89,9 +117,10 @@ class Bench:
             Its films.
         metrics : tuple of str
         """
-        known = self.reference
-        count = len(self.unit.replicates)
-        pair = Comparison(camera, self.unit.reference, own, known.films, count, found=known.found)
+        count = len(self.replicates)
+        pair = Comparison(
+            camera, self.reference, own, self.reference_traced.films, count, found=self.reference_traced.found
+        )
         columns: dict[str, Array] = {}
         unknown: dict[str, str] = {}
         failed = 0
@@ -113,13 +142,13 @@ class Bench:
 
     def judged(self, scene: Scene, metrics: tuple[str, ...]) -> Compared:
         """Trace a camera, and compare it with the reference by some metrics; none is known of what cannot be traced."""
-        camera = Camera(scene, self.unit.camera.edge_distance_mm)
+        camera = Camera(scene, self.camera.edge_distance_mm)
         try:
             found = self.compared(camera, self.traced(camera, metrics), metrics)
         except FileError:
             raise
         except LfmeshError as error:
-            none = np.full(len(self.unit.replicates), np.nan)
+            none = np.full(len(self.replicates), np.nan)
             unknown = dict.fromkeys(metrics, in_a_line(error))
             found = Compared({column.name: none for column in columns_of(metrics)}, unknown, {})
         for name in metrics:
@@ -134,7 +163,7 @@ class Bench:
         LfmeshError
             The metric of a compensator can be had of no camera within its range.
         """
-        columns = {column.name: column for column in columns_of(self.unit.metrics)}
+        columns = {column.name: column for column in columns_of(self.metrics)}
         lacking: dict[str, str] = {}
         had: set[str] = set()
 
@@ -147,7 +176,7 @@ class Bench:
             had.add(name)
             return columns[name].harm(mean.value)
 
-        adjusted, changes = compensated(scene, self.unit.compensators, merit)
+        adjusted, changes = compensated(scene, self.compensators, merit)
         for name, reason in lacking.items():
             if name not in had:
                 raise LfmeshError(f"cannot be adjusted by {name}: {reason}")
@@ -161,12 +190,12 @@ class Bench:
         LfmeshError
             A metric that has a limit is not known of the reference, or of no camera beside it.
         """
-        columns = [column for column in columns_of(self.unit.metrics) if column.name in search.limits]
+        columns = [column for column in columns_of(self.metrics) if column.name in search.limits]
         metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
 
         def measured(value: float) -> tuple[dict[str, Estimate], str]:
             try:
-                scene, _ = self.adjusted(self.unit.camera.scene.changed({search.path: value}))
+                scene, _ = self.adjusted(self.camera.scene.changed({search.path: value}))
             except FileError:
                 raise
             except LfmeshError as error:
@@ -175,14 +204,14 @@ class Bench:
             found = self.judged(scene, metrics)
             return _means(found), in_words(found.unknown)
 
-        reference = self.compared(self.unit.reference, self.reference.films, metrics)
+        reference = self.compared(self.reference, self.reference_traced.films, metrics)
         means = _means(reference)
         for column in columns:
             if not column.knows(means[column.name]):
                 name = metric_of(column.name)
                 why = reference.unknown[name]
                 raise LfmeshError(f"{name}, which has a limit, cannot be had of the reference camera: {why}")
-        allowed = largest_change(search, columns, means, measured, len(self.unit.replicates))
+        allowed = largest_change(search, columns, means, measured, len(self.replicates))
         if allowed.unknown and allowed.value == search.start and not allowed.column:
             raise LfmeshError(
                 f"the largest change cannot be searched, as limits have no known value: {allowed.unknown}"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.accuracy.figures import GREY, finish, inline_svg
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.column import Column
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.sentences import words_of
 from lfmesh.study.sweeps.table import Row, Table

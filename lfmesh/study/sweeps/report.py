@@ -7,7 +7,8 @@ from typing import Any
 from markupsafe import Markup
 
 import lfmesh
-from lfmesh.study.metrics.metrics import METRICS, Column
+from lfmesh.study.metrics.column import Column
+from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.sweeps import figures
 from lfmesh.study.sweeps.axes import is_number, name_and_unit
 from lfmesh.study.sweeps.sentences import (

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from lfmesh.scene.literals import counted, literal, plain
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.column import Column
 from lfmesh.study.sweeps.axes import name_and_unit
 from lfmesh.study.sweeps.table import CONFIDENCE, DOUBT, Row, Table
 from lfmesh.study.sweeps.unit import Outcome

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfmesh.errors import LfmeshError, PictureWarning, in_order, summed_up
-from lfmesh.study.metrics.metrics import Column, columns_of
+from lfmesh.study.metrics.column import Column
+from lfmesh.study.metrics.metrics import columns_of
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.bench import OnTheWay, in_words
 from lfmesh.study.sweeps.plan import Plan, Point

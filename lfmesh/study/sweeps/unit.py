@@ -19,9 +19,9 @@ from lfmesh.files.sealed import read_sealed, unsealed, write_sealed
 from lfmesh.lightfield.views.upright import Upright
 from lfmesh.provenance import program, refuse_other
 from lfmesh.scene.inputs import file_stamp
-from lfmesh.study.metrics.metrics import Found, columns_of, pictures_of
+from lfmesh.study.metrics.metrics import columns_of, pictures_of
 from lfmesh.study.metrics.pictures import Camera, Films, Taken, in_a_line, taken
-from lfmesh.study.sweeps.bench import Bench, OnTheWay, in_threads
+from lfmesh.study.sweeps.bench import Bench, OnTheWay, Traced, in_threads
 from lfmesh.study.tolerances.compensators import Compensator
 from lfmesh.study.tolerances.largest_change import Allowed, Search
 
@@ -127,19 +127,6 @@ class Outcome:
     on_the_way: dict[str, OnTheWay] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Traced:
-    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures.
-
-    What metrics find of them alone is kept in `found` for the next unit.
-    """
-
-    films: Taken
-    seconds: float
-    warnings: tuple[PictureWarning, ...] = ()
-    found: Found = field(default_factory=dict)
-
-
 Reference = bytes | Path
 """Films of the reference's replicates of the same batch: bytes of `reference_films`, or a file that holds them."""
 
@@ -192,7 +179,9 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
 
 
 def _outcome(unit: Unit, reference: Traced) -> Outcome:
-    bench = Bench(unit, reference)
+    bench = Bench(
+        unit.camera, unit.reference, reference, unit.metrics, unit.replicates, unit.threads, unit.compensators
+    )
     camera, own, seconds = unit.reference, reference.films, reference.seconds
     allowed: Allowed | None = None
     adjusted: tuple[float, ...] = ()

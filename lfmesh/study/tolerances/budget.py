@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lfmesh.study.metrics.metrics import ROUNDING, Column
+from lfmesh.study.metrics.column import ROUNDING, Column
 from lfmesh.study.sweeps.axes import is_number
 from lfmesh.study.sweeps.statistics import Estimate
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.column import Column
 from lfmesh.study.sweeps.statistics import Estimate
 
 PRECISION = 1e-4

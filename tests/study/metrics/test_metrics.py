@@ -12,7 +12,9 @@ from scipy import stats
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene.first_order.solve import air_thickness_mm
-from lfmesh.study.metrics.metrics import METRICS, Column, Comparison, columns_of
+from lfmesh.study.metrics.column import Column
+from lfmesh.study.metrics.comparison import Comparison
+from lfmesh.study.metrics.metrics import METRICS, columns_of
 from lfmesh.study.metrics.pictures import Camera, films, image_of
 from lfmesh.study.sweeps.statistics import Estimate, combined
 from lfmesh.study.sweeps.table import Table

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import lfmesh as lf
-from lfmesh.study.metrics.metrics import METRICS, SHARPEST
+from lfmesh.study.metrics.edge_metrics import SHARPEST
+from lfmesh.study.metrics.metrics import METRICS
 from lfmesh.study.sweeps.statistics import Estimate
 from lfmesh.study.sweeps.table import Table
 from tests.study.metrics.test_stated_errors import LENSLETS, cameras

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.lightfield.views.focused import focused
-from lfmesh.study.metrics.metrics import METRICS, Column, Comparison, pictures_of
+from lfmesh.study.metrics.column import Column
+from lfmesh.study.metrics.comparison import Comparison
+from lfmesh.study.metrics.metrics import METRICS, pictures_of
 from lfmesh.study.metrics.pictures import Camera, films
 from lfmesh.study.sweeps.statistics import combined
 

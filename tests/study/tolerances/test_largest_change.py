@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import lfmesh as lf
-from lfmesh.study.metrics.metrics import Column
+from lfmesh.study.metrics.column import Column
 from lfmesh.study.sweeps.statistics import Estimate
 from lfmesh.study.sweeps.table import Row, Table
 from lfmesh.study.tolerances.largest_change import Allowed, Search, largest_change

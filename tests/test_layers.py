@@ -4,7 +4,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -86,7 +86,16 @@ def run_nodes(tree: ast.AST) -> Iterator[ast.AST]:
 
 def imported_files(path: Path) -> set[Path]:
     """Return the files of lfmesh that one imports when it or one of its functions runs."""
-    return {found for name in names_in(run_nodes(parsed(path)), path) if (found := file_of(name)) is not None} - {path}
+    return files_of(names_in(run_nodes(parsed(path)), path)) - {path}
+
+
+def known_files(path: Path) -> set[Path]:
+    """Return the files of lfmesh that one names in any import: at its top, in a function, for type checking alone."""
+    return files_of(imported_names(path)) - {path}
+
+
+def files_of(names: Iterable[str]) -> set[Path]:
+    return {file for name in names if (file := file_of(name)) is not None}
 
 
 def file_of(name: str) -> Path | None:
@@ -151,14 +160,45 @@ def test_imports_inside_a_part_go_downwards(part: str) -> None:
     assert not upwards
 
 
-def test_no_files_import_each_other_in_a_circle() -> None:
-    graph = {path: imported_files(path) for path in modules()}
-    assert len(graph[PACKAGE / "transport" / "world.py"]) > 10, "imports are not found"
+def circle(graph: Mapping[Path, set[Path]]) -> str:
+    """Return files that import each other in a circle, "" where there are none."""
     try:
         list(TopologicalSorter(graph).static_order())
     except CycleError as error:
-        circle = " imports ".join(str(path.relative_to(ROOT)) for path in reversed(error.args[1]))
-        pytest.fail(circle)
+        return " imports ".join(str(path.relative_to(ROOT)) for path in reversed(error.args[1]))
+    return ""
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    graph = {path: imported_files(path) for path in modules()}
+    assert len(graph[PACKAGE / "transport" / "world.py"]) > 10, "imports are not found"
+    assert not circle(graph)
+
+
+KNOWN_CIRCLES = {"transport": "built names the type that world makes"}
+
+
+@pytest.mark.parametrize(
+    "part",
+    [pytest.param(part, marks=pytest.mark.xfail(reason=KNOWN_CIRCLES.get(part, ""), condition=part in KNOWN_CIRCLES))
+     for part in ORDER],
+)  # fmt: skip
+def test_no_files_of_a_part_know_each_other_in_a_circle(part: str) -> None:
+    """Every import statement between files of the part counts, also inside functions and under TYPE_CHECKING.
+
+    Imports of the package itself (`import lfmesh`) do not count: it imports its parts when a name is asked for.
+    """
+    files = set(modules(part))
+    assert not circle({path: known_files(path) & files for path in files})
+
+
+def test_a_circle_for_type_checking_or_inside_a_function_is_found() -> None:
+    """Both kinds are names that a module imports."""
+    source = "if TYPE_CHECKING:\n    import lfmesh.a\ndef f():\n    from lfmesh import b\n"
+    assert list(names_in(ast.walk(ast.parse(source)), PACKAGE / "c.py")) == ["lfmesh.a", "lfmesh.b"]
+    one, two = PACKAGE / "one.py", PACKAGE / "two.py"
+    assert circle({one: {two}, two: {one}})
+    assert not circle({one: {two}, two: set()})
 
 
 def test_embree_is_imported_in_one_module_of_transport() -> None:

@@ -208,6 +208,21 @@ def test_every_packet_in_a_drawn_lens_meets_the_surface_that_embree_finds(first:
         assert check.reflected > 0.1 * PER_DRAWN
 
 
+def test_every_packet_between_touching_faces_meets_the_surface_that_embree_finds() -> None:
+    """Planes, a plane and a sphere, and menisci, with reflections to and fro in gaps that close somewhere."""
+    element = {"index": 1.6, "semi_diameter_mm": 6.0, "thickness_mm": 4.0}
+    face = {"semi_diameter_mm": 6.0, "thickness_mm": 0.0}
+    surfaces: list[dict[str, Any]] = [{"radius_mm": 40.0, "stop": True} | element]
+    for before, behind in ((np.inf, np.inf), (np.inf, 50.0), (60.0, 40.0), (-30.0, -50.0)):
+        surfaces += [face | {"radius_mm": before}, element | {"radius_mm": behind}]
+    world = world_of({"surfaces": [*surfaces, {"radius_mm": -60.0, "semi_diameter_mm": 6.0}]})
+    packets, options = waiting_packets(world, PER_DRAWN, seed=1)
+    check = compare(world, options, world.tables, packets)
+    assert_agrees(check)
+    assert check.compared > 0.8 * PER_DRAWN
+    assert check.reflected > 0.3 * PER_DRAWN
+
+
 def posed_aspheres(lens: dict[str, Any], seed: int) -> dict[str, Any]:
     """Give some surfaces terms, and some elements a pose."""
     return with_poses(with_aspheres(lens, seed), seed)

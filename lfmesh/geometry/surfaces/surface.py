@@ -415,7 +415,7 @@ _first_crossing = crossing_finder(form_at)
 
 
 @kernel
-def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, from_it: bool) -> tuple[bool, float]:
+def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, in_front: bool) -> tuple[bool, float]:
     """Return whether and where a ray first crosses a surface inside its `domain`, however it grazes it.
 
     Parameters
@@ -428,8 +428,9 @@ def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, fro
         1 to cross along the normal, −1 against it.
     begin, end : float, mm
         Distances between which it is looked for.
-    from_it : bool
-        The ray starts on the surface, and does not meet it there.
+    in_front : bool
+        The ray begins in front of the surface or on it, but for rounding: it crosses the surface there if it goes on,
+        and not if it leaves it.
     """
     x, y, z, dx, dy, dz = ray
     a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - s.domain * s.domain
@@ -443,7 +444,7 @@ def first_crossing(s: Any, ray: Ray, sense: float, begin: float, end: float, fro
     if not begin < end:
         return False, 0.0
     sag, _, _ = form_at(s, x + begin * dx, y + begin * dy)
-    if not (from_it or sense * (sag - z - begin * dz) > 0.0):
+    if not (in_front or sense * (sag - z - begin * dz) > 0.0):
         # It comes from beside the surface, and not from the side that it would be crossed from.
         return False, 0.0
     most = a * max(-s.least_bend if sense > 0.0 else s.most_bend, 0.0)

@@ -191,9 +191,13 @@ def _crossing(c: float, q: float, ray: Ray, begin: float, sense: float, starts_o
     """Return the distance at which a ray crosses a conic in the given sense, counted as `begin` is; inf: nowhere.
 
     A ray that leaves a conic meets it again only on the hollow side; on the other, a root near the start is rounding.
+    One that starts elsewhere starts in front of the conic: if the root lies behind its start, it crosses the conic at
+    once, as in `first_conic`.
     """
     meets, t = conic_distance(c, q, ray, sense)
-    meets = both(both(meets, begin + t > 0.0), c * q * (ray.z + t * ray.dz) < 1.0)
+    along = sense * (ray.dz - c * (ray.x * ray.dx + ray.y * ray.dy + q * ray.z * ray.dz))
+    ahead = select(both(starts_on != sense, along > 0.0), np.inf, begin + t) > 0.0
+    meets = both(both(meets, ahead), c * q * (ray.z + t * ray.dz) < 1.0)
     hollow = sense * c < 0.0
     meets = both(meets, starts_on != sense or hollow)
     return select(meets, t, np.inf)

@@ -37,7 +37,9 @@ def meets_at_facet(
     """Return the surface of its space that a packet meets at a facet, the distance, the point, and the normal.
 
     The normal points along the ray. `RING` stands for the ring of the space. `NO_SURFACE` refuses the facet: it belongs
-    to another space, is crossed in the wrong sense or, where the facet itself is the surface, lies nearer than `least`.
+    to another space, is crossed in the wrong sense or, where the facet itself is the surface that the packet left, lies
+    nearer than `least`. The other surface of the space may touch that one: its facets may lie behind the start by as
+    much as float32 rounds.
 
     Parameters
     ----------
@@ -89,14 +91,15 @@ def meets_at_facet(
                 t = (facet.offset - normal[0] * x - normal[1] * y - normal[2] * z) / along
             met = met and t > 0.0 and (nx * dx + ny * dy + nz * dz > 0.0) == forward
         else:
-            met = t > least
+            again = k == packet.last
+            met = t > (least if again else -packet.limit)
             if level == PATCH:
                 curved, more, nx, ny, nz = meets_patch(
                     flow, lens.patches, lens.across, facet, prim, Ray(px, py, pz, dx, dy, dz)
                 )
                 t += more
                 px, py, pz = px + more * dx, py + more * dy, pz + more * dz
-                met = t > 0.0 if curved else met
+                met = t > (0.0 if again else -packet.limit) if curved else met
             elif met:
                 nx, ny, nz = facet_normal(level, facet, px, py, pz)
             if (nx * dx + ny * dy + nz * dz > 0.0) != forward:
@@ -112,6 +115,9 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
     """Return the first conic of its space that a packet meets, the distance, the point, and the normal along the ray.
 
     By the analytic roots, without meshes. The last value tells whether all surfaces of the space are conics.
+
+    A packet is in front of both surfaces of its space. Where they touch, its start on one may lie on the other, or be
+    rounded to beyond it: it crosses that one at once, at the root behind it or at its start.
     """
     dx, dy, dz = packet.dx, packet.dy, packet.dz
     space = packet.space
@@ -131,13 +137,15 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
         if surface.posed:
             sx, sy, sz = point_through(surface.unpose, x, y, z)
             ex, ey, ez = direction_through(surface.unpose, dx, dy, dz)
-        met, t = conic_distance(surface.curvature, surface.conic, Ray(sx, sy, sz - surface.vertex_z, ex, ey, ez), sense)
+        begin = Ray(sx, sy, sz - surface.vertex_z, ex, ey, ez)
+        met, t = conic_distance(surface.curvature, surface.conic, begin, sense)
         px, py, pz = sx + t * ex, sy + t * ey, sz + t * ez - surface.vertex_z
         t += ahead
         on_sheet = surface.curvature * (1.0 + surface.conic) * pz < 1.0
         # A ray that leaves a conic meets it again only on the hollow side; on the other, a root is rounding.
         again = k != packet.last or sense * surface.curvature < 0.0
-        if met and again and on_sheet and 0.0 < t < nearest and _on_mesh(surface, px * px + py * py):
+        meets = met and again and on_sheet and t < nearest and _on_mesh(surface, px * px + py * py)
+        if meets and (t > 0.0 or (k != packet.last and _crosses_at_once(surface, begin, sense))):
             first, nearest, fx, fy, fz = k, t, px, py, pz + surface.vertex_z
             mx, my, mz = normal_at(surface, px, py, pz)
             nx, ny, nz = sense * mx, sense * my, sense * mz
@@ -145,6 +153,25 @@ def first_conic(lens: LensTables, packet: Any) -> tuple[int, float, float, float
                 fx, fy, fz = point_through(surface.pose, fx, fy, fz)
                 nx, ny, nz = direction_through(surface.pose, nx, ny, nz)
     return first, nearest, fx, fy, fz, nx, ny, nz, settled
+
+
+@inlined
+def _crosses_at_once(surface: Any, begin: Ray, sense: float) -> bool:
+    """Tell whether a packet is about to cross a conic that it starts on or beyond, as the crossing lies behind it.
+
+    Neighbours do not cross where both have their apertures: a start there is beyond the conic by rounding alone.
+
+    Parameters
+    ----------
+    surface : SURFACE record
+    begin : Ray
+        From the vertex.
+    sense : float
+        In which the packet crosses the conic.
+    """
+    x, y, z, dx, dy, dz = begin
+    along = dz - surface.curvature * (x * dx + y * dy + (1.0 + surface.conic) * z * dz)
+    return sense * along > 0.0 and _on_mesh(surface, x * x + y * y)
 
 
 @kernel
@@ -156,8 +183,8 @@ def first_bulge(
     After the surface comes the facet of its patch, −1 for an exact one.
 
     The vertices of a mesh are on the surface: a ray that grazes a bulge may pass between surface and mesh, and one that
-    leaves a hollow may meet that again before it comes to the mesh. A surface that is hollow everywhere has its mesh in
-    the space, where a ray from elsewhere meets it first. By steps that miss no crossing.
+    leaves a hollow may meet that again before it comes to the mesh. Where the surfaces of a space touch, a query may
+    begin behind the mesh of either. By steps that miss no crossing.
 
     Parameters
     ----------
@@ -178,14 +205,15 @@ def first_bulge(
         if k == packet.last:
             if bulges_everywhere(surface, sense):
                 continue
-        elif not _bulges(surface, sense) or (k == found and _meets_once(surface)):
+        elif k == found and _meets_once(surface):
             continue
         x, y, z, dx, dy, dz = packet.x, packet.y, packet.z, packet.dx, packet.dy, packet.dz
         if surface.posed:
             x, y, z = point_through(surface.unpose, x, y, z)
             dx, dy, dz = direction_through(surface.unpose, dx, dy, dz)
         z -= surface.vertex_z
-        met, t = first_crossing(surface, Ray(x, y, z, dx, dy, dz), sense, ahead, nearest, k == packet.last)
+        in_front = k == packet.last or (ahead == 0.0 and x * x + y * y <= surface.domain * surface.domain)
+        met, t = first_crossing(surface, Ray(x, y, z, dx, dy, dz), sense, ahead, nearest, in_front)
         if not met or (k == found and t > nearest * (1.0 - SAME_HIT)):
             continue
         first, nearest, fx, fy, fz = k, t, x + t * dx, y + t * dy, z + t * dz
@@ -211,12 +239,6 @@ def _sense_at(space: int, body: int) -> float:
 
 
 _first_patch = patch_finder(_sense_at)
-
-
-@inlined
-def _bulges(surface: Any, sense: float) -> bool:
-    """Tell whether a surface bulges anywhere into the space from which it is crossed in a sense."""
-    return surface.most_bend > 0.0 if sense > 0.0 else surface.least_bend < 0.0
 
 
 @inlined
@@ -269,6 +291,9 @@ def first_of_all(
     k, facet, t, px, py, pz, mx, my, mz = first_bulge(lens, packet, first, nearest)
     if k != NO_SURFACE:
         first, first_prim, nearest, fx, fy, fz, nx, ny, nz = k, facet, t, px, py, pz, mx, my, mz
+    if nearest <= 0.0:
+        # It starts on a surface that it crosses at once.
+        return first, first_prim, nearest, fx, fy, fz, nx, ny, nz
     for prim in range(len(lens.facets)):
         body = lens.facets[prim].body
         if body != space and body != space - 1 and body != -1 - space:

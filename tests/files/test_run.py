@@ -357,7 +357,7 @@ def test_pixels_changed_by_another_program_are_noticed(image_of: Build, tmp_path
 
 
 def test_saving_copies_a_large_film_few_times(image_of: Build, tmp_path: Path) -> None:
-    peaks, sides = [], (500, 1500)
+    peaks, sides = [], (300, 900)
     for side in sides:
         film = np.random.default_rng(1).uniform(0.5, 1.0, (side, side, 1))
         image = replace(image_of(), mean=film, stderr=0.01 * film)

@@ -33,6 +33,13 @@ def sag_slope_bend(c, k, terms, rho):
     return sag, across * rho, np.maximum(np.abs(across), np.abs(along))
 
 
+def sag_at(c, k, terms, r2):
+    """The sag alone, by the square of the radius, for brute force; NaN beyond the end."""
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(1.0 - (1.0 + k) * c**2 * r2)
+    return c * r2 / (1.0 + root) + r2 * r2 * np.polyval(terms[::-1], r2)
+
+
 def drawn_profile(seed, axis=None, wavy=1.0):
     """A random profile up to CORNER, its curvature, conic and terms; with `wavy` = 1 many of them turn back."""
     draw = np.random.default_rng(seed)
@@ -94,8 +101,7 @@ def brute_force(profile, c, p, d, side, end):
     x, y = p[0] + t * d[0], p[1] + t * d[1]
     z = p[2] + t * d[2]
     r2 = profile.weight_x * x * x + profile.weight_y * y * y
-    sag = sag_slope_bend(np.asarray(c), profile.conic[0], profile.terms[0], np.sqrt(r2))[0]
-    above = side * (sag - z) > 0.0
+    above = side * (sag_at(c, profile.conic[0], profile.terms[0], r2) - z) > 0.0
     return t[1:][above[:-1] != above[1:]]
 
 
@@ -143,9 +149,9 @@ def test_all_crossings_into_the_glass_are_found_along_a_line():
         g = way[:2] / way[2]
         a = p[:2] - g * p[2]
         z = np.linspace(-layer, layer, 100_001)
-        rho = np.hypot(*(a[:, None] + g[:, None] * z))
-        above = sag_slope_bend(np.asarray(c), profile.conic[0], profile.terms[0], rho)[0] > z
-        inside = rho <= profile.domain
+        r2 = ((a[:, None] + g[:, None] * z) ** 2).sum(axis=0)
+        above = sag_at(c, profile.conic[0], profile.terms[0], r2) > z
+        inside = r2 <= profile.domain**2
         truth = z[1:][above[:-1] & ~above[1:] & inside[1:] & inside[:-1]]
         falls, side, begin = [], 0.0, -layer
         while True:

@@ -1,6 +1,7 @@
 """Photographs computed from a light field: one plane, a stack of planes, or every place in focus."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ Array = NDArray[np.float64]
 
 SHARPNESS_RADIUS = 2
 """Sharpness is compared over windows that reach this many samples to either side."""
+
+LEAST_SHARE = 0.5 / (2 * SHARPNESS_RADIUS + 1) ** 2
+"""Share of a window: that of half a sample, which is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,8 @@ def _samples(mean: Array) -> str:
 def all_in_focus(stack: FocalStack) -> AllInFocus:
     """Take every sample from the photograph of a stack that is sharpest there.
 
-    Sharpness is the energy of the Laplacian in a window of 5 × 5 samples, summed over the channels.
+    Sharpness is the mean energy of the Laplacian in a window of 5 × 5 samples, summed over the channels. Samples beside
+    unknown ones have none, and an unknown sample is taken only where no photograph knows it.
 
     Parameters
     ----------
@@ -140,7 +145,13 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
 
 
 def _sharpness(picture: Array) -> Array:
-    """Return the energy of the Laplacian round every sample, (t, s)."""
-    known = np.where(np.isfinite(picture), picture, 0.0)
-    energy = sum(ndimage.laplace(known[..., c], mode="nearest") ** 2 for c in range(known.shape[2]))
-    return np.asarray(ndimage.uniform_filter(energy, 2 * SHARPNESS_RADIUS + 1, mode="nearest"))
+    """Return the energy of the Laplacian round every sample, (t, s); −1 where the sample is unknown."""
+    known = np.isfinite(picture).all(axis=2)
+    filled = np.where(known[..., None], picture, 0.0)
+    energy = sum(ndimage.laplace(filled[..., c], mode="nearest") ** 2 for c in range(picture.shape[2]))
+    # The border of what is known is no edge.
+    whole = ndimage.binary_erosion(known, border_value=1)
+    window = partial(ndimage.uniform_filter, size=2 * SHARPNESS_RADIUS + 1, mode="nearest")
+    total, count = window(np.where(whole, energy, 0.0)), window(whole.astype(np.float64))
+    sharp = np.divide(total, count, out=np.zeros_like(total), where=count > LEAST_SHARE)
+    return np.where(known, sharp, -1.0)

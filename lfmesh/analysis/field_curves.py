@@ -124,7 +124,12 @@ def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array) -> Array:
 
 
 def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
-    """Return the light of a piece of a Lambertian plane that the lens passes, in arbitrary units."""
+    """Return the light of a piece of a Lambertian plane that the lens passes, in arbitrary units.
+
+    It is integrated inside a circle that holds the rays through the rim of the stop, with a margin of `WIDER`. Beyond
+    them rays come to the stop only if they have crossed; `LensRays.bundle` refuses fields in which a caustic ends rays
+    and others that have crossed pass.
+    """
     tables = at_wavelength(rays.world, wavelength_nm)
     path, slope = image_path(len(tables.lens.surfaces)), np.array([0.0, slope_y])
     # Only what comes to the stop can pass.

@@ -169,7 +169,10 @@ def _circles(surface: Any, rings: int, rim: float, allowed: Callable[[Array], Ar
 
 
 def _waviness(surface: Any, r: Array) -> Array:
-    """Return the largest second derivative of z by the azimuth on circles of radii (n,), mm."""
+    """Return the largest second derivative of z by the azimuth on circles of radii (n,), mm.
+
+    Samples set how fine meshes are, as in `_gap`.
+    """
     z = mesh_heights(surface, np.multiply.outer(r, np.cos(ALL_ROUND)), np.multiply.outer(r, np.sin(ALL_ROUND)))
     return np.asarray(np.abs(np.diff(z, 2, axis=1)).max(axis=1) / ALL_ROUND[1] ** 2)
 

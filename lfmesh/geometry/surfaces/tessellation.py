@@ -27,7 +27,9 @@ AZIMUTHS = 96
 """Points on a circle of a surface at which its gap to another is measured that stands askew to it."""
 
 ALL_ROUND = np.linspace(0.0, 2.0 * np.pi, 97)
-"""Azimuths by which a surface is judged that is none of revolution; every eighth of a turn is one."""
+"""Azimuths at which a surface is sampled that is none of revolution, to divide its mesh; every eighth of a turn is one.
+
+They set how fine a mesh is. Proofs use the bounds of `bends`."""
 
 QUADRATIC = 4.0 / 3.0
 """Largest deviation of a triangle from a quadratic surface over its deviation at the middles of its edges: that of an

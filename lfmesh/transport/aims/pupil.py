@@ -4,6 +4,9 @@ From each of a table of points, rays are traced through the exact surfaces of th
 wavelength of the scene are bounded by a disk in the lens's outermost plane, which includes vignetting and pupil
 aberrations. As the lens is rotationally symmetric, a point is given by its distance from that plane and the tangent of
 its field angle, or if it is close before the plane by its height over the axis.
+
+Points, spokes and wavelengths are samples. They decide where rays go, never what light there is: some rays go beside
+the opening, and rays from the stop prove it or widen it (`transport/checks/aim_proof.py`).
 """
 
 from typing import NamedTuple

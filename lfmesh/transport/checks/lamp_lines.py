@@ -56,7 +56,10 @@ def _in_words(profile: LightProfile, power_w: float) -> str:
 
 
 def _shines_on(profile: LightProfile, light: Light, targets: list[TargetMesh]) -> bool:
-    """Return whether a profile shines from a corner of its lamp towards a corner or the middle of any facet."""
+    """Return whether a profile shines from a corner of its lamp towards a corner or the middle of any facet.
+
+    These places are what the note names: it says nothing of others, and nothing else depends on it.
+    """
     if light.region is None:
         return True
     x, y, down = light.axes

@@ -24,7 +24,7 @@ from lfmesh import provenance
 from lfmesh.cli import main
 from lfmesh.files import sealed
 from lfmesh.scene import inputs
-from lfmesh.study.metrics import metrics
+from lfmesh.study.metrics import centre_metrics, comparison
 from lfmesh.study.sweeps import pool
 from lfmesh.study.sweeps import study as studying
 from lfmesh.study.sweeps.pool import Result, in_pool
@@ -532,13 +532,14 @@ def test_what_metrics_find_of_the_reference_alone_is_found_once(
 ) -> None:
     """Of each of four cameras the centres of all replicates, and without one of four; of the reference no more."""
     of_cameras: Counter[float] = Counter()
-    plain = metrics.estimate_centres
+    plain = comparison.estimate_centres
 
     def counted(white: lf.Image, scene: lf.Scene) -> lf.Calibration:
         of_cameras[white.scene.camera.mla.pose.shift_mm[0]] += 1
         return plain(white, scene)
 
-    monkeypatch.setattr(metrics, "estimate_centres", counted)
+    for module in (centre_metrics, comparison):
+        monkeypatch.setattr(module, "estimate_centres", counted)
     # Its file is told by its contents throughout, however long the study takes: once it has aged, it is read again.
     monkeypatch.setattr(inputs, "FRESH_NS", 10**18)
     shifted(4, ("centres",)).run(tmp_path, workers=0)

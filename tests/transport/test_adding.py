@@ -254,10 +254,10 @@ GROUND_TURN = """    px, py, pz, qx, qy, qz = tangents(-nx, -ny, -nz)
 
 def add_shape(tree: Path) -> None:
     form, field, fills, height, heights, bends = blocks_of("A shape of surface")
-    lens, surface, bounds = "scene/camera/lens.py", "geometry/surfaces/surface.py", "geometry/surfaces/bends.py"
-    put(tree, "scene/camera/sections.py", "def reach_of_conic_mm(", form + "\n\n", 0)
-    put(tree, lens, "    paraxial: Flag = False\n", field, 4)
-    change(tree, lens, ("    Form,\n", "    Form,\n    Saddle,\n"))
+    model, surface, bounds = "scene/camera/surface.py", "geometry/surfaces/surface.py", "geometry/surfaces/bends.py"
+    put(tree, "scene/camera/sections.py", "@lru_cache(maxsize=256)\n", form + "\n\n", 0)
+    put(tree, model, "    paraxial: Flag = False\n", field, 4)
+    change(tree, model, ("import Biconic, Toroid", "import Biconic, Saddle, Toroid"))
     change(tree, surface, ("BICONIC, TOROID = range(4)", "BICONIC, TOROID, SADDLE = range(5)"))
     put(tree, surface, "    ]\n)\n\nNEWTON_STEPS", '("twist", "f8"),', 8)
     put(tree, surface, "    if of.toroid is not None:\n        record", fills, 4)

@@ -146,7 +146,7 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
 
 def _sharpness(picture: Array) -> Array:
     """Return the energy of the Laplacian round every sample, (t, s); −1 where the sample is unknown."""
-    known = np.isfinite(picture).all(axis=2)
+    known = np.asarray(np.isfinite(picture).all(axis=2))
     filled = np.where(known[..., None], picture, 0.0)
     energy = sum(ndimage.laplace(filled[..., c], mode="nearest") ** 2 for c in range(picture.shape[2]))
     # The border of what is known is no edge.

@@ -1,6 +1,8 @@
 """Ctrl-C, SIGTERM and SIGHUP: held back while libraries are imported, and alike for a render, which keeps its work."""
 
+import _thread
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,6 +10,9 @@ from typing import Any
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a command as Ctrl-C does: of a job scheduler, and of a terminal that is closed."""
+
+AGAIN_S = 0.05
+"""Time after which an interrupt that Python dropped comes again."""
 
 _last = [signal.SIGINT]
 
@@ -23,7 +28,11 @@ def code_of_last() -> int:
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """Let the signals of `ENDING` end the body as Ctrl-C does, where nobody else has taken them."""
+    """Let the signals of `ENDING` end the body as Ctrl-C does, where nobody else has taken them.
+
+    One signal is enough, of whatever kind. Python drops an exception that is raised in a destructor, or in a callback
+    of the garbage collector, and the handler of a signal may run in any of them. Such a signal comes again.
+    """
     _last[0] = signal.SIGINT
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -31,9 +40,24 @@ def terminate_as_interrupt() -> Iterator[None]:
     ours = [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]
     for number in ours:
         signal.signal(number, _terminate)
+    usual, dropped = sys.unraisablehook, list[threading.Timer]()
+
+    def again(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            usual(unraisable)
+            return
+        number = _last[0] if issubclass(unraisable.exc_type, Terminated) else signal.SIGINT
+        dropped.append(threading.Timer(AGAIN_S, _thread.interrupt_main, [number]))
+        dropped[-1].daemon = True
+        dropped[-1].start()
+
+    sys.unraisablehook = again
     try:
         yield
     finally:
+        sys.unraisablehook = usual
+        for timer in dropped:
+            timer.cancel()
         for number in ours:
             if signal.getsignal(number) is _terminate:
                 signal.signal(number, signal.SIG_DFL)

@@ -139,3 +139,28 @@ def test_one_signal_ends_a_render_whose_packets_have_no_end(
     assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
     assert time.monotonic() < until
     assert "1 of 4 replicates were finished" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.usefixtures("_files")
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_that_comes_while_an_object_is_destroyed_ends_the_command(
+    number: signal.Signals, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python drops the exception of its handler there, as in callbacks of the garbage collector."""
+
+    class Destroyed:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), number)
+            sum(range(1000))
+
+    until = time.monotonic() + HANGS_S
+
+    def restart(tally: Tally, replicate: int) -> None:
+        Destroyed()
+        while time.monotonic() < until:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(Tally, "restart", restart)
+    assert main(["render", "scene.toml", "-o", "out"]) == SIGNALS[number]
+    assert time.monotonic() < until
+    assert "Traceback" not in capsys.readouterr().err

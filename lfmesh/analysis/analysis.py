@@ -61,7 +61,7 @@ DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Fan:
-    """Ray fans of one field at one wavelength: transverse aberrations from the primary wavelength's chief ray.
+    """Ray fans of one field at one wavelength: transverse aberrations from the reference of the field's spot.
 
     Attributes
     ----------
@@ -179,6 +179,12 @@ class LensAnalysis(Shown):
                 f"{height:9.3f}{spot.chief_mm[1]:11.4f}{1e3 * spot.rms_mm:10.3f}{1e3 * spot.geo_mm:10.3f}"
                 f"{spot.passed:9.1%}{t:12.4f}{s:12.4f}{d:9.3f}{light:8.1%}"
             )
+        lines += [
+            f"{height:9.3f}  no chief ray: a surface ends before it or reflects it totally; spot and fans are about "
+            "the mean place of the other rays"
+            for height, spot in zip(self.heights_mm, self.spots, strict=True)
+            if not spot.has_chief
+        ]
         lines.append(f"{'field/mm':>9}{'rms/waves':>11}{'P-V/waves':>11}{'Strehl':>9}")
         for height, waves in zip(self.heights_mm, self.waves, strict=True):
             if isinstance(waves, str):
@@ -311,7 +317,7 @@ def _waves(rays: LensRays, spot: Spot, wavelengths_nm: tuple[float, ...]) -> Fie
     """Return a field's image by waves, or why there is none."""
     camera = solved_camera(rays.world.scene)
     try:
-        return field_waves(rays, camera, spot.slope_y, wavelengths_nm, spot.geo_mm, np.linspace(-1.0, 1.0, FAN))
+        return field_waves(rays, camera, spot.slope_y, wavelengths_nm, spot.reach_mm, np.linspace(-1.0, 1.0, FAN))
     except LfmeshError as error:
         return str(error)
 
@@ -363,13 +369,13 @@ def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int)
         raise LfmeshError(
             f"no ray of the field with a slope of {slope_y:.4g} passes the lens; give a smaller height_mm"
         )
-    if not np.isfinite(chief).all():
-        # A surface ends before the ray, or reflects it totally: the mean place of the others stands for it.
-        chief = np.concatenate([bundle.place[ok] for bundle, ok in zip(bundles, passes, strict=True)]).mean(axis=0)
+    places = np.concatenate([bundle.place[ok] for bundle, ok in zip(bundles, passes, strict=True)])
+    reference = chief if np.isfinite(chief).all() else places.mean(axis=0)
     return Spot(
         slope_y,
         chief,
-        np.concatenate([bundle.place[ok] - chief for bundle, ok in zip(bundles, passes, strict=True)]),
+        reference,
+        places - reference,
         np.concatenate([bundle.weight[ok] for bundle, ok in zip(bundles, passes, strict=True)]),
         np.repeat(waves, [int(ok.sum()) for ok in passes]),
         float(np.mean(passes)),
@@ -378,10 +384,10 @@ def _spot(rays: LensRays, slope_y: float, waves: tuple[float, ...], across: int)
 
 def _fans(rays: LensRays, spot: Spot, waves: tuple[float, ...]) -> list[Fan]:
     along = np.linspace(-1.0, 1.0, FAN)
-    none, chief = np.zeros(FAN), spot.chief_mm
+    none, reference = np.zeros(FAN), spot.reference_mm
     fans = []
     for wavelength in waves:
         tangential = rays.bundle(spot.slope_y, np.column_stack([none, along]), wavelength)
         sagittal = rays.bundle(spot.slope_y, np.column_stack([along, none]), wavelength)
-        fans.append(Fan(along, tangential.place[:, 1] - chief[1], sagittal.place[:, 0] - chief[0]))
+        fans.append(Fan(along, tangential.place[:, 1] - reference[1], sagittal.place[:, 0] - reference[0]))
     return fans

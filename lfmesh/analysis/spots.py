@@ -1,5 +1,6 @@
 """Spots: where the rays of a field meet the image plane, their size, and the geometric MTF that follows."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,17 +15,20 @@ class Spot:
     """The points at which the rays of one field meet the image plane, of all wavelengths together.
 
     Every ray stands for the same area of the stop and for the weight that Fresnel's transmittance gives it. The
-    reference is the chief ray of the primary wavelength, unless it says otherwise.
+    reference is the chief ray of the primary wavelength. Where there is none, the mean place of the rays stands for it,
+    and what is measured from the chief ray is NaN.
 
     Attributes
     ----------
     slope_y : float
         Of the field: its height over its distance, or the tangent of its angle.
     chief_mm : (2,) float64
-        Where the chief ray meets the plane, whatever apertures it passes; where surfaces end before it, the mean place
-        of the others.
+        Where the chief ray meets the plane, whatever apertures it passes; NaN where a surface ends before the ray, or
+        reflects it totally.
+    reference_mm : (2,) float64
+        Place of the reference.
     place_mm : (n, 2) float64
-        Relative to that.
+        Relative to the reference.
     weight : (n,) float64
     wavelength_nm : (n,) float64
         Of each ray.
@@ -34,6 +38,7 @@ class Spot:
 
     slope_y: float
     chief_mm: Array
+    reference_mm: Array
     place_mm: Array
     weight: Array
     wavelength_nm: Array
@@ -41,7 +46,7 @@ class Spot:
 
     @cached_property
     def centroid_mm(self) -> Array:
-        """(2,): mean place, relative to the chief ray."""
+        """(2,): mean place, relative to the reference."""
         return np.asarray(np.average(self.place_mm, axis=0, weights=self.weight))
 
     @cached_property
@@ -52,15 +57,25 @@ class Spot:
     @cached_property
     def rms_chief_mm(self) -> float:
         """Root mean square distance from the chief ray."""
-        return self.rms_about(np.zeros(2))
+        return self.rms_about(self.chief_mm - self.reference_mm)
 
     @cached_property
     def geo_mm(self) -> float:
         """Largest distance from the chief ray (OpticStudio's GEO radius, chief ray as reference)."""
+        return self.reach_mm if self.has_chief else math.nan
+
+    @cached_property
+    def reach_mm(self) -> float:
+        """Largest distance from the reference."""
         return float(np.hypot(*self.place_mm.T).max())
 
+    @property
+    def has_chief(self) -> bool:
+        """True if there is a chief ray."""
+        return bool(np.isfinite(self.chief_mm).all())
+
     def rms_about(self, point_mm: ArrayLike) -> float:
-        """Return the root mean square distance from a point, relative to the chief ray, mm."""
+        """Return the root mean square distance from a point, relative to the reference, mm."""
         off = self.place_mm - np.asarray(point_mm)
         return float(np.sqrt(np.average((off * off).sum(axis=1), weights=self.weight)))
 

@@ -256,7 +256,7 @@ def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
 
 
 def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
-    reach = UM * max(max(spot.geo_mm for spot in analysis.spots), analysis.airy_radius_mm)
+    reach = UM * max(max(spot.reach_mm for spot in analysis.spots), analysis.airy_radius_mm)
     for axes, name, spot in zip(places, _field_names(analysis), analysis.spots, strict=True):
         # In an order by chance, so that no wavelength covers another.
         order = np.random.default_rng(0).permutation(len(spot.place_mm))
@@ -269,7 +269,8 @@ def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
         axes.set_ylim(-1.05 * reach, 1.05 * reach)
         axes.set_aspect("equal")
         axes.set_title(f"spot, {name}, {spot.passed:.0%} pass")
-        axes.set_xlabel(f"µm   rms {UM * spot.rms_mm:.2f}, GEO {UM * spot.geo_mm:.2f}")
+        from_chief = f"GEO {UM * spot.geo_mm:.2f}" if spot.has_chief else "no chief ray"
+        axes.set_xlabel(f"µm   rms {UM * spot.rms_mm:.2f}, {from_chief}")
 
 
 def _path_fans(places: list[Axes], analysis: LensAnalysis) -> None:
@@ -311,7 +312,7 @@ def _path_maps(figure: FigureBase, places: list[Axes], analysis: LensAnalysis) -
 
 
 def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
-    reach = 1.05 * max(max(spot.geo_mm for spot in analysis.spots), 3.0 * analysis.airy_radius_mm)
+    reach = 1.05 * max(max(spot.reach_mm for spot in analysis.spots), 3.0 * analysis.airy_radius_mm)
     for axes, name, waves in zip(places, _field_names(analysis), analysis.waves, strict=True):
         axes.set_title(f"point spread, {name}, log")
         if isinstance(waves, str):

@@ -148,6 +148,26 @@ def test_spots_of_a_doublet_are_those_of_an_independent_trace(doublet: lf.LensAn
         assert spot.rms_chief_mm == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()), rel=2e-3)
 
 
+def test_a_field_without_a_chief_ray_says_so_and_has_no_figures_from_it() -> None:
+    """Far behind a stop a sphere ends before the chief ray of the edge, and rays from below it pass."""
+    surfaces = [
+        {"stop": True, "thickness_mm": 30.0, "semi_diameter_mm": 4.0},
+        {"radius_mm": 10.0, "thickness_mm": 6.0, "index": 1.5, "semi_diameter_mm": 9.9},
+        {"semi_diameter_mm": 9.9},
+    ]
+    found = analyse(scene(surfaces, 16.0), object_mm=math.inf, height_mm=6.4, across=20)
+    inner, edge = found.spots[1], found.spots[2]
+    assert np.isfinite([*inner.chief_mm, inner.geo_mm, inner.rms_chief_mm]).all()
+    assert 0.0 < edge.passed < 0.5
+    assert np.isnan([*edge.chief_mm, edge.geo_mm, edge.rms_chief_mm]).all()
+    assert edge.reach_mm >= edge.rms_mm > 0.0
+    assert np.isnan(found.curves.chief_mm[:, -1]).all()
+    assert [line for line in found.lines() if "no chief ray:" in line] == [
+        "    6.400  no chief ray: a surface ends before it or reflects it totally; spot and fans are about the mean "
+        "place of the other rays"
+    ]
+
+
 def test_foci_over_the_field_are_coddingtons(doublet: lf.LensAnalysis) -> None:
     for w, wavelength in enumerate(LINES_NM):
         for i in (0, 9, 20):

@@ -17,7 +17,7 @@ from lfmesh.transport.world import World
 Array = NDArray[np.float64]
 
 LINES = 33
-"""Lines of sight along each side of the field on which optical depths are found."""
+"""Lines of sight along each side of a medium's part of the field on which optical depths are found."""
 
 STEPS = 4
 """Points on a line of sight for each voxel that the longest side of a grid has."""
@@ -39,7 +39,7 @@ class MediumPlace:
     share : float
         Of the field of view: of a medium that the box round its picture fills, at most; of particles that are in it.
     depths : (float, float) or None
-        Optical depth along the axis, and the largest found over the field, at the primary wavelength; of a medium
+        Optical depth along the axis, and the largest of some lines of sight, at the primary wavelength; of a medium
         without an end per mm. None of particles, and of a medium bounded by a mesh.
     """
 
@@ -66,7 +66,7 @@ class MediumPlace:
             axis, most = self.depths
             lines.append(
                 f"  optical depth        {axis:.4g} along the axis, {most:.4g} the largest of {LINES} × {LINES} lines "
-                f"of sight over the field, at {wavelength_nm:g} nm"
+                f"of sight over its part of the field, at {wavelength_nm:g} nm"
             )
         return lines + [f"Note: {self.name} {OUT_OF_FIELD}"] * (self.share == 0.0)
 
@@ -103,7 +103,7 @@ def _media(world: World) -> Iterator[MediumPlace]:
             yield MediumPlace(name, what, (0.0, np.inf), 1.0, (extinction, extinction))
             continue
         seen = frame.points(to_camera, corners)
-        depths = None if row["bounds"] == SHELL else _depths(volumes, number, colour, to_camera, facts)
+        depths = None if row["bounds"] == SHELL else _depths(volumes, number, colour, to_camera, seen, facts)
         share = share_of_field(in_field(seen, facts))
         yield MediumPlace(name, what, (float(-seen[:, 2].max()), float(-seen[:, 2].min())), share, depths)
 
@@ -117,19 +117,53 @@ def _particles(world: World) -> Iterator[MediumPlace]:
         yield MediumPlace(f"particles[{group.entry}]", f"particles, {len(seen)} that shine", reach, share, None)
 
 
-def _depths(volumes: Volumes, number: int, colour: int, to_camera: Array, facts: FirstOrder) -> tuple[float, float]:
-    """Return the optical depth of a medium along the axis, and the largest over the field."""
-    sides = np.linspace(-0.5, 0.5, LINES)
-    field, middle = facts.field, LINES * LINES // 2
-    start, way = np.zeros((2, LINES * LINES, 3))
+def _depths(
+    volumes: Volumes, number: int, colour: int, to_camera: Array, seen: Array, facts: FirstOrder
+) -> tuple[float, float]:  # fmt: skip
+    """Return the optical depth of a medium along the axis, and the largest of lines of sight in its part of the field.
+
+    Parameters
+    ----------
+    volumes : Volumes
+    number, colour : int
+        Of the medium and of the wavelength.
+    to_camera : (3, 4) float64
+        From the medium's own frame.
+    seen : (8, 3) float64, mm
+        Corners of its box, camera frame.
+    facts : FirstOrder
+    """
+    field = facts.field
+    start, way = np.zeros((2, 1 + LINES * LINES, 3))
     way[:, 2] = -1.0
     if np.isfinite(field.slope).all():
-        places = np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
-        start[:, :2], way[:, :2] = places * field.at_vertex_mm, -places * field.slope
+        low, high = _part_of_field(seen, facts)
+        places = low + (high - low) * np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, LINES)] * 2), axis=-1).reshape(-1, 2)
+        # The axis comes first.
+        start[1:, :2], way[1:, :2] = places * field.at_vertex_mm, -places * field.slope
     way /= np.linalg.norm(way, axis=1)[:, None]
     to_own = frame.inverse(to_camera)
     found = _along(volumes, number, colour, frame.points(to_own, start), frame.directions(to_own, way))
-    return float(found[middle]), float(found.max())
+    return float(found[0]), float(found.max())
+
+
+def _part_of_field(seen: Array, facts: FirstOrder) -> tuple[Array, Array]:
+    """Return the corners of the part of the field, whose edges are ±½, that holds a box as its chief rays see it.
+
+    On a chief ray x over the width of the field is constant. In a box it is a quotient of linear functions, whose
+    extremes lie at corners. The whole field counts if a corner stands behind the first vertex, or where the width is 0.
+
+    Parameters
+    ----------
+    seen : (8, 3) float64, mm
+        Corners, camera frame.
+    facts : FirstOrder
+    """
+    width = np.add(facts.field.at_vertex_mm, seen[:, 2:] * np.array(facts.field.slope))
+    if (seen[:, 2] > 0.0).any() or not (np.abs(np.sign(width).sum(axis=0)) == len(width)).all():
+        return np.full(2, -0.5), np.full(2, 0.5)
+    places = seen[:, :2] / width
+    return np.clip(places.min(axis=0), -0.5, 0.5), np.clip(places.max(axis=0), -0.5, 0.5)
 
 
 def _along(volumes: Volumes, number: int, colour: int, start: Array, way: Array) -> Array:

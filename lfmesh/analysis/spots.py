@@ -15,8 +15,8 @@ class Spot:
     """The points at which the rays of one field meet the image plane, of all wavelengths together.
 
     Every ray stands for the same area of the stop and for the weight that Fresnel's transmittance gives it. The
-    reference is the chief ray of the primary wavelength. Where there is none, the mean place of the rays stands for it,
-    and what is measured from the chief ray is NaN.
+    reference is the chief ray of the primary wavelength. If there is none, the mean place of the rays is the reference,
+    and figures from the chief ray are NaN.
 
     Attributes
     ----------

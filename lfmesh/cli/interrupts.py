@@ -12,7 +12,7 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasatt
 """Signals that end a command as Ctrl-C does: of a job scheduler, and of a terminal that is closed."""
 
 AGAIN_S = 0.05
-"""Time after which an interrupt that Python dropped comes again."""
+"""Seconds after which a signal is sent again, if Python has dropped the exception of its handler."""
 
 _last = [signal.SIGINT]
 
@@ -31,7 +31,7 @@ def terminate_as_interrupt() -> Iterator[None]:
     """Let the signals of `ENDING` end the body as Ctrl-C does, where nobody else has taken them.
 
     One signal is enough, of whatever kind. Python drops an exception that is raised in a destructor, or in a callback
-    of the garbage collector, and the handler of a signal may run in any of them. Such a signal comes again.
+    of the garbage collector, and the handler of a signal may run in any of them. Such a signal is sent again.
     """
     _last[0] = signal.SIGINT
     if threading.current_thread() is not threading.main_thread():
@@ -40,23 +40,23 @@ def terminate_as_interrupt() -> Iterator[None]:
     ours = [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]
     for number in ours:
         signal.signal(number, _terminate)
-    usual, dropped = sys.unraisablehook, list[threading.Timer]()
+    usual, timers = sys.unraisablehook, list[threading.Timer]()
 
-    def again(unraisable: Any) -> None:
+    def send_again(unraisable: Any) -> None:
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             usual(unraisable)
             return
         number = _last[0] if issubclass(unraisable.exc_type, Terminated) else signal.SIGINT
-        dropped.append(threading.Timer(AGAIN_S, _thread.interrupt_main, [number]))
-        dropped[-1].daemon = True
-        dropped[-1].start()
+        timers.append(threading.Timer(AGAIN_S, _thread.interrupt_main, [number]))
+        timers[-1].daemon = True
+        timers[-1].start()
 
-    sys.unraisablehook = again
+    sys.unraisablehook = send_again
     try:
         yield
     finally:
         sys.unraisablehook = usual
-        for timer in dropped:
+        for timer in timers:
             timer.cancel()
         for number in ours:
             if signal.getsignal(number) is _terminate:

@@ -113,7 +113,7 @@ def field_waves(
     wavelengths_nm : tuple of float
         The primary one in the middle.
     spot_mm : float
-        Largest distance of a ray from the chief ray in the image plane.
+        Largest distance of a ray from the spot's reference in the image plane.
     fan : (n,) float64
         Places on a diameter of the stop, in stop radii.
 
@@ -165,7 +165,7 @@ def diffraction_limit(frequencies_per_mm: Array, wavelengths_nm: tuple[float, ..
 def _transfer(pupil: PupilWaves, step_per_mm: float, size: int) -> tuple[NDArray[np.complex128], float]:
     """Return the autocorrelation of a pupil function on a grid of frequencies, and its sum for amplitudes in phase."""
     cells = (np.arange(size) - size // 2) * step_per_mm * pupil.wavelength_mm
-    waves = pupil.at(pupil.middle[0] + cells, pupil.middle[1] + cells)
+    waves, _ = pupil.at(pupil.middle[0] + cells, pupil.middle[1] + cells)
     transfer = np.asarray(scipy.fft.fft2(np.abs(scipy.fft.ifft2(waves)) ** 2) * size**2)
     # Cells that the rim cuts have the square of their mean amplitude there, which is less than their power.
     transfer[0, 0] = pupil.power_w

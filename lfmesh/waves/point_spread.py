@@ -62,7 +62,7 @@ class PointSpread(Pictured):
     power_w : float
         Power on the plane of the sensor, beside its pixels too, of the waves of the last grid. Tails of the lens's
         diffraction beside the grid at the focus are missing, and are not part of `beyond`: a perfect lens without an
-        array has 0.5 to 1 % less here than `entered_w`. That of an aberrated lens has been 0.2 % above it.
+        array has 0.5 to 1 % less here than `entered_w`.
     peak_w_mm2 : float
         Largest irradiance, at the weightiest one of the wavelengths.
     strehl : float or None
@@ -306,15 +306,15 @@ class Arrived(NamedTuple):
 
     Attributes
     ----------
-    pupil : Spectrum
-        Plane waves behind the lens, about the focus.
+    in_phase : float
+        Sum of the amplitudes of the plane waves behind the lens, √W, if they were in phase.
     behind_lens_w : float
         Their power where the focus sees the pupil at its distance.
     light : Spectrum
         Across the plane of the sensor.
     """
 
-    pupil: Spectrum
+    in_phase: float
     behind_lens_w: float
     light: Spectrum
 
@@ -398,8 +398,8 @@ class Monochrome:
                 report(Progress(percent, 100, time.perf_counter() - began, 0, 0, stage))
 
         told(0, 0.0)
-        pupil = _in_pupil(self.pupil, grid)
-        behind = light = _seen_from_focus(self.pupil, pupil)
+        behind, in_phase = _behind_lens(self.pupil, grid)
+        light = behind
         reliefs = 0
         for before, face in zip([None, *self.faces], self.faces, strict=False):
             light = _travelled(light, face.z_mm, before)
@@ -407,14 +407,14 @@ class Monochrome:
             reliefs += face.lenslets is not None
         light = _travelled(light, float(self.sensor[2]), self.faces[-1] if self.faces else None)
         light = replace(light, waves=light.waves * math.sqrt(1.0 - self.camera.scene.camera.sensor.reflectance))
-        return Arrived(pupil, behind.power_w, light)
+        return Arrived(in_phase, behind.power_w, light)
 
     def _on_grid(self, grid: Grid, report: Callable[[Progress], None] | None) -> PointSpread:
         """Return the point spread by one grid; its change is not known."""
-        pupil, behind_lens, light = self.at_sensor(grid, report)
+        amplitudes, behind_lens, light = self.at_sensor(grid, report)
         irradiance = Irradiance.of(light)
         # Of the pupil's amplitudes in phase, less what is lost behind the lens, spread as far as the sensor is away.
-        in_phase = (float(np.abs(pupil.waves).sum()) / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
+        in_phase = (amplitudes / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
         in_phase /= (1.0 + self._beyond_focus / self.pupil.radius_mm) ** 2
         peak = irradiance.peak()
         pixels, point = self.pixels, self.point
@@ -440,19 +440,15 @@ class Monochrome:
         return max((face.met_by(self.pupil.places_at(face.z_mm)) for face in self.extent.relief), default=0)
 
 
-def _in_pupil(pupil: PupilWaves, grid: Grid) -> Spectrum:
-    """Return the plane waves behind the lens on a grid, about the focus."""
+def _behind_lens(pupil: PupilWaves, grid: Grid) -> tuple[Spectrum, float]:
+    """Return the light across the plane of the focus, the pupil's rim at its distance, and its amplitudes' sum, √W."""
     px, py = grid.directions
-    return Spectrum(grid, np.fft.ifftshift(pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))), pupil.focus_mm)
-
-
-def _seen_from_focus(pupil: PupilWaves, light: Spectrum) -> Spectrum:
-    """Return the light across the plane of the focus, the pupil's rim at its distance."""
-    grid = light.grid
-    # Directions that the rim cuts in part are averaged over, which takes this from the light far from the focus.
+    waves, shares = pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))
+    light = Spectrum(grid, np.fft.ifftshift(waves * shares), pupil.focus_mm)
+    # Cells that the rim cuts make averages of all. Those take this from the light far from the focus.
     taken = np.sinc(grid.places / (grid.n * grid.step_mm))
     seen = light.field * np.exp(2j * np.pi * pupil.rim_phase(grid.places, grid.places)) / np.outer(taken, taken)
-    return replace(light, waves=scipy.fft.fft2(seen, norm="ortho"))
+    return replace(light, waves=scipy.fft.fft2(seen, norm="ortho")), float(np.abs(waves).sum())
 
 
 def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectrum:

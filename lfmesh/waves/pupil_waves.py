@@ -99,23 +99,31 @@ class PupilWaves(PupilRays):
         cover, amplitude, _ = self._in_cells(px, py)
         return float((cover * amplitude**2).sum())
 
-    def at(self, px: Array, py: Array) -> NDArray[np.complex128]:
-        """Return amplitudes (rows, columns) whose squares are the power, in W, in each cell of a grid of directions.
-
-        Where a rim cuts a cell, the amplitude is averaged over it.
+    def at(self, px: Array, py: Array) -> tuple[NDArray[np.complex128], Array]:
+        """Return amplitudes on a grid of directions, and by which share of them they count on average over their cells.
 
         Parameters
         ----------
         px : (columns,) float64
             Direction cosines along x, evenly spaced, ascending.
         py : (rows,) float64
+
+        Returns
+        -------
+        amplitudes : (rows, columns) complex128, √W
+            At the middles of cells. Their squares are the power in each cell; where a rim cuts it, they are means.
+        shares : (rows, columns) float64
+            Of a phase that turns by g waves across a cell, sinc g.
         """
         inside_x = np.flatnonzero(np.abs(px - self.middle[0]) <= self.half[0] + abs(px[1] - px[0]))
         inside_y = np.flatnonzero(np.abs(py - self.middle[1]) <= self.half[1] + abs(py[1] - py[0]))
         cover, amplitude, phase = self._in_cells(px[inside_x], py[inside_y])
-        waves = np.zeros((len(py), len(px)), np.complex128)
-        waves[np.ix_(inside_y, inside_x)] = cover * amplitude * np.exp(2j * np.pi * phase)
-        return waves
+        waves, shares = np.zeros((len(py), len(px)), np.complex128), np.zeros((len(py), len(px)))
+        turn_y, turn_x = np.gradient(phase)
+        inside = np.ix_(inside_y, inside_x)
+        waves[inside] = cover * amplitude * np.exp(2j * np.pi * phase)
+        shares[inside] = np.sinc(turn_x) * np.sinc(turn_y)
+        return waves, shares
 
     def _in_cells(self, px: Array, py: Array) -> tuple[Array, Array, Array]:
         """Return share within the rims, amplitude and phase (waves) in the cells of a grid close to the pupil."""

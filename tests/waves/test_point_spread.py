@@ -87,6 +87,16 @@ def test_power_closes() -> None:
     assert found.mean.sum() < found.power_w
 
 
+def test_an_aberrated_lens_sends_no_more_light_on_than_has_entered() -> None:
+    """Spherical aberration of many waves carries light far from the focus."""
+    front = {"radius_mm": 25.0, "thickness_mm": 3.0, "index": 1.5, "semi_diameter_mm": 8.0, "stop": True}
+    lens = {"surfaces": [front, {"semi_diameter_mm": 8.0}], "stop_semi_diameter_mm": 6.0}
+    camera = {"focus_mm": 200.0, "lens": lens, "sensor": {"pixels": [301, 301], "pixel_mm": 0.001}}
+    scene = lf.Scene.model_validate({"schema_version": 1, "camera": camera})
+    found = lf.point_spread(scene, (0.0, 0.0, -200.0), WAVE_NM, tolerance=0.01)
+    assert 0.985 < found.power_w / found.entered_w < 1.0
+
+
 @pytest.mark.parametrize("f_number", [4.0, 8.0])
 def test_the_peak_of_a_library_lens_is_that_of_its_wavefront(f_number: float) -> None:
     lens = {"file": "lib:double_gauss_50mm", "f_number": f_number}

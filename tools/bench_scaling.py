@@ -8,7 +8,8 @@ Sizes are timed in turns; each one's peak memory is that of a process of its own
 that fits its times, time ∝ size^exponent, with its standard error. A render has a fixed cost of some hundredths of a
 second, mostly memory touched for the first time, so the sequential engine takes more samples throughout.
 
-`--series spheres`, `parts` and `facets` measure scenes of many things, see `bench_things`.
+`--series lamps`, `spheres`, `parts` and `facets` measure scenes of many things, and compare them with their goals, see
+`bench_things`.
 
 Threads are held against a control: as many processes of one thread each, which render the same scene at the same time.
 They share the processor as the threads do, and nothing else; what the threads fall short of them is lfmesh's own loss.
@@ -45,7 +46,7 @@ from bench_report import (
 )
 from bench_things import COLUMNS as THING_COLUMNS
 from bench_things import EXPONENT_COLUMNS as THING_EXPONENT_COLUMNS
-from bench_things import THINGS, exponent_of, measure_things
+from bench_things import GOAL_COLUMNS, THINGS, exponent_of, goals_of, measure_things
 
 import lfmesh as lf
 from lfmesh.assets import asset_path
@@ -364,6 +365,8 @@ def main() -> None:
         )
         growth = [exponent_of(name, found) for name, found in things.items()]
         report.tables["growth"] = Table("Fitted over the largest numbers", THING_EXPONENT_COLUMNS, growth)
+        goals = [goal for name, found in things.items() for goal in goals_of(name, found)]
+        report.tables["goals"] = Table("Goals", GOAL_COLUMNS, goals)
     ways: list[dict[str, Any]] = []
     if THREADS in wanted:
         for engine in engines:

@@ -2,13 +2,14 @@
 
 A row is a function from a number of things, and the folder where meshes lie, to what changes in the scene of the small
 camera (16 × 16 lenslets, 160 × 160 pixels, 8 samples); it stands in `THINGS` with its sizes. Kernels are loaded before
-the clock starts. The same scene is then rendered again, which builds nothing. Its error, the root mean square of the
-pixels' standard errors over their mean, tells what the time was spent on.
+the clock starts. The same scene is then rendered again, which should build nothing. The error of the image, the root
+mean square of the pixels' standard errors over their mean, tells what the time was spent on. `GOALS` are compared with
+the rows that are measured.
 """
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from bench_report import peak_mib
 import lfmesh as lf
 from lfmesh.assets import asset_path
 from lfmesh.scene import Scene
+from lfmesh.transport.world import world_of
 
 AWAY_MM = 500.0
 ACROSS_MM = 100.0
@@ -35,6 +37,13 @@ COLUMNS = {
     "processor_s": ("of processor", ".2f"),
     "error_percent": ("error of a pixel %", ".3f"),
     "peak_mib": ("peak MiB", ".0f"),
+    "builds_again": ("builds again", "d"),
+}
+GOAL_COLUMNS = {
+    "goal": ("goal", ""),
+    "measured": ("measured", ".2f"),
+    "most": ("at most", ".2f"),
+    "met": ("met", ""),
 }
 EXPONENT_COLUMNS = {"thing": ("build + render against", ""), "exponent": ("exponent", ".3f"), "error": ("±", ".3f")}
 
@@ -135,6 +144,70 @@ THINGS = {
 }
 
 
+@dataclass(frozen=True)
+class Goal:
+    """Largest value that a figure of a row may have.
+
+    Attributes
+    ----------
+    thing, number
+        Of the row.
+    words : str
+    most : float
+    figure : callable
+        From the rows of a thing, by their numbers, and the number, to the figure.
+    """
+
+    thing: str
+    number: int
+    words: str
+    most: float
+    figure: Callable[[Mapping[int, Mapping[str, Any]], int], float]
+
+
+def _seconds(rows: Mapping[int, Mapping[str, Any]], number: int) -> float:
+    return float(rows[number]["seconds"])
+
+
+def _peak_gib(rows: Mapping[int, Mapping[str, Any]], number: int) -> float:
+    return float(rows[number]["peak_mib"]) / 1024.0
+
+
+def _to_equal_error(rows: Mapping[int, Mapping[str, Any]], number: int) -> float:
+    """Return the time of a row over that of one thing, as if both had rendered to the error of that one."""
+    row, one = rows[number], rows[1]
+    build = row["seconds"] - row["again_seconds"]
+    samples = (row["error_percent"] / one["error_percent"]) ** 2
+    return float((build + samples * row["again_seconds"]) / one["seconds"])
+
+
+GOALS = (
+    Goal("lamps", 1_000, "time to equal error, over that of one", 4.0, _to_equal_error),
+    Goal("lamps", 1_000, "peak GiB", 1.0, _peak_gib),
+    Goal("spheres", 2_000, "build + render s", 6.0, _seconds),
+    Goal("spheres", 2_000, "peak GiB", 1.0, _peak_gib),
+    Goal("parts", 500, "build + render s", 3.0, _seconds),
+    Goal("facets", 2_000_000, "build + render s", 6.0, _seconds),
+    Goal("facets", 2_000_000, "peak GiB", 1.2, _peak_gib),
+)
+
+
+def goals_of(thing: str, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Compare the rows of a thing with the goals that name them, and tell how many were built again."""
+    known = {row["size"]: row for row in rows}
+    compared = [
+        (f"{goal.number:,} {thing}: {goal.words}", goal.figure(known, goal.number), goal.most)
+        for goal in GOALS
+        if goal.thing == thing and goal.number in known
+    ]
+    again = float(sum(row["builds_again"] for row in rows))
+    compared.append((f"{thing}: scenes that a second render built again", again, 0.0))
+    return [
+        {"goal": words, "measured": measured, "most": most, "met": "yes" if measured <= most else "no"}
+        for words, measured, most in compared
+    ]
+
+
 def scene_of(thing: str, number: int, folder: Path) -> Scene:
     """Return the scene of the small camera with a number of things."""
     return lf.load(asset_path("scenes/emitting_plane.toml")).changed(
@@ -168,9 +241,11 @@ def measure_things(thing: str, number: int, folder: str) -> dict[str, float]:
     began = time.perf_counter()
     lf.render(scene, world=world)
     again = time.perf_counter() - began
+    peak = peak_mib()
+    builds_again = world_of(scene).tables is not world.tables
     error = 100.0 * float(np.sqrt(np.mean(image.stderr**2)) / np.mean(image.mean))
     took = {"seconds": seconds, "again_seconds": again, "processor_s": processor}
-    return took | {"error_percent": error, "peak_mib": peak_mib()}
+    return took | {"error_percent": error, "peak_mib": peak, "builds_again": int(builds_again)}
 
 
 def exponent_of(thing: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

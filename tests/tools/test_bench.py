@@ -47,6 +47,7 @@ TABLES = {
         "threads": "THREAD_COLUMNS",
         "things": "THING_COLUMNS",
         "growth": "THING_EXPONENT_COLUMNS",
+        "goals": "GOAL_COLUMNS",
     },
     "render": {"render": "COLUMNS", "lens": "LENS_COLUMNS", "ways": "WAY_COLUMNS"},
     "image": {"image": "COLUMNS", "small_camera": "PEER_COLUMNS"},
@@ -267,6 +268,14 @@ def test_the_exponent_of_a_power_law_is_found(tool: Any) -> None:
     assert fitted["exponent"] == pytest.approx(1.25, abs=1e-12)
     assert fitted["exponent_error"] == pytest.approx(0.0, abs=1e-12)
     assert scaling.exponent(rows[:2])["exponent_error"] is None
+
+
+def test_times_to_equal_error_count_more_samples_and_one_build(tool: Any) -> None:
+    """Twice the error takes four times the samples: 2 s of building and 4 · 1.5 s of rendering, against 2 s in all."""
+    row = {"again_seconds": 1.0, "error_percent": 1.0, "peak_mib": 512.0, "builds_again": 0}
+    many = row | {"size": 1_000, "seconds": 3.5, "again_seconds": 1.5, "error_percent": 2.0, "builds_again": 1}
+    goals = tool("bench_things").goals_of("lamps", [row | {"size": 1, "seconds": 2.0}, many])
+    assert [(goal["measured"], goal["met"]) for goal in goals] == [(4.0, "yes"), (0.5, "yes"), (1.0, "no")]
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="the system says no peak of a program alone")

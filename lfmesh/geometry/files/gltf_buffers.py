@@ -6,6 +6,8 @@ a stride, or are zero, and of which some are replaced where it is sparse. Whole 
 
 import base64
 import binascii
+from functools import cached_property
+from os import SEEK_END
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -17,7 +19,7 @@ from lfmesh.errors import MeshError
 from lfmesh.geometry.files.companion import check_companion
 from lfmesh.geometry.files.pictures import companion_name
 from lfmesh.geometry.meshes.mesh import Array, Index
-from lfmesh.regular_file import read_bytes
+from lfmesh.regular_file import open_regular, read_bytes
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """Kinds of numbers by glTF's own (section 5.1.3)."""
@@ -50,6 +52,7 @@ class Buffers:
     def __init__(self, path: Path, document: dict[str, Any]) -> None:
         self.path, self.document = path, document
         self._contents: dict[int, bytes] = {}
+        self._views: dict[int, bytes] = {}
 
     def _entry(self, key: str, number: Any) -> dict[str, Any]:
         entries = self.document.get(key, [])
@@ -57,30 +60,44 @@ class Buffers:
             return entries[number]
         raise ValueError(f"{key}[{repr(number)[:40]}] is named, and there are {len(entries)}, counted from 0")
 
-    def content(self, number: int) -> bytes:
-        """Return the bytes of a buffer."""
-        entry = self._entry("buffers", number)
-        if number not in self._contents:
-            self._contents[number] = self._read(number, entry.get("uri"))
-        return self._contents[number]
+    @cached_property
+    def _chunk(self) -> tuple[int, int]:
+        """Place and length of the binary chunk in a GLB file."""
+        return binary_chunk(self.path)
 
-    def _read(self, number: int, uri: Any) -> bytes:
+    def _is_chunk(self, number: int) -> bool:
+        """Tell whether a buffer is the binary chunk of a GLB file."""
+        return number == 0 and self._entry("buffers", number).get("uri") is None and self.path.suffix.lower() == ".glb"
+
+    def _content(self, number: int) -> bytes:
+        """Return the bytes of a buffer that is no binary chunk."""
+        uri = self._entry("buffers", number).get("uri")
         if uri is None:
-            if number == 0 and self.path.suffix.lower() == ".glb":
-                return binary_chunk(read_bytes(self.path))
             raise ValueError(f"buffers[{number}] has no uri: an extension that is not read would fill it")
-        return bytes_of(self.path, uri, "buffer")
+        if number not in self._contents:
+            self._contents[number] = bytes_of(self.path, uri, "buffer")
+        return self._contents[number]
 
     def view(self, number: Any) -> tuple[memoryview, int]:
         """Return the bytes of a view, and its stride; 0 where it gives none."""
         entry = self._entry("bufferViews", number)
-        content = self.content(entry.get("buffer"))  # type: ignore[arg-type]
+        buffer = entry.get("buffer")
+        self._entry("buffers", buffer)
+        assert isinstance(buffer, int)
+        size = self._chunk[1] if self._is_chunk(buffer) else len(self._content(buffer))
         start, length = _whole(entry, "byteOffset", 0), _whole(entry, "byteLength", None)
-        if start + length > len(content):
+        if start + length > size:
             raise ValueError(
-                f"cut short: bufferViews[{number}] ends at byte {start + length}, and its buffer has {len(content)}"
+                f"cut short: bufferViews[{number}] ends at byte {start + length}, and its buffer has {size}"
             )
-        return memoryview(content)[start : start + length], _whole(entry, "byteStride", 0)
+        if not self._is_chunk(buffer):
+            return memoryview(self._content(buffer))[start : start + length], _whole(entry, "byteStride", 0)
+        if number not in self._views:
+            # Nothing else of the file: a scene may name each of its hundreds of nodes as a target of its own.
+            with open_regular(self.path) as file:
+                file.seek(self._chunk[0] + start)
+                self._views[number] = file.read(length)
+        return memoryview(self._views[number]), _whole(entry, "byteStride", 0)
 
     def accessor(self, number: Any, types: tuple[str, ...]) -> Array:
         """Return the numbers of an accessor, (count, components) float64.
@@ -179,13 +196,18 @@ def _whole(entry: dict[str, Any], key: str, default: int | None) -> int:
     raise ValueError(f"{key} is {repr(value)[:40]}; valid are whole numbers from 0")
 
 
-def binary_chunk(content: bytes) -> bytes:
-    """Return the binary chunk of a GLB file, which follows that of its JSON (section 4.4); empty where it has none."""
-    start = 20 + int.from_bytes(content[12:16], "little")
-    if content[start + 4 : start + 8] != b"BIN\0":
-        return b""
-    length = int.from_bytes(content[start : start + 4], "little")
-    return content[start + 8 : start + 8 + length]
+def binary_chunk(path: Path) -> tuple[int, int]:
+    """Return place and length of the binary chunk of a GLB file; length 0 where it has none.
+
+    It follows the chunk of the JSON (glTF 2.0, section 4.4). Of a chunk that is cut short, only what is there counts.
+    """
+    with open_regular(path) as file:
+        start = 28 + int.from_bytes(file.read(20)[12:16], "little")
+        file.seek(start - 8)
+        head = file.read(8)
+        if head[4:] != b"BIN\0":
+            return start, 0
+        return start, min(int.from_bytes(head[:4], "little"), file.seek(0, SEEK_END) - start)
 
 
 def bytes_of(path: Path, uri: Any, kind: str) -> bytes:

@@ -110,8 +110,9 @@ def load_mesh(
     channels = 4 if alpha else 3
     pieces = [_without_colours_beside_picture(piece.with_channels(channels), notes) for piece in pieces]
     for piece in pieces:
-        # Of vertices that no facet has, nothing is asked.
-        if not (np.abs(piece.mesh.vertices) <= FARTHEST_MM).all():
+        # Of vertices that no facet has, nothing is asked. The least and the largest of numbers that are none is none.
+        least, largest = piece.mesh.vertices.min(initial=0.0), piece.mesh.vertices.max(initial=0.0)
+        if not (least >= -FARTHEST_MM and largest <= FARTHEST_MM):
             corners = piece.mesh.vertices[piece.mesh.faces]
             bad = int((~np.isfinite(corners)).any(axis=(1, 2)).sum())
             if bad:
@@ -160,7 +161,9 @@ def _read(path: Path, ending: str, units: str | None, alpha: bool, node: str | i
     document = gltf_document(path) if ending in UNIT_OF_FORMAT else None
     try:
         if document is not None:
-            return _placed_nodes(path, document, _nodes(path, file_stamp(path)), node, alpha, notes)
+            stamp = file_stamp(path)
+            found = _nodes_by_key(path, stamp).get(node) if node is not None else None
+            return _placed_nodes(path, document, _nodes(path, stamp) if found is None else (found,), node, alpha, notes)
         if ending == ".stl":
             pieces = stl_file.read(path, notes)
         elif ending == ".off":
@@ -285,6 +288,13 @@ def _document(path: Path, _: tuple[object, ...]) -> dict[str, Any]:
 def _nodes(path: Path, stamp: tuple[object, ...]) -> tuple[Node, ...]:
     """Return the nodes of a glTF file's scene, found once for each stamp."""
     return tuple(nodes_of(path, _document(path, stamp)))
+
+
+@lru_cache(maxsize=DOCUMENTS)
+def _nodes_by_key(path: Path, stamp: tuple[object, ...]) -> dict[str | int, Node]:
+    """Return the same nodes by their numbers, and by their names where they have one of their own."""
+    nodes = _nodes(path, stamp)
+    return {node.number: node for node in nodes} | {node.name: node for node in nodes if node.name is not None}
 
 
 def _check_companions(path: Path, document: dict[str, Any]) -> None:

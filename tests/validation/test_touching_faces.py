@@ -43,6 +43,8 @@ def r(radius_mm: float, **terms: Any) -> dict[str, Any]:
 
 
 PLANE = r(np.inf)
+# z = −0.02 r² + r⁴ / 900, which is least at r = 3: −0.09.
+WAVY = r(-25.0, conic=-1.0, asphere_mm=[1.0 / 900.0])
 LENSES: dict[str, list[dict[str, Any]]] = {
     "spheres at their vertices": faces(r(-30.0), r(50.0)),
     "a plane and a sphere": faces(PLANE, r(50.0)),
@@ -58,6 +60,7 @@ LENSES: dict[str, list[dict[str, Any]]] = {
         r(BACK),
     ],
     "spheres at their rims": faces(r(30.0), r(-40.0), sphere(30.0, SEMI) + sphere(40.0, SEMI)),
+    "a plane and an asphere along a circle": faces(PLANE, WAVY, 0.09),
     "conics": faces(r(-30.0, conic=-1.0), r(50.0, conic=0.5)),
     "aspheres at their vertices": faces(r(-30.0, asphere_mm=[-1e-5]), r(50.0, asphere_mm=[1e-5])),
     "hollow aspheres, the second": faces(r(-30.0, asphere_mm=[-1e-6]), r(-50.0, asphere_mm=[1e-6])),

@@ -441,11 +441,11 @@ class Monochrome:
 
 
 def _behind_lens(pupil: PupilWaves, grid: Grid) -> tuple[Spectrum, float]:
-    """Return the light across the plane of the focus, the pupil's rim at its distance, and its amplitudes' sum, √W."""
+    """Return the light in the plane of the focus, and the sum of its amplitudes in √W if all were in phase."""
     px, py = grid.directions
     waves, shares = pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))
     light = Spectrum(grid, np.fft.ifftshift(waves * shares), pupil.focus_mm)
-    # Cells that the rim cuts make averages of all. Those take this from the light far from the focus.
+    # Averaging over cells takes this factor from the light far from the focus.
     taken = np.sinc(grid.places / (grid.n * grid.step_mm))
     seen = light.field * np.exp(2j * np.pi * pupil.rim_phase(grid.places, grid.places)) / np.outer(taken, taken)
     return replace(light, waves=scipy.fft.fft2(seen, norm="ortho")), float(np.abs(waves).sum())

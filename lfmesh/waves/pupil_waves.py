@@ -100,7 +100,7 @@ class PupilWaves(PupilRays):
         return float((cover * amplitude**2).sum())
 
     def at(self, px: Array, py: Array) -> tuple[NDArray[np.complex128], Array]:
-        """Return amplitudes on a grid of directions, and by which share of them they count on average over their cells.
+        """Return amplitudes on a grid of directions, and the share of each that its average over a cell keeps.
 
         Parameters
         ----------
@@ -111,9 +111,9 @@ class PupilWaves(PupilRays):
         Returns
         -------
         amplitudes : (rows, columns) complex128, √W
-            At the middles of cells. Their squares are the power in each cell; where a rim cuts it, they are means.
+            At the centers of the cells. Their squares are the power in each cell; where a rim cuts a cell, means.
         shares : (rows, columns) float64
-            Of a phase that turns by g waves across a cell, sinc g.
+            sinc g for a phase that changes by g waves across a cell.
         """
         inside_x = np.flatnonzero(np.abs(px - self.middle[0]) <= self.half[0] + abs(px[1] - px[0]))
         inside_y = np.flatnonzero(np.abs(py - self.middle[1]) <= self.half[1] + abs(py[1] - py[0]))

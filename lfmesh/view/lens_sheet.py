@@ -55,6 +55,9 @@ DARKEST = 0.75
 DEFINITION_COLUMNS, WIDE_COLUMNS = 66, 116
 """Characters on a line of the definitions of the light field, and of the lens."""
 
+NOTE_COLUMNS = 30
+"""Characters on a line of a note that fills one of six panels in a row."""
+
 DARKEST_SPREAD = 1e-3
 """Of a point spread, over its peak: black."""
 
@@ -331,7 +334,7 @@ def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
 def _say_why(axes: Axes, reason: str) -> None:
     """Write why there is no picture."""
     axes.set_axis_off()
-    axes.text(0.0, 0.9, textwrap.fill(f"no waves: {reason}", 40), va="top", transform=axes.transAxes)
+    axes.text(0.0, 0.9, textwrap.fill(f"no waves: {reason}", NOTE_COLUMNS), va="top", transform=axes.transAxes)
 
 
 def _longitudinal(axes: Axes, analysis: LensAnalysis) -> None:

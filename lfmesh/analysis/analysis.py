@@ -43,7 +43,7 @@ DEFINITIONS = (
     "fields: chief rays at shares of the paraxial image height, meridional plane; objects below the axis",
     "rays: square grid in the stop (real ray aiming), equal areas, weighted by Fresnel's transmittance",
     "spots: all wavelengths, equal weights; rms about the centroid; GEO: largest distance from the primary chief ray",
-    "fans: from the primary chief ray of the field; pupil coordinate in the stop",
+    "fans: from the primary chief ray of the field or, without one, the mean place; pupil coordinate in the stop",
     "longitudinal aberration: where an axial point's rays cross the axis; + behind the image plane",
     "foci: rays 0.001 stop radii beside the chief ray (Coddington's, by differences); + behind the image plane",
     "distortion: chief ray over its paraxial height, primary wavelength",

@@ -1,4 +1,4 @@
-"""The program examined: `lfmesh accuracy`."""
+"""Accuracy and speed of the program: `lfmesh accuracy`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -54,7 +54,7 @@ def accuracy(
         prepare(output)
     with status() as say:
         report = measure(given, quick=quick, progress=say)
-    # Written first: it is not lost if nothing can be printed.
+    # Write first: the report is not lost if printing fails.
     paths = report.write(output) if output is not None else ()
     report.print(Console(width=COLUMNS))
     list_files(paths)

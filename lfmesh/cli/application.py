@@ -1,4 +1,4 @@
-"""The program `lfmesh`: its commands are added to `app`, `main` runs one and turns its outcome into an exit code."""
+"""The program `lfmesh`: commands are added to `app`; `main` runs one and turns its outcome into an exit code."""
 
 import os
 import sys
@@ -39,13 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process if omitted.
+        Arguments of the process if omitted.
 
     Returns
     -------
     int
-        The exit code: 0, 2 for wrong input (one message on standard error), 128 and the number of the signal that
-        ended it: 130 after Ctrl-C.
+        Exit code: 0; 2 for wrong input (one message on standard error); 128 plus the signal's number if a signal ended
+        the command, so 130 after Ctrl-C.
     """
     _open_streams()
     try:
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def stopped(out: Path, done: int, things: str) -> int:
-    """Say what a command that goes on when it is given again can go on from; return its exit code."""
+    """Print the number of finished things that an interrupted command has kept; return its exit code."""
     if done:
         kept = f"{done} {things if done > 1 else things.removesuffix('s')} kept in {out}; the same command goes on."
     else:
@@ -86,15 +86,12 @@ def stopped(out: Path, done: int, things: str) -> int:
 
 
 def _open_streams() -> None:
-    """Make printing safe: closed streams lead nowhere, and characters that a stream lacks are escaped.
-
-    Nothing that was computed may be lost because it cannot be printed.
-    """
+    """Make printing safe: send closed streams to the null device, and escape characters that a stream cannot encode."""
     for number in (0, 1, 2):
         try:
             os.fstat(number)
         except OSError:
-            # The lowest number is free, and a file that took it would get what libraries print.
+            # Otherwise the next file opened would get this number, and everything that libraries print.
             os.open(os.devnull, os.O_RDWR)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -105,7 +102,7 @@ def _open_streams() -> None:
 
 
 def _give_up_output() -> None:
-    """Lead standard output nowhere: Python must not flush into it at exit, which would fail again."""
+    """Send standard output to the null device, so that Python's flush at exit does not fail again."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

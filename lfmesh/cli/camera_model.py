@@ -1,4 +1,4 @@
-"""The rays of pixels and the pinholes of views: `lfmesh camera-model`."""
+"""Rays of pixels and pinholes of views: `lfmesh camera-model`."""
 
 from pathlib import Path
 from typing import Annotated

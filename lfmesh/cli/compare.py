@@ -44,10 +44,10 @@ def compare(
 
     prepare(out)
     with status() as say, warnings.catch_warnings():
-        # That planes beyond the refocus range are blurred is what is measured.
+        # Planes beyond the refocus range are blurred on purpose here.
         warnings.filterwarnings("ignore", ".*beyond the range of sharp refocusing", UserWarning)
         comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
-    # Written first: it is not lost if nothing can be printed.
+    # Write first: the comparison is not lost if printing fails.
     paths = comparing.write(comparison, out)
     for words, *values in comparison.rows():
         print(f"{words:<23}" + "".join(f"{value:<24}" for value in values).rstrip())

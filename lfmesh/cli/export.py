@@ -57,7 +57,7 @@ def export(
 
 
 def _found(depth: Path, folder: Path) -> Path:
-    """Return where a depth file is: at its path, or else in the run, whose files are as they were saved."""
+    """Return the path of a depth file: the path as given, or else the file of that name in the run."""
     from lfmesh.files.folder import saved
 
     if depth.exists() and depth.resolve().parent != folder.resolve():

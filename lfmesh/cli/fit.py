@@ -87,7 +87,7 @@ def fit(
         found = fit_camera(
             read_white(white), load(scene), also=further, orientation=orientation, samples=samples, progress=say
         )
-    # What is found is written to the end, whatever comes meanwhile.
+    # Finish writing the results even if interrupted.
     with defer_interrupt():
         paths = write_fit(found, out)
     for line in _in_words(found):

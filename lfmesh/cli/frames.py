@@ -37,7 +37,7 @@ def frames(
 
     first = overridden(load(scene), overrides).pinned()
     scenes = [displaced(first, number) for number in range(max(count, 1))]
-    # Whatever can be wrong with the particles' files is said before anything is written.
+    # Faults in the particles' files are reported before anything is written.
     moves = [particle_vectors(frame) for frame in scenes[:-1]]
     with defer_interrupt():
         from lfmesh.files import run

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: held back while libraries are imported, and alike for a render, which keeps its work."""
+"""Ctrl-C, SIGTERM and SIGHUP: deferred while libraries are imported, and alike in letting a render keep its work."""
 
 import _thread
 import signal
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that end a command as Ctrl-C does: of a job scheduler, and of a terminal that is closed."""
+"""Signals that end a command as Ctrl-C does: SIGTERM from a job scheduler, SIGHUP from a terminal that is closed."""
 
 AGAIN_S = 0.05
 """Seconds after which a signal is sent again, if Python has dropped the exception of its handler."""
@@ -22,16 +22,16 @@ class Terminated(KeyboardInterrupt):
 
 
 def code_of_last() -> int:
-    """Return the exit code for the signal that came last, 128 and its number; that of Ctrl-C where none came."""
+    """Return the exit code for the last signal, 128 plus its number; Ctrl-C's if none came."""
     return 128 + _last[0]
 
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """Let the signals of `ENDING` end the body as Ctrl-C does, where nobody else has taken them.
+    """Let the signals of `ENDING` end the body as Ctrl-C does, unless they have other handlers already.
 
-    One signal is enough, of whatever kind. Python drops an exception that is raised in a destructor, or in a callback
-    of the garbage collector, and the handler of a signal may run in any of them. Such a signal is sent again.
+    Python drops an exception raised in a destructor or in a callback of the garbage collector, and a signal's handler
+    may run in either. The signal is then sent again.
     """
     _last[0] = signal.SIGINT
     if threading.current_thread() is not threading.main_thread():
@@ -65,7 +65,7 @@ def terminate_as_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupt() -> Iterator[None]:
-    """Hold interrupts back until the body is done: libraries that catch everything while they are imported eat them."""
+    """Defer interrupts until the body is done: a library that catches every exception on import would swallow them."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
     ours = {
         number: handler for number, handler in before.items() if handler in (signal.default_int_handler, _terminate)

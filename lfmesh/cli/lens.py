@@ -11,7 +11,7 @@ from lfmesh.errors import LfmeshError
 from lfmesh.wrapping import wrapped
 
 INDEX = "lenses/index.txt"
-"""Asset with a line for each lens of the library, as `scene.lens_library` describes it."""
+"""Asset with one line for each lens of the library, as `scene.lens_library` describes it."""
 
 lens_app = App(name="lens", help="Lenses that come with lfmesh, and lens files of other programs.")
 app.command(lens_app)
@@ -23,7 +23,7 @@ def list_lenses() -> int:
 
     In a scene file: [camera.lens] file = "lib:cooke_triplet_50mm".
     """
-    # Not from the lenses themselves: to load them, their glasses and all models of a scene takes a second.
+    # Not from the lens files: loading them, their glasses and all scene models takes a second.
     for line in asset_path(INDEX).read_text(encoding="utf-8").splitlines():
         print(wrapped(line))
     return 0
@@ -70,7 +70,7 @@ def convert(
 
 
 def _glasses(given: list[str]) -> dict[str, str | float]:
-    """Return the glass or index by the name in the file, as --glass gives them."""
+    """Return the glass or index given by --glass for each name in the file."""
     glasses: dict[str, str | float] = {}
     for pair in given:
         name, sign, medium = pair.partition("=")

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from lfmesh.lightfield.views.field import LightField
 
 MOST_PLANES = 1000
-"""Of a focal stack."""
+"""Largest number of planes in a focal stack."""
 
 Photographs = tuple["list[Photograph]", "FocalStack | None", "AllInFocus | None"]
-"""Of single planes, of a stack of planes, and with every place in focus."""
+"""Photographs of single planes, a focal stack, and an all-in-focus photograph."""
 
 
 @app.command(
@@ -49,7 +49,7 @@ def decode(
     from lfmesh.files import field as field_files
 
     field = _decoded(run, centres, white, views)
-    # Saved first: it is not lost if nothing can be printed.
+    # Save first: the light field is not lost if printing fails.
     paths = field_files.save_field(field, run)
     print(wrapped(_field_in_words(field)))
     list_files(paths)
@@ -201,7 +201,7 @@ def expose(
 
 
 def field_of(folder: Path) -> "LightField":
-    """Return the light field of a run: as it was decoded, or decoded now."""
+    """Return the saved light field of a run, or decode it now."""
     with defer_interrupt():
         from lfmesh.files.field import open_field
 
@@ -263,7 +263,7 @@ def _patched(run: Path, distances: list[float], planes: list[float], everywhere:
 
 
 def _planes(stack: str) -> list[float]:
-    """Return the distances of a FIRST:LAST:STEP, the last one included where the steps meet it."""
+    """Return the distances of a FIRST:LAST:STEP, including the last one if a step reaches it."""
     try:
         first, last, step = (float(part) for part in stack.split(":"))
         if step == 0.0:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 
 COPIES = 4.0
-"""Memory over the size of a matrix on disk that its resolution takes."""
+"""Memory needed to find the resolution, as a multiple of the matrix's size on disk."""
 
 
 @Parameter(name="*")
@@ -90,7 +90,7 @@ def matrix(
 
 
 def _print_resolution(out: Path) -> None:
-    """Print what the camera of a matrix resolves, where the matrix fits into memory."""
+    """Print the resolution of a camera, if its matrix fits into memory."""
     from lfmesh.files.matrix import open_projection_matrix
     from lfmesh.lightfield.volumes.resolution_messages import resolution_message
     from lfmesh.scene.memory import fits_into_memory
@@ -105,7 +105,7 @@ def _print_resolution(out: Path) -> None:
 
 
 def _box(given: Voxels) -> "VoxelBox":
-    """Return the box of voxels that was asked for."""
+    """Return the requested box of voxels."""
     from lfmesh.lightfield.volumes.voxel_box import VoxelBox, read_box
 
     if given.grid is not None:

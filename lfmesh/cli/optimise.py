@@ -1,4 +1,4 @@
-"""A camera designed: `lfmesh optimise`."""
+"""Camera design: `lfmesh optimise`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -38,7 +38,7 @@ def optimise(
     with status() as say:
         found = best_of(problem, say)
     try:
-        # What is found is written and told to the end, whatever comes meanwhile.
+        # Finish writing and printing the results even if interrupted.
         with defer_interrupt():
             paths = write_optimum(found, out)
             for line in found.lines():

@@ -1,4 +1,4 @@
-"""Parameters that several commands have: a scene file, a run folder, settings in place of the scene's."""
+"""Parameters shared by several commands: the scene file, the run folder, settings that replace the scene's."""
 
 import re
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _whole(_: object, tokens: Sequence[cyclopts.Token]) -> int:
-    """Read a whole number; cyclopts by itself would cut 4.5 down to 4."""
+    """Read a whole number; cyclopts alone would truncate 4.5 to 4."""
     try:
         return int(tokens[0].value)
     except ValueError:
@@ -35,7 +35,7 @@ RunFolder = Annotated[Path, Parameter(name="run", help="Run folder of a light-fi
 
 
 def share_of(text: str | None) -> tuple[int, int] | None:
-    """Read the number of a share and how many there are, such as "1/3"."""
+    """Read the number and the count of shares, such as "1/3"."""
     if text is None:
         return None
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
@@ -95,13 +95,13 @@ class Overrides:
     wavelengths_nm: Annotated[list[float] | None, Parameter(help="One or more, nm.", consume_multiple=True)] = None
 
     def given(self) -> dict[str, Any]:
-        """Return what the user set."""
+        """Return the settings that the user gave."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 
 
 def overridden(scene: "Scene", overrides: Overrides | None) -> "Scene":
-    """Return the scene with other transport settings, checked as those of a file are."""
+    """Return the scene with other transport settings, validated like a scene file's."""
     changes = overrides.given() if overrides else {}
     try:
         changed = scene.changed({f"transport.{name}": value for name, value in changes.items()})
@@ -121,7 +121,7 @@ def as_option(field: str) -> str:
 
 
 def _as_options(message: str) -> str:
-    """Name the options of the command line where a message names the fields that they set."""
+    """Replace the fields that a message names by the options that set them."""
     return re.sub(
         r"^Scene\.transport\.(\w+)",
         lambda field: as_option(field[1]),

@@ -1,4 +1,4 @@
-"""Printing: warnings and notes on standard error, lists of the files written."""
+"""Printing: warnings and notes on standard error, lists of files written."""
 
 import sys
 import warnings
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 @contextmanager
 def warnings_in_words() -> Iterator[None]:
-    """Print warnings on standard error as they come, each once: of pictures as warnings, others as notes.
+    """Print each warning once on standard error as it comes: picture warnings as warnings, others as notes.
 
-    The name in brackets is that of the class, under which the guide explains it (assets/docs/warnings.md).
+    The name in brackets is the class that assets/docs/warnings.md explains.
     """
     told: set[str] = set()
     usual = warnings.showwarning
@@ -44,7 +44,7 @@ def say_note(note: object) -> None:
 
 
 def say_warnings(found: Sequence[PictureWarning], report: "FirstOrder") -> None:
-    """Warn of what may be wrong with a picture, and print the notes of a first-order report that say something else.
+    """Warn of possible faults of a picture, and print the remaining notes of a first-order report.
 
     Parameters
     ----------
@@ -59,6 +59,6 @@ def say_warnings(found: Sequence[PictureWarning], report: "FirstOrder") -> None:
 
 
 def list_files(paths: Sequence[Path]) -> None:
-    """Print the files that were written, one a line."""
+    """Print the files written, one per line."""
     for path in paths:
         print(f"  {path}")

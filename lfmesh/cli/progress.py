@@ -1,4 +1,4 @@
-"""Progress of a command on standard error: a status line on a terminal, elsewhere plain lines."""
+"""Progress on standard error: a status line on a terminal, plain lines elsewhere."""
 
 import sys
 import time
@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 STATUS_SECONDS = 10.0
-"""Shortest time between two lines of progress without a terminal."""
+"""Shortest time between two progress lines without a terminal."""
 
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Yield a function that prints what is being done: on a terminal in one status line, elsewhere now and then."""
+    """Yield a function that reports progress: in a terminal's status line, elsewhere in a plain line now and then."""
     from rich.console import Console
 
     errors = Console(stderr=True)

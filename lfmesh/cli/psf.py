@@ -54,7 +54,7 @@ def psf(
             f"must be one of {', '.join(loaded.channel_names)}" if loaded.channel_names else "the scene has no bands"
         )
         raise LfmeshError(f"--band {band}: {known}")
-    # What is wrong with the folder is said before the waves are followed.
+    # Faults of the folder are reported before the waves are computed.
     prepare(out)
     with progress() as report:
         found = point_spread(

@@ -66,7 +66,7 @@ def check(scene: SceneFile, /) -> int:
         lines += finish_lines(solved_camera(loaded).scene)
     for placement in placements(loaded):
         lines += placement.lines()
-    # What a render would refuse.
+    # Refuse what a render would refuse.
     world = build(loaded)
     if world.particles and loaded.transport.diffraction != "none":
         from lfmesh.waves.particles import refuse_particles
@@ -75,7 +75,7 @@ def check(scene: SceneFile, /) -> int:
             refuse_particles(world, report)
     found = foreseen(world)
     warn_caller(found)
-    # What is a warning is no note.
+    # Do not repeat warnings as notes.
     said = {f"Note: {each}" for each in found}
     lines = [line for line in lines if line not in said]
     lines += lamp_lines(loaded, world.targets)
@@ -187,7 +187,7 @@ def _merged(
     folders: list[Path], scene: Path | None, out: Path | None, overrides: Overrides | None, *,
     with_white: bool, verbose: bool,
 ) -> int:  # fmt: skip
-    """Make the run of all shares of a render."""
+    """Merge all shares of a render into a run."""
     beside = [
         *(["the scene"] if scene else []),
         *(as_option(name) for name in (overrides.given() if overrides else {})),
@@ -215,15 +215,15 @@ def _render(
     from lfmesh.scene import load
 
     scene = overridden(load(scene_file), overrides)
-    # What is wrong with the scene is said before what is wrong with the folder.
+    # Report faults of the scene before faults of the folder.
     solved_camera(scene)
 
-    # Whatever can be wrong with the folder is said before the seconds that importing the tracer takes.
+    # Report faults of the folder before importing the tracer, which takes seconds.
     with defer_interrupt():
         from lfmesh.files import run
         from lfmesh.files.claims import refuse_claimed
 
-    # A render that runs has a checkpoint, too.
+    # A running render has a checkpoint, too.
     refuse_claimed(folder)
     if run.has_checkpoint(folder) and not restart:
         raise FileError(
@@ -239,7 +239,7 @@ def _render(
 
 
 def _refuse_undecodable(scene: "Scene") -> None:
-    """Refuse a camera that needs no white image, as its light field cannot be decoded, before anything is traced."""
+    """Refuse --white before tracing if the camera's light field cannot be decoded."""
     with defer_interrupt():
         from lfmesh.lightfield.calibration.calibration import calibrate
 
@@ -247,7 +247,7 @@ def _refuse_undecodable(scene: "Scene") -> None:
 
 
 def _say_beforehand(scene: "Scene") -> None:
-    """Print what a scene and its first-order report tell, before the seconds that importing the tracer takes."""
+    """Print the warnings and first-order notes of a scene before importing the tracer, which takes seconds."""
     from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene.advice import doubtful
 
@@ -258,7 +258,7 @@ def _say_beforehand(scene: "Scene") -> None:
 def _resume(
     folder: Path, scene: Path | None, out: Path | None, overrides: Overrides | None, *, with_white: bool, verbose: bool
 ) -> int:
-    """Go on with a render that was cut short; the run itself says which."""
+    """Resume an interrupted render with the scene and settings of its run."""
     given = overrides.given() if overrides else {}
     threads = Overrides(threads=given.pop("threads", None))
     beside = [*(["a scene"] if scene else []), *(["--out"] if out else []), *(as_option(name) for name in given)]
@@ -290,11 +290,11 @@ def _traced(
     scene : Scene
     folder : Path
     saved : dict of arrays, or None
-        Of a checkpoint, to go on from.
+        Arrays of a checkpoint to resume from.
     dask : str, optional
         Address of a scheduler.
     verbose : bool
-        Print all that is said of the run.
+        Print the whole account of the run.
     """
     with defer_interrupt():
         from lfmesh.files import image_file
@@ -321,7 +321,7 @@ def _traced(
 
 
 def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
-    """Save a run, and say what it holds."""
+    """Save a run and print its account."""
     from lfmesh.files import words
 
     place = _saved(image, folder)
@@ -337,7 +337,7 @@ def _told(image: "Image", folder: Path, *, verbose: bool) -> int:
 
 
 def _saved(image: "Image", folder: Path) -> Path:
-    """Save a run, and return where: what was traced is not lost because its folder, or the disk, takes no more."""
+    """Save a run and return its folder: a temporary one if the given folder or its disk cannot take it."""
     from lfmesh.files import run
 
     try:
@@ -366,7 +366,7 @@ def _white(folder: Path, overrides: Overrides | None) -> int:
         from lfmesh.lightfield.calibration.centres import estimate_centres
         from lfmesh.lightfield.calibration.white import white_image
 
-    # An image that cannot be decoded needs no white one: calibrating says so before the render.
+    # Calibrate first: an image that cannot be decoded needs no white image, and this says so before the render.
     scene = run.open_run(folder).scene
     if run.scene_is_edited(folder):
         say_note(

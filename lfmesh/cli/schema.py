@@ -1,4 +1,4 @@
-"""The scene file's own description: `lfmesh schema`."""
+"""JSON Schema of the scene file: `lfmesh schema`."""
 
 import json
 

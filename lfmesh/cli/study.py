@@ -1,4 +1,4 @@
-"""Many cameras: `lfmesh study`, `lfmesh study merge`."""
+"""Studies of many cameras: `lfmesh study`, `lfmesh study merge`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -134,17 +134,17 @@ def _plan(loaded: "Study", workers: int | None) -> int:
 
 
 LISTED = 40
-"""Points that a dry run names."""
+"""Number of points that a dry run lists."""
 
 
 def progress_in_words(now: "Progress", things: str = "units", failing: str = "point") -> str:
-    """Return how far a study or dataset is.
+    """Return the progress of a study or dataset in words.
 
     Parameters
     ----------
     now : Progress
     things, failing : str
-        What is counted, in the plural, and one of what may fail.
+        Noun for the units counted, in the plural, and for one that may fail.
     """
     from lfmesh.files.words import duration
     from lfmesh.scene.literals import counted

@@ -1,4 +1,4 @@
-"""Commands by task: their headings and order in `lfmesh --help`, and the example that begins the help of each."""
+"""Commands by task: headings and order in `lfmesh --help`, and the example that begins each command's help."""
 
 from cyclopts import App, Group
 
@@ -39,16 +39,16 @@ TASKS = {
         "accuracy": "lfmesh accuracy scene.toml -o report/",
     },
 }
-"""Commands by heading, each with an example; words of a command inside another are separated by a space."""
+"""Commands by heading, each with an example; a space separates a command from its subcommand."""
 
 
 def arrange(app: App) -> None:
-    """Put every command under its heading, its example before its help, and each paragraph of that on one line.
+    """Put each command under its heading, with its example first and each paragraph of its help on one line.
 
     Parameters
     ----------
     app : App
-        With all commands.
+        Program with all commands.
     """
     for number, (heading, examples) in enumerate(TASKS.items()):
         group = Group(heading, sort_key=number)
@@ -57,7 +57,7 @@ def arrange(app: App) -> None:
             for word in words.split():
                 command = command[word]
             command.help_prologue = f"Example: {example}"
-            # The lines of the source are longer than a terminal's.
+            # Source lines are longer than a terminal's.
             command.help = "\n\n".join(" ".join(part.split()) for part in command.help.split("\n\n"))
             if " " not in words:
                 command.group = group

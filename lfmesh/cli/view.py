@@ -14,7 +14,7 @@ from lfmesh.cli.view_options import Files, Launches, Looks, Reports, Selection, 
 from lfmesh.errors import LfmeshError
 
 LEAST_PIXELS, MOST_PIXELS = 64, 8192
-"""Sides of a picture of the scene."""
+"""Smallest and largest side of a picture of the scene."""
 
 
 @app.command(

@@ -45,7 +45,7 @@ class Selection:
 
     @property
     def expression(self) -> str | None:
-        """Both as one filter; None where every path is wished."""
+        """Filter that combines both; None if every path is wanted."""
         if self.path is None:
             return self.filter
         numbered = f"path == {self.path}"

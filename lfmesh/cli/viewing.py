@@ -1,4 +1,4 @@
-"""Reports and drawings that the options of `lfmesh view` ask for."""
+"""Reports and drawings for `lfmesh view`."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -18,9 +18,9 @@ def run(
     subject: Path, launches: Launches, expression: str | None,
     drawing: Drawing, outputs: Outputs, reports: Reports, serving: Serving,
 ) -> tuple[list[str], list[Path]]:  # fmt: skip
-    """Do what the options say; return the lines to print and the files written.
+    """Carry out the options of `lfmesh view`; return the lines to print and the files written.
 
-    A window opens where there is a display and no file is asked for.
+    A window opens if there is a display and no file is asked for.
 
     Parameters
     ----------
@@ -28,9 +28,9 @@ def run(
         A scene file or a run folder.
     launches : Launches
     expression : str or None
-        The filter that paths have to pass.
+        Filter that paths must pass.
     drawing, outputs
-        How the scene is drawn, and to which files.
+        Style of the drawing, and files to write.
     reports : Reports
     serving : Serving
     """
@@ -67,7 +67,7 @@ def run(
 
 
 def _launches(launches: Launches, reports: Reports) -> dict[str, Any]:
-    """Return the keywords of `look`; for ghosts, what is left out is chosen so that they are well known."""
+    """Return the keywords of `look`; for a ghost figure, the default values resolve ghosts well."""
     given = asdict(launches)
     if reports.ghosts is not None:
         for name, value in (("count", GHOST_RAYS), ("split", "both"), ("weight_cutoff", GHOST_CUTOFF)):
@@ -76,14 +76,14 @@ def _launches(launches: Launches, reports: Reports) -> dict[str, Any]:
 
 
 def _check(reports: Reports) -> None:
-    """Refuse a file that could not be written."""
+    """Refuse a file that cannot be written."""
     for option, path in (("paths", reports.paths), ("ghosts", reports.ghosts)):
         if path is not None:
             check_output(option, path)
 
 
 def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
-    """Return the lines to print of the rays and the files written."""
+    """Return the lines to print about the rays and the files written."""
     if not reports:
         return [], []
     if seen.all_rays is None or seen.rays is None:
@@ -95,7 +95,7 @@ def _reported(reports: Reports, seen: Seen) -> tuple[list[str], list[Path]]:
     if reports.paths is not None:
         written.append(table.to_csv(reports.paths))
     if reports.ghosts is not None:
-        # A filter chooses among the rays; what is integrated over the pupil it cannot divide.
+        # A filter selects rays; it cannot divide an integral over the pupil.
         chosen = exact if seen.chosen.all() else None
         matrix = ghost_matrix(seen.rays, chosen)
         if matrix.total > 0.0:

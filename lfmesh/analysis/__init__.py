@@ -1,1 +1,1 @@
-"""The main lens as a designer reads it: spots, ray fans, field curvature, colour, illumination, MTF."""
+"""Lens-sheet analysis of the main lens: spots, ray fans, field curvature, colour, illumination, MTF."""

@@ -23,20 +23,20 @@ from lfmesh.waves.bundle import LensRays, pupil_grid
 Array = NDArray[np.float64]
 
 FIELDS = (0.0, 0.7, 1.0)
-"""Shares of the largest image height."""
+"""Fields, as fractions of the largest image height."""
 
 LINES_NM = (486.1327, 587.5618, 656.2725)
-"""Fraunhofer's F, d and C, where a scene has a single wavelength."""
+"""Fraunhofer's lines F, d and C, for scenes with a single wavelength."""
 
 ACROSS = 64
-"""Rays on a diameter of the stop."""
+"""Rays across the stop's diameter."""
 
 FAN = 65
 ZONES = 20
 FREQUENCIES = 61
 
 FINEST_MTF = 0.5
-"""Frequency over the cut-off of diffraction up to which the geometric MTF is given."""
+"""Highest frequency of the geometric MTF, over the diffraction cut-off."""
 
 DEFINITIONS = (
     "image plane: the array's apexes, what the lenslets of a focused camera image, or the sensor; not refocused",
@@ -56,21 +56,21 @@ DEFINITIONS = (
     "MTF: by waves (thick), and by rays, the modulus of the spot's transform (thin); all wavelengths, equal weights",
     "diffraction limit (dotted): a round perfect pupil on the axis of the f-number at work, all wavelengths",
 )
-"""Of the figures, for comparison with other programs."""
+"""Definitions of the figures, for comparison with other programs."""
 
 
 @dataclass(frozen=True)
 class Fan:
-    """Ray fans of one field at one wavelength: transverse aberrations from the reference of the field's spot.
+    """Transverse ray fans of one field at one wavelength, from its spot's reference.
 
     Attributes
     ----------
     pupil : (n,) float64
-        -1 to 1, in stop radii.
+        Pupil coordinate, -1 to 1 stop radii.
     tangential_mm : (n,) float64
-        Deviation along y of rays in the meridional plane; NaN where the lens stops them.
+        Deviation of meridional rays along y; NaN where blocked.
     sagittal_mm : (n,) float64
-        Deviation along x of rays through the stop's x axis.
+        Deviation of rays through the stop's x axis along x; NaN where blocked.
     """
 
     pupil: Array
@@ -80,7 +80,7 @@ class Fan:
 
 @dataclass(frozen=True)
 class LensAnalysis(Shown):
-    """A lens at its image plane.
+    """Analysis of a lens at its image plane.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class LensAnalysis(Shown):
     image_z_mm : float
         Image plane, camera frame.
     wavelengths_nm : tuple of float
-        The primary one in the middle.
+        Ascending, with the primary one in the middle.
     heights_mm : (fields,) float64
         Paraxial image heights.
     spots : list of Spot
-        One a field.
+        One per field.
     fans : list of list of Fan
         [field][wavelength].
     curves : FieldCurves
@@ -108,13 +108,13 @@ class LensAnalysis(Shown):
     diffraction_limit : (f,) float64
         MTF of a perfect lens on the axis.
     rays : LensRays
-        From the object plane through the lens.
+        Rays from the object plane through the lens.
     airy_radius_mm : float
         1.22 λ N at the primary wavelength.
     light_field : LightFieldAnalysis or None
-        Of a camera with an array.
+        None without a microlens array.
     no_light_field : str
-        Why there is none, where there is an array.
+        Reason if a camera with an array has none.
     """
 
     name: str
@@ -138,7 +138,7 @@ class LensAnalysis(Shown):
 
     @cached_property
     def waves(self) -> list[FieldWaves | str]:
-        """One a field, or why waves cannot be followed there; computed when asked for."""
+        """Diffraction image per field, or why there is none; computed on first access."""
         return [_waves(self.rays, spot, self.wavelengths_nm) for spot in self.spots]
 
     @property
@@ -153,7 +153,7 @@ class LensAnalysis(Shown):
         return f"<LensAnalysis: {self.name}, {lens}, spots rms {spots} µm>"
 
     def lines(self) -> list[str]:
-        """Return the key figures for a terminal, a line each.
+        """Return the key figures for a terminal, one line each.
 
         Returns
         -------
@@ -246,16 +246,16 @@ def analyse(
     Parameters
     ----------
     scene : Scene
-        Targets and lights do not matter; element poses do.
+        Element poses count; targets and lights do not.
     object_mm : float, optional
-        Distance of the object plane before the first vertex, inf for parallel light; the plane in focus if left out.
+        Distance before the first vertex; inf for parallel light. Default: the plane in focus.
     height_mm : float, optional
-        Largest image height; half the diagonal of what sensor and array use if left out.
+        Largest image height. Default: half the diagonal of the used part of sensor and array.
     wavelengths_nm : tuple of float, optional
-        An odd number, ascending, the primary one in the middle. Those of the scene if left out, or if that has one
-        alone and the lens glass with dispersion, the lines F, d and C.
+        An odd number, the primary one in the middle. Default: the scene's (without the shortest if even in number), or
+        F, d and C if it has one and the lens glass.
     across : int
-        Rays on a diameter of the stop.
+        Rays across the stop's diameter.
 
     Returns
     -------
@@ -264,7 +264,7 @@ def analyse(
     Raises
     ------
     LfmeshError
-        The lens has surfaces that are meshes or not of revolution, no ray passes it, or a value is out of range.
+        A surface is a mesh or not of revolution, no ray passes the lens, or a value is out of range.
     """
     camera = solved_camera(scene)
     facts = camera.report
@@ -314,7 +314,7 @@ def analyse(
 
 
 def _waves(rays: LensRays, spot: Spot, wavelengths_nm: tuple[float, ...]) -> FieldWaves | str:
-    """Return a field's image by waves, or why there is none."""
+    """Return a field's diffraction image, or why there is none."""
     camera = solved_camera(rays.world.scene)
     try:
         return field_waves(rays, camera, spot.slope_y, wavelengths_nm, spot.reach_mm, np.linspace(-1.0, 1.0, FAN))
@@ -323,7 +323,7 @@ def _waves(rays: LensRays, spot: Spot, wavelengths_nm: tuple[float, ...]) -> Fie
 
 
 def _wave_figures(waves: FieldWaves | str) -> dict[str, float | str | None]:
-    """Return the key figures of a field's wavefront, or why there are none."""
+    """Return a wavefront's key figures, or why there are none."""
     if isinstance(waves, str):
         return {"rms_waves": None, "pv_waves": None, "strehl": None, "no_waves": waves}
     front = waves.wavefront
@@ -331,7 +331,7 @@ def _wave_figures(waves: FieldWaves | str) -> dict[str, float | str | None]:
 
 
 def _light_field(world: World, object_mm: float, heights_mm: Array) -> tuple[LightFieldAnalysis | None, str]:
-    """Return the figures of the light field, or why an array has none."""
+    """Return the light-field figures, or why an array has none."""
     if world.scene.camera.mla is None:
         return None, ""
     try:
@@ -354,7 +354,7 @@ def wavelengths_of(scene: Scene, given: tuple[float, ...] | None) -> tuple[float
 
 
 def used_height_mm(scene: Scene) -> float:
-    """Return half the diagonal of the image that the sensor, and the array, use."""
+    """Return half the diagonal of the image area shared by sensor and array."""
     camera = scene.camera
     size = camera.sensor.size_mm if camera.mla is None else np.minimum(camera.sensor.size_mm, camera.mla.size_mm)
     return 0.5 * float(np.hypot(*size))

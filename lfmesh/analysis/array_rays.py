@@ -1,7 +1,7 @@
-"""Rays of object points on through the microlens array: the lenslet that each meets, and where it lands on the sensor.
+"""Tracing rays of object points through the microlens array to the sensor.
 
-An object point is moved aside by first differences: rays through the same point of the stop change place and direction
-in proportion to the move, which is a few lenslets at most.
+Neighbouring object points, up to a few lenslets away, are traced by first differences of rays through the same point of
+the stop.
 """
 
 from dataclasses import dataclass
@@ -27,20 +27,20 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 ACROSS = 16
-"""Points on a diameter of the part of the stop's grid that each place, or position of a point, has."""
+"""Rays across the stop's diameter in each part of the stop's grid; each position uses one part."""
 
 
 class Landed(NamedTuple):
-    """Rays on the sensor.
+    """Rays that reach the sensor.
 
     Attributes
     ----------
     point : (n,) int64
-        Number of the moved point that each comes from.
+        Number of the ray's object point or place.
     lenslet : (n,) int64
-        Number of the lenslet that it met, row by row; empty where that was not asked for.
+        Number of the lenslet met, row by row; empty if not requested.
     pixels : (n, 2) float64
-        Column and row on the sensor, the middle of the first pixel at (0, 0).
+        Column and row on the sensor; the centre of the first pixel is (0, 0).
     weight : (n,) float64
         Transmittance of lens and array.
     """
@@ -52,20 +52,20 @@ class Landed(NamedTuple):
 
 
 class MovedPoint(NamedTuple):
-    """The rays of an object point through a grid in the stop, and how they change where it moves aside.
+    """Rays of an object point through a grid in the stop, with derivatives by its slope.
 
     Attributes
     ----------
     part : (n,) int64
-        Which of the interleaved parts of the grid each ray belongs to.
+        Interleaved part of the grid.
     place, slope : (n, 2) float64
         At the image plane, mm and dx/dz.
     place_by, slope_by : (n, 2, 2) float64
-        Their derivatives by the object point's slope.
+        Derivatives.
     weight : (n,) float64
-        Above 0.
+        Transmittance of the lens, above 0.
     parts : int
-        Number of the parts along each axis.
+        Number of parts along each axis.
     """
 
     part: Whole
@@ -79,14 +79,14 @@ class MovedPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class ArrayRays:
-    """Sends rays from behind the lens through array and cover onto the sensor, at the primary wavelength.
+    """Tracer from the lens through array and cover to the sensor, at the primary wavelength.
 
     Attributes
     ----------
     world : World
-        Of a camera whose array can be decoded.
+        The array must be decodable.
     image_z_mm : float
-        The plane on which places are given.
+        Plane of the given places.
     """
 
     world: World
@@ -94,7 +94,7 @@ class ArrayRays:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Points on the sensor of the chief rays of all lenslets."""
+        """Chief rays' points on the sensor, for all lenslets."""
         return calibrate(self.world.scene)
 
     @cached_property
@@ -104,7 +104,7 @@ class ArrayRays:
 
     @cached_property
     def cells(self) -> KDTree:
-        """The centres of the micro-images, in pixels; what lies nearest to one is its cell."""
+        """Centres of the micro-images, in pixels; the points nearest to a centre form its cell."""
         return KDTree(self.calibration.centres_px.reshape(-1, 2))
 
     @cached_property
@@ -134,18 +134,18 @@ class ArrayRays:
         return float(camera.lens.vertices_mm[-1] + 0.5 * (camera.mla.distance_mm or 0.0))
 
     def moved_point(self, object_mm: float, slope: Array, reach: float, *, parts: int) -> MovedPoint:
-        """Return the rays of an object point, and by differences those of its neighbours.
+        """Trace the rays of an object point, with finite-difference derivatives.
 
         Parameters
         ----------
         object_mm : float
-            Of its plane, before the first vertex.
+            Distance before the first vertex.
         slope : (2,) float64
-            x and y over that.
+            x and y of the point over that distance.
         reach : float
-            Difference in slope by which derivatives are taken.
+            Step in slope of the finite differences.
         parts : int
-            Along each axis of the stop's grid, of which every moved point has one.
+            Parts of the stop's grid along each axis; each moved point uses one.
         """
         lens, pupil = LensRays(self.world, object_mm, self.image_z_mm), pupil_grid(parts * ACROSS)
         three = [lens.bundle(slope + move, pupil, self.wavelength_nm) for move in reach * _STEPS]
@@ -164,7 +164,7 @@ class ArrayRays:
         )
 
     def from_object(self, rays: MovedPoint, moves: Array) -> Landed:
-        """Follow the rays of object points moved aside, (n, 2) in slope, to the sensor."""
+        """Trace the rays of displaced object points, (n, 2) in slope, to the sensor."""
         point, ray = _dealt(rays, len(moves))
         return self._landed(
             point,
@@ -175,7 +175,7 @@ class ArrayRays:
         )
 
     def across_plane(self, rays: MovedPoint, places: Array) -> Landed:
-        """Follow rays through places of the image plane, (n, 2) mm, and all parts of the stop, to the sensor."""
+        """Trace rays through places of the image plane, (n, 2) mm, and all parts of the stop, to the sensor."""
         point, ray = _dealt(rays, len(places))
         turn = rays.slope_by @ np.linalg.inv(rays.place_by)
         slope = rays.slope[ray] + (turn[ray] @ (places[point] - rays.place[ray])[:, :, None])[:, :, 0]
@@ -202,11 +202,11 @@ class ArrayRays:
         return Landed(point[ok], lenslet, pixels, rays.weight[ok])
 
     def _lenslet(self, start: Array, before: Array, end: Array, behind: Array) -> Whole:
-        """Return the numbers of the lenslets that rays met, from their lines before and behind the array."""
+        """Return the lenslets that rays met, from the rays before and behind the array."""
         move = self._tables.frames[CAMERA_FRAME, MLA_FRAME]
         met = _points(move, end)
         if self.plate.curved_to_lens:
-            # The ray within the glass meets the one before it on the curved face.
+            # The rays before and inside the glass intersect on the curved face.
             p, d = _points(move, start), _directions(move, before)
             inside = self.plate.inside(_directions(move, behind))
             between, cosine = met - p, (d * inside).sum(axis=1)
@@ -222,7 +222,7 @@ _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 
 
 def _points(move: Array, p: Array) -> Array:
-    """Return points through a frame as `frame.points`; many small products are quicker without a matrix library."""
+    """Transform points as `frame.points` does, without a matrix library, which is slower for many small products."""
     return np.asarray(_directions(move, p) + move[:, 3])
 
 
@@ -231,12 +231,12 @@ def _directions(move: Array, d: Array) -> Array:
 
 
 def even_points(count: int) -> Array:
-    """Return points that fill the unit square evenly, (n, 2), always the same; most even for powers of two."""
+    """Return a fixed low-discrepancy set in the unit square, (n, 2); most even for powers of two."""
     return _sequence(count)[:, :2]
 
 
 def _sequence(count: int) -> Array:
-    """Return points of Sobol's sequence in the unit cube, (n, 3), moved off its faces."""
+    """Return points of Sobol's sequence in the unit cube, (n, 3), shifted off its faces."""
     from scipy.stats import qmc
 
     power = max(0, (count - 1).bit_length())
@@ -245,7 +245,7 @@ def _sequence(count: int) -> Array:
 
 
 def _dealt(rays: MovedPoint, count: int) -> tuple[Whole, Whole]:
-    """Return the pairs of a point and a ray: points of the even sequence have parts of the stop's grid in turn."""
+    """Return pairs of point and ray: the points of the even sequence take the parts of the stop's grid in turn."""
     parts = rays.parts * rays.parts
     of_part = [np.flatnonzero(rays.part == part) for part in range(parts)]
     chosen = [of_part[part] for part in (parts * _sequence(count)[:, 2]).astype(np.int64)]

@@ -1,9 +1,9 @@
-"""A field's image by waves: path differences over the pupil, and the diffraction point spread and MTF of all colours.
+"""Diffraction image of a field: path differences, polychromatic point spread and MTF.
 
-The pupil function of each wavelength, on a grid of direction cosines from the point where the primary chief ray meets
-the image plane, has the diffraction MTF as its autocorrelation, and the point spread as that one's transform (J. W.
-Goodman, Introduction to Fourier Optics, 6.3). The grids' steps are the wavelengths times the same frequency, so that
-all wavelengths add up term by term.
+The optical transfer function is the autocorrelation of the pupil function, and the point spread is its transform (J. W.
+Goodman, Introduction to Fourier Optics, 6.3). The pupil function is sampled in direction cosines from the primary chief
+ray's image point. Its step is the wavelength times a common frequency step, so that all wavelengths add up term by
+term.
 """
 
 import math
@@ -22,13 +22,13 @@ from lfmesh.waves.wavefront import Wavefront, path_differences, wavefront_of
 Array = NDArray[np.float64]
 
 ACROSS, MOST_ACROSS = 160, 1024
-"""Cells of the grid of directions on the pupil's diameter: at least, at most."""
+"""Smallest and largest number of grid cells across the pupil's diameter."""
 
 WIDER = 4.0
-"""Of the grid's image plane over the spot: the waves' tails are not to run into those of its repetition."""
+"""Width of the image-plane grid over that of the spot, so that the periodic images do not overlap."""
 
 PLACES = 121
-"""Places on a side of the picture of a point spread."""
+"""Samples along each side of the picture of a point spread."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class PathFan:
     Attributes
     ----------
     pupil : (n,) float64
-        -1 to 1, in stop radii.
+        Pupil coordinate, -1 to 1 stop radii.
     tangential_waves : (n,) float64
-        Of rays in the meridional plane, from the chief ray of this wavelength; NaN where the lens stops them.
+        Meridional rays, relative to this wavelength's chief ray; NaN where blocked.
     sagittal_waves : (n,) float64
-        Of rays through the stop's x axis.
+        Rays through the stop's x axis.
     """
 
     pupil: Array
@@ -52,21 +52,21 @@ class PathFan:
 
 @dataclass(frozen=True)
 class FieldWaves:
-    """A field's image by waves.
+    """Diffraction image of a field.
 
     Attributes
     ----------
     fans : list of PathFan
-        One a wavelength.
+        One per wavelength.
     wavefront : Wavefront
         At the primary wavelength.
     transfer : (m, m) complex128
-        Optical transfer function by frequency along y and x, of all wavelengths with equal weights, in the order of
-        transforms; its first place has the power.
+        Optical transfer function by frequency along y and x, mean of all wavelengths, in FFT order; first element:
+        power.
     step_per_mm : float
-        From one frequency to the next.
+        Step between frequencies.
     in_phase : float
-        Sum of the transfer function of pupils in phase.
+        Sum of the transfer function for in-phase pupils.
     """
 
     fans: list[PathFan]
@@ -76,21 +76,21 @@ class FieldWaves:
     in_phase: float
 
     def mtf(self, frequencies_per_mm: Array, *, tangential: bool) -> Array:
-        """Return the modulus of the transfer function along y, of lines along x, or along x; 0 beyond the grid."""
+        """Return the modulus of the transfer function along y (tangential) or x; 0 beyond the grid."""
         line = self.transfer[:, 0] if tangential else self.transfer[0]
         half = len(line) // 2
         known = np.abs(line[:half]) / abs(line[0])
         return np.interp(frequencies_per_mm, self.step_per_mm * np.arange(half), known, right=0.0)
 
     def point_spread(self, half_mm: float, places: int = PLACES) -> Array:
-        """Return the point spread over the peak of light in phase, on a square about the image point, (y, x).
+        """Return the point spread over the in-phase peak, on a square about the image point, indexed (y, x).
 
         Parameters
         ----------
         half_mm : float
             Half the side of the square.
         places : int
-            On a side; each is the mean of its part of the square.
+            Samples along each side, each the mean over its cell.
         """
         frequency = np.fft.fftfreq(len(self.transfer), 1.0 / len(self.transfer)) * self.step_per_mm
         width = 2.0 * half_mm / places
@@ -102,7 +102,7 @@ class FieldWaves:
 def field_waves(
     rays: LensRays, camera: SolvedCamera, slope: float, wavelengths_nm: tuple[float, ...], spot_mm: float, fan: Array
 ) -> FieldWaves:
-    """Return a field's image by waves.
+    """Compute the diffraction image of a field.
 
     Parameters
     ----------
@@ -115,12 +115,12 @@ def field_waves(
     spot_mm : float
         Largest distance of a ray from the spot's reference in the image plane.
     fan : (n,) float64
-        Places on a diameter of the stop, in stop radii.
+        Pupil coordinates, in stop radii.
 
     Raises
     ------
     LfmeshError
-        No chief ray, no light, collimated light, or aberrations too large to be followed as waves.
+        No chief ray, no light, collimated light, or aberrations too large for the grid.
     """
     primary = wavelengths_nm[len(wavelengths_nm) // 2]
     wavefront = wavefront_of(rays, slope, primary, words="this field")
@@ -146,7 +146,7 @@ def field_waves(
 
 
 def diffraction_limit(frequencies_per_mm: Array, wavelengths_nm: tuple[float, ...], f_number: float) -> Array:
-    """Return the MTF of a perfect round pupil, of all wavelengths with equal weights (Goodman, 6.4.2).
+    """Return the MTF of a perfect round pupil, averaged over all wavelengths (Goodman, 6.4.2).
 
     Parameters
     ----------
@@ -163,11 +163,11 @@ def diffraction_limit(frequencies_per_mm: Array, wavelengths_nm: tuple[float, ..
 
 
 def _transfer(pupil: PupilWaves, step_per_mm: float, size: int) -> tuple[NDArray[np.complex128], float]:
-    """Return the autocorrelation of a pupil function on a grid of frequencies, and its sum for amplitudes in phase."""
+    """Return the autocorrelation of a pupil function on a grid of frequencies, and its in-phase sum."""
     cells = (np.arange(size) - size // 2) * step_per_mm * pupil.wavelength_mm
     waves, _ = pupil.at(pupil.middle[0] + cells, pupil.middle[1] + cells)
     transfer = np.asarray(scipy.fft.fft2(np.abs(scipy.fft.ifft2(waves)) ** 2) * size**2)
-    # Cells that the rim cuts have the square of their mean amplitude there, which is less than their power.
+    # A cell cut by the rim holds the square of its mean amplitude, which is less than its power.
     transfer[0, 0] = pupil.power_w
     return transfer, float(np.abs(waves).sum() ** 2)
 

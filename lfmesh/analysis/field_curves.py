@@ -1,4 +1,4 @@
-"""Foci, distortion, lateral colour and illumination of a lens over its field, and its foci over its zones."""
+"""Foci, distortion, lateral colour and illumination over the field, and foci over the zones of the stop."""
 
 from dataclasses import dataclass
 
@@ -16,41 +16,41 @@ from lfmesh.waves.bundle import LensRays, pupil_grid
 Array = NDArray[np.float64]
 
 POINTS = 21
-"""Of each curve."""
+"""Points per curve."""
 
 CLOSE = 1e-3
-"""Of the stop's radius: distance from the chief ray of the rays that its foci are found by."""
+"""Distance from the chief ray of the rays that locate its foci, in stop radii."""
 
 RISE = 1e-3
-"""Of the largest field: step by which the scale of the image is found, from chief rays on both sides of a field."""
+"""Finite-difference step for the local image scale, as a fraction of the largest field."""
 
 BEAM, WIDER, WIDENINGS = 16, 1.25, 16
-"""Rays on a diameter of the stop that the extent of a beam is first found by, and by how much more is looked at, until
-no light comes through the circle round it. Within it the light itself is integrated, up to the edges that end it."""
+"""Rays across the stop's diameter that first locate a beam, the factor by which the circle round it is widened until no
+light crosses it, and the largest number of widenings. The light is integrated inside the circle."""
 
 ALL_ROUND = np.linspace(0.0, 2.0 * np.pi, 256, endpoint=False)
-"""Azimuths on this circle: about as many as the integral has cells round it, which light must not slip between."""
+"""Azimuths on this circle: about as many as the integral has cells round it, so that no light slips between them."""
 
 
 @dataclass(frozen=True)
 class FieldCurves:
-    """Curves over the field, from the axis to its edge, (m,) each; NaN where the lens stops the rays.
+    """Curves over the field, from the axis to its edge, (m,) each; NaN where the lens blocks the rays.
 
     Attributes
     ----------
     height_mm : (m,) float64
-        Paraxial image height of the primary wavelength, which fields are named by.
+        Paraxial image height at the primary wavelength, the field's name.
     slope_y : (m,) float64
-        Of the object points.
+        Slope of the object points.
     chief_mm : (wavelengths, m) float64
-        Where the chief rays meet the image plane.
+        Image heights of the chief rays.
     tangential_mm, sagittal_mm : (wavelengths, m) float64
-        Foci of rays close round the chief ray, along z, from the image plane; positive behind it.
+        Foci of rays close to the chief ray, along z from the image plane; positive behind it.
     distortion : (m,) float64
-        (y − y₀) / y₀ of the primary wavelength's chief ray, y₀ the paraxial height; 0 on the axis.
+        (y − y₀) / y₀ of the primary chief ray, with y₀ the paraxial height; 0 on the axis.
     illumination : (m,) float64
-        Of a Lambertian plane, relative to the axis, primary wavelength; Fresnel's losses, vignetting and the change of
-        scale over the field included. 0 where no light passes, also if there is no chief ray.
+        Relative illumination of a Lambertian plane at the primary wavelength, with Fresnel losses, vignetting and the
+        local image scale. 0 where no light passes or there is no chief ray.
     """
 
     height_mm: Array
@@ -63,12 +63,12 @@ class FieldCurves:
 
     @property
     def lateral_mm(self) -> Array:
-        """(wavelengths, m): chief rays relative to the primary wavelength's, which is the middle one."""
+        """(wavelengths, m): heights of the chief rays relative to the primary (middle) wavelength's."""
         return np.asarray(self.chief_mm - self.chief_mm[len(self.chief_mm) // 2])
 
 
 def paraxial_scale(rays: LensRays, wavelength_nm: float) -> float:
-    """Return the paraxial height on the image plane of the chief ray of an object point with a slope of one, mm."""
+    """Return the paraxial image height of the chief ray of an object point with a slope of one, mm."""
     camera = solved_camera(rays.world.scene)
     lens = Paraxial.of(camera.scene.camera.lens, wavelength_nm)
     return lens.chief_scale_mm(rays.object_mm, rays.image_z_mm - lens.length_mm)
@@ -88,7 +88,7 @@ def field_curves(rays: LensRays, wavelengths_nm: tuple[float, ...], height_mm: f
     primary = wavelengths_nm[len(wavelengths_nm) // 2]
     scale = paraxial_scale(rays, primary)
     heights = np.linspace(0.0, height_mm, POINTS)
-    # Objects below the axis have their images above it where the lens inverts.
+    # If the lens inverts, objects below the axis have images above it.
     slopes = heights / scale
     chief, tangential, sagittal = (np.full((len(wavelengths_nm), POINTS), np.nan) for _ in range(3))
     cross = CLOSE * np.array([[0.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, 0.0], [-1.0, 0.0]])
@@ -106,9 +106,9 @@ def field_curves(rays: LensRays, wavelengths_nm: tuple[float, ...], height_mm: f
 
 
 def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array) -> Array:
-    """Return the irradiance of the image of a Lambertian plane, relative to the axis."""
+    """Return the relative illumination of the image of a Lambertian plane."""
     power = np.array([_collected(rays, wavelength_nm, float(slope)) for slope in slopes])
-    # The scale of the image is that of chief rays, which apertures may stop while others pass.
+    # The image scale follows from the chief rays, even where an aperture stops them.
     step = RISE * float(slopes[-1])
     below, chief_mm, above = (
         np.array([rays.chief(float(slope), wavelength_nm).place[1] for slope in slopes + move])
@@ -117,26 +117,25 @@ def _illumination(rays: LensRays, wavelength_nm: float, slopes: Array) -> Array:
     along = (above - below) / (2.0 * step)
     around = np.divide(chief_mm, slopes, out=np.full(len(slopes), along[0]), where=slopes != 0.0)
     if rays.object_mm == np.inf:
-        # A solid angle of directions is cos³ times the area that it has in slopes.
+        # Solid angle is cos³ times the area in slopes.
         power = power * (1.0 + slopes**2) ** -1.5
     level = np.divide(power, np.abs(along * around), out=np.zeros(len(power)), where=power > 0.0)
     return np.asarray(level / level[0])
 
 
 def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
-    """Return the light of a piece of a Lambertian plane that the lens passes, in arbitrary units.
+    """Return the light of a piece of a Lambertian plane that passes the lens, in arbitrary units.
 
-    It is integrated inside a circle that holds the rays through the rim of the stop, with a margin of `WIDER`. Beyond
-    them rays come to the stop only if they have crossed; `LensRays.bundle` refuses fields in which a caustic ends rays
-    and others that have crossed pass.
+    The integral covers a circle round all rays through the rim of the stop, widened by `WIDER`. Only crossed rays could
+    pass outside it; `LensRays.bundle` refuses fields where these pass and a caustic ends others.
     """
     tables = at_wavelength(rays.world, wavelength_nm)
     path, slope = image_path(len(tables.lens.surfaces)), np.array([0.0, slope_y])
-    # Only what comes to the stop can pass.
+    # Only rays that reach the stop can pass.
     entries = rays.bundle(slope_y, pupil_grid(BEAM, rim=True), wavelength_nm).entry
     entries = entries[np.isfinite(entries).all(axis=1)]
     if not len(entries):
-        # An edge ends each of these; what passes between them is sought across the whole front.
+        # All of these end at an edge: search the whole front for light between them.
         entries = rays.aim.trials()
     middle = 0.5 * (entries.min(axis=0) + entries.max(axis=0))
     radius = max(float(np.hypot(*(entries - middle).T).max()), rays.stop_radius / BEAM)
@@ -146,7 +145,8 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
         start, ahead = rays.starts(np.broadcast_to(slope, off.shape), middle + off)
         cosine = ahead[:, 2] if rays.object_mm == np.inf else ahead[:, 2] ** 4
         arrived = follow_sequence(tables, path, start, ahead)
-        # Darkness tells on which edge rays end: light between two edges, too narrow for the cells, is sought there.
+        # Negative values name the edge where rays end, so that the integral searches between two edges for narrow
+        # light.
         return np.where(arrived.weight > 0.0, arrived.weight * cosine, -1.0 - arrived.way)
 
     for _ in range(WIDENINGS):
@@ -157,9 +157,9 @@ def _collected(rays: LensRays, wavelength_nm: float, slope_y: float) -> float:
 
 
 def zone_foci(rays: LensRays, wavelengths_nm: tuple[float, ...], zones: Array) -> Array:
-    """Return where rays from the axis through zones of the stop cross the axis, from the image plane, mm.
+    """Return the foci of axial rays through zones of the stop, from the image plane, mm.
 
-    Longitudinal spherical aberration, and axial colour.
+    These are the longitudinal spherical aberration and the axial colour.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def zone_foci(rays: LensRays, wavelengths_nm: tuple[float, ...], zones: Array) -
     Returns
     -------
     (wavelengths, m) float64
-        NaN where the lens stops the ray; inf where it leaves parallel to the axis.
+        NaN where blocked; inf where the ray leaves parallel to the axis.
     """
     pupil = np.column_stack([np.zeros(len(zones)), zones])
     found = []

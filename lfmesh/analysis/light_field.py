@@ -1,9 +1,8 @@
-"""The light field that a plenoptic camera records: cross-talk of its micro-images, and the MTF of its photographs.
+"""Light field of a plenoptic camera: cross-talk between micro-images, and the MTF of photographs.
 
-Cross-talk: uniform light fills the exit pupil at every place of the array round a lenslet. MTF: the light of an object
-point lands on pixels; these are sorted into views and placed in the photograph as `decode` and `refocus` place them
-(`render_patches` where lenslets image the main image), and the spread of their places is averaged over all positions of
-the point against lenslets.
+Cross-talk: uniform light fills the exit pupil at every point of the array round a lenslet. MTF: an object point's light
+is binned into pixels and placed in the photograph as by `decode` and `refocus` (or `render_patches`); the spread is
+averaged over all positions of the point relative to the lenslets.
 """
 
 import math
@@ -31,33 +30,33 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 PLACES = 128
-"""Places a lenslet at which light crosses the array."""
+"""Places per lenslet at which light crosses the array."""
 
 MOST_RINGS = 4
-"""Rings of neighbours round a lenslet whose light is looked at."""
+"""Largest number of rings of neighbours that are traced round a lenslet."""
 
 CLOSER = 0.8
-"""Pitches by which a ring of neighbours begins nearer than its number, and some more."""
+"""Pitches added to the reach of a lenslet's light when counting rings: rings begin nearer than their number."""
 
 POINTS = 512
-"""Positions of an object point against the lenslets."""
+"""Positions of an object point relative to the lenslets."""
 
 FREQUENCIES = 61
 
 BINS = 128
-"""Of places in a photograph, a lenslet."""
+"""Bins per lenslet pitch in a photograph."""
 
 FAR = 1e4
-"""In focal lengths: stands for infinity, where a scale is needed."""
+"""Distance that stands for infinity where a finite scale is needed, in focal lengths."""
 
 CANDIDATES = 5
-"""Micro-images whose samples a pixel may belong to."""
+"""Largest number of micro-images that may use a pixel."""
 
 MOST_PATCHES = 25
-"""Lenslets that see a point of the main image."""
+"""Largest number of lenslets that see a point of the main image."""
 
 SHARES = (1.5, 1.22, 1.0, 0.82, 0.67)
-"""Of the shift at which lenslets are sharp: those of the planes of a focused plenoptic camera."""
+"""Planes for a focused plenoptic camera, as multiples of the shift at which lenslets are sharp."""
 
 VIEWS = ("middle view", "edge view", "all views")
 PIXELS = ("inner pixels", "outer pixels", "all pixels")
@@ -97,13 +96,13 @@ class CrossTalk:
     Attributes
     ----------
     height_mm : float
-        Of its apex, from the axis.
+        Distance of its apex from the axis.
     lenslet : tuple of int
         Column and row.
     from_others : float
-        Share of the light in its cell that met another lenslet.
+        Fraction of the light in its cell that met another lenslet.
     to_others : float
-        Share of the light that met it and lands outside its cell.
+        Fraction of the light through it that lands outside its cell.
     """
 
     height_mm: float
@@ -119,11 +118,11 @@ class PhotographMtf:
     Attributes
     ----------
     distance_mm : float
-        Of the plane, before the first vertex.
+        Distance before the first vertex.
     shift_lenslets : float
-        By how many lenslets a point of it moves from view to view; positive nearer than the focus.
+        Shift of a point from view to view, in lenslets; positive nearer than the focus.
     mtf : (3, f) float64
-        Of each of the light field's `parts`; NaN where there is none.
+        One curve for each of the light field's `parts`; NaN where there is none.
     """
 
     distance_mm: float
@@ -133,18 +132,18 @@ class PhotographMtf:
 
 @dataclass(frozen=True)
 class LightFieldAnalysis:
-    """Properties that a plenoptic camera adds to those of its lens.
+    """Light-field figures of a plenoptic camera.
 
     Attributes
     ----------
     wavelength_nm : float
-        The primary one, of all figures here.
+        Primary wavelength, used for all figures here.
     crosstalk : list of CrossTalk
-        One a field.
+        One per field.
     frequencies_per_mm : (f,) float64
-        On the array.
+        Frequencies on the array.
     parts : tuple of str
-        What the three curves of a photograph are of.
+        Names of the three curves of a photograph.
     photographs : list of PhotographMtf
         From the nearest plane to the farthest.
     definitions : tuple of str
@@ -158,7 +157,7 @@ class LightFieldAnalysis:
     definitions: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return the key figures for a terminal, a line each."""
+        """Return the key figures for a terminal, one line each."""
         lines = [f"{'lenslet/mm':>11}{'from others':>13}{'to others':>11}   cross-talk at {self.wavelength_nm:g} nm"]
         lines += [f"{c.height_mm:11.3f}{c.from_others:13.2%}{c.to_others:11.2%}" for c in self.crosstalk]
         lines.append(
@@ -188,9 +187,9 @@ def analyse_light_field(world: World, object_mm: float, heights_mm: Array) -> Li
     Parameters
     ----------
     world : World
-        Of the camera alone.
+        World of the camera alone.
     object_mm : float
-        Plane whose points the light of cross-talk is parametrised by, before the first vertex.
+        Distance before the first vertex of the object plane for cross-talk.
     heights_mm : (fields,) float64
         Image heights of the fields.
 
@@ -220,7 +219,7 @@ def analyse_light_field(world: World, object_mm: float, heights_mm: Array) -> Li
 
 
 def _distances_mm(scene: Scene, model: RayModel, *, by_patches: bool) -> list[float]:
-    """Return five planes: the one in focus, the ends of the range of refocusing and planes midway by shift."""
+    """Return the distances of five planes: focus, ends of the refocusing range, and midway between them by shift."""
     if by_patches:
         sharp = _sharp_shift_mm(scene, model)
         least = 0.5 * model.lenslet_pitch_mm / _held_px(model)
@@ -233,7 +232,7 @@ def _distances_mm(scene: Scene, model: RayModel, *, by_patches: bool) -> list[fl
 
 
 def _sharp_shift_mm(scene: Scene, model: RayModel) -> float:
-    """Return the shift from view to view of what lenslets of the middle type image sharply: 1/d − 1/ε = 1/f."""
+    """Return the shift per view of planes that middle-type lenslets image sharply: 1/d − 1/ε = 1/f."""
     mla = scene.camera.mla
     assert mla is not None
     focal = sorted(lenslet_focal_length_mm(mla, scene.primary_nm))
@@ -242,15 +241,15 @@ def _sharp_shift_mm(scene: Scene, model: RayModel) -> float:
 
 
 def _held_px(model: RayModel) -> float:
-    """Return the radius of what micro-images hold, in pixels, as `render_patches` has it."""
+    """Return the usable radius of a micro-image in pixels, as in `render_patches`."""
     return min(0.5 * model.micro_image_pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
 
 
 def _crosstalk(rays: ArrayRays, model: RayModel, object_mm: float, height_mm: float) -> CrossTalk:
-    """Find the cross-talk of the lenslet nearest to a place towards a corner of the array."""
+    """Compute the cross-talk of the lenslet nearest to an image height towards a corner of the array."""
     pitch, calibration = model.lenslet_pitch_mm, rays.calibration
     reach = 0.5 * model.lenslet_to_sensor_mm / model.f_number + 0.5 * pitch
-    # The cells of a ring begin half a pitch nearer; rows of hexagonal arrays stand closer.
+    # The cells of a ring begin half a pitch nearer, and the rows of hexagonal arrays are closer together.
     rings = min(MOST_RINGS, max(1, math.floor(reach / pitch + CLOSER)))
     rows, columns = calibration.known.shape
     inner = np.zeros((rows, columns), bool)
@@ -283,17 +282,17 @@ def _share(whole: float, without: float) -> float:
 
 
 def photograph_mtf(rays: ArrayRays, distance_mm: float, frequencies: Array, *, by_patches: bool) -> Array:
-    """Return the MTF of the photograph of a plane, on the axis, for each of its parts, (3, f).
+    """Return the MTF of the photograph of a plane on the axis, for each of its parts, (3, f).
 
     Parameters
     ----------
     rays : ArrayRays
     distance_mm : float
-        Of the plane, before the first vertex; may be inf.
+        Distance before the first vertex; may be inf.
     frequencies : (f,) float64, 1/mm
-        On the array.
+        Frequencies on the array.
     by_patches : bool
-        The photograph is `render_patches`'s; else `refocus`'s.
+        Photograph by `render_patches`; otherwise by `refocus`.
     """
     scene = rays.world.scene
     model = RayModel.of(scene)
@@ -350,7 +349,7 @@ def _spread_of_views(
 def _spread_of_patches(
     rays: ArrayRays, model: RayModel, distance_mm: float, landed: Landed, ideal: Array, frequencies: Array
 ) -> Array:
-    """Return the MTF of the picture rendered by patches, from the inner and the outer pixels and from all, (3, f)."""
+    """Return the MTF of a photograph from patches, for the inner pixels, the outer pixels and all, (3, f)."""
     shift, radius = model.shift_mm(distance_mm), _held_px(model)
     blur = np.array(lenslet_blur_px(rays.world.scene, model.image_excess_mm(distance_mm)))
     sharpest = np.flatnonzero(blur <= blur.min() * (1.0 + 1e-9))
@@ -371,7 +370,7 @@ def _spread_of_patches(
 
 
 class _Spread:
-    """The spread of a point's light over a photograph, in narrow bins along +x."""
+    """Spread of a point's light over a photograph, in narrow bins along +x."""
 
     def __init__(self, pitch_mm: float) -> None:
         self.width_mm, self.first = pitch_mm / BINS, 0
@@ -391,7 +390,7 @@ class _Spread:
         self.first, self.light = first, joined
 
     def mtf(self, frequencies: Array) -> Array:
-        """Return the modulus of its transform over its sum, (f,); NaN where there is no light."""
+        """Return the normalised modulus of the spread's transform, (f,); NaN without light."""
         total = self.light.sum()
         if not total > 0.0:
             return np.full(len(frequencies), np.nan)
@@ -400,7 +399,7 @@ class _Spread:
 
 
 def _beside_centres(rays: ArrayRays, landed: Landed, most: int, reach_px: float) -> tuple[Whole, Whole, Array]:
-    """Return pairs of a ray and a micro-image that its pixel is near to, and how far from the centre, in pixels.
+    """Pair rays with micro-images near their pixels, and return the offsets from the centres in pixels.
 
     Returns
     -------
@@ -422,7 +421,7 @@ def _beside_centres(rays: ArrayRays, landed: Landed, most: int, reach_px: float)
 
 
 def _samples_of_columns(columns: Whole, share: Array, count: int) -> tuple[Whole, Array]:
-    """Return which samples of a row take light from each lenslet, and with which weight, (2, columns, m) each."""
+    """Return the samples of a row that take light from each lenslet, and their weights, (2, columns, m) each."""
     parity = np.repeat([0, 1], columns.shape[1])
     sample = np.tile(np.arange(columns.shape[1]), 2)
     entries = [(parity, columns.ravel(), sample, 1.0 - share.ravel())]

@@ -1,8 +1,7 @@
-"""Integrals over a disk of functions that are smooth within a region and zero outside it, to a stated error.
+"""Integrals over a disk of functions that are smooth inside a region and zero outside it, with an error estimate.
 
-A ghost's light over the pupil is such a function: apertures and the sensor's edges cut it off. Cells within the region
-are integrated by points; cells that its edge crosses are divided again and again. In the smallest ones the edge is a
-line between the points at which it crosses their sides, which are found by bisection.
+An example is a ghost's light over the pupil, cut off by apertures and the sensor's edges. Cells at the edge are
+subdivided; in the smallest ones the edge is a straight line between its crossings with their sides, found by bisection.
 """
 
 from collections.abc import Callable
@@ -16,79 +15,77 @@ Cells = NDArray[np.int64]
 Function = Callable[[Array], Array]
 
 CELLS = 64
-"""Cells along a side of the square round the disk at first."""
+"""Cells along each side of the initial square grid round the disk."""
 
 HALVINGS = 4
 """Number of divisions of a cell at an edge."""
 
 SEARCHES = 5
-"""Number of halvings of a dark cell's side to find light between two kinds of darkness."""
+"""Halvings of a dark cell's side in the search for light between two kinds of darkness."""
 
 BISECTIONS = 10
-"""Of the side of a cell, to find where an edge crosses it."""
+"""Bisections that locate the crossing of an edge with a cell's side."""
 
 BEYOND = 0.75
-"""From a corner of a cell to the corner that the edge has if it is square: that it is is tested here."""
+"""Place of the test for a square corner of the edge: fraction of the way to it from the cell's corner."""
 
 SHIFT = (0.37, 0.61)
-"""Of the cells against the square, in cells: what is symmetric must not make the same error everywhere."""
+"""Offset of the cells from the square, in cells: keeps a symmetric function from repeating one error everywhere."""
 
 SMOOTH = 0.1
-"""Cells whose values differ by more than this share of the largest are divided like those at an edge."""
+"""Largest relative spread of a cell's values; cells with more are subdivided like those at an edge."""
 
 HIDDEN = -1e9
-"""Value where a shadow hides light; all other numbers of darkness differ from it."""
+"""Value where a shade hides light; it differs from all other negative values."""
 
 _CORNERS = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
-"""Of a cell, in their order round it."""
+"""Corners of a cell, in order round it."""
 
 
 class Integral(NamedTuple):
-    """An integral, and how far it may be off."""
+    """Value of an integral, with its estimated error."""
 
     value: float
     error: float
 
 
 class Shade(Protocol):
-    """Region in which a function is zero, with a sharp outline that is known.
+    """Region with a known sharp outline where a function is zero.
 
     Attributes
     ----------
     edges : (k, 2, 2) float64
-        Segments that hold the outline.
+        Segments that cover the outline.
     """
 
     @property
     def edges(self) -> Array:
-        """Segments (k, 2, 2) that hold the outline."""
+        """(k, 2, 2) float64: segments that cover the outline."""
 
     def hides(self, at_mm: Array) -> NDArray[np.bool_]:
         """Tell which points (n, 2) are in the region."""
 
 
 def integral(function: Function, radius: float, shade: Shade | None = None) -> Integral:
-    """Integrate a function that is positive within a region and not beyond, nor outside a disk about the origin.
+    """Integrate over a disk about the origin a function that is positive in part of it.
 
-    Where it is not positive, its value may be any negative number that tells apart why: the function is not integrated
-    there. A region narrower than the first cells is found where such numbers differ on its two sides; it may be missed
-    where they do not, or where it is narrower than a 32nd of a cell. What is found and yet passes between all points
-    of the smallest cells counts as error.
+    Elsewhere its value is a negative number that names the kind of darkness, such as the edge where rays end. A lit
+    region narrower than the first cells is found if these numbers differ on its two sides and it is wider than 1/32 of
+    a cell; otherwise it may be missed. Light found between the points of the smallest cells counts as error.
 
-    The error that is stated is the sum of two: inside the region a third of the difference between the trapezoidal rule
-    and the midpoint rule, whose mean weighted 1 : 2 is the result; along the edge what the last halving of the cells
-    there changes, in all, and the root of the sum of squares of what it changes in each, and what bisection leaves
-    open.
+    Cells inside the region combine the trapezoidal and midpoint rules, weighted 1 : 2; a third of their difference
+    counts as error. At the edge the error is the total change in the last subdivision, plus the root of the sum of
+    squares of the changes per cell, plus the remainder of bisection.
 
     Parameters
     ----------
     function : callable
-        Maps points (n, 2) to values (n,).
+        Maps points (n, 2) to values (n,), as above.
     radius : float
-        Of the disk.
+        Radius of the disk.
     shade : Shade, optional
-        Where the function is zero all the same. Cells that its outline crosses are divided; where two outlines cross
-        one of the smallest cells and all of its corners are alike, what it may hold counts as error.
+        Region where the function counts as zero. Cells at its outline are subdivided. If all corners of a smallest one
+        are alike, the light at its middle counts as error.
     """
     whole = function
     if shade is not None:
@@ -116,7 +113,7 @@ def integral(function: Function, radius: float, shade: Shade | None = None) -> I
         rough = outlined | (between > 0.0) | ((lit > 0) & ((lit < 4) | (most - least > SMOOTH * most)))
         smooth = np.flatnonzero((lit == 4) & ~rough)
         middles = function((cells[smooth] + 0.5) * side + origin)
-        # A hole within the cell is an edge, too.
+        # A hole inside the cell is an edge, too.
         rough[smooth[middles <= 0.0]] = True
         smooth, middles = smooth[middles > 0.0], middles[middles > 0.0]
         mean = corners[smooth].mean(axis=1)
@@ -134,7 +131,7 @@ def integral(function: Function, radius: float, shade: Shade | None = None) -> I
             inside = np.maximum(whole((alike + 0.5) * side + origin), 0.0) if len(alike) else np.zeros(0)
             unseen = side * side * float(between.sum() + inside.sum())
             return Integral(value + float(parts[rough].sum()), within + edge + blur + unseen)
-        # Where three ways to be dark come together may be light that no side of the cell meets.
+        # Where three kinds of darkness meet, there may be light that no side of the cell crosses.
         knots = followed & (kinds > 2)
         divided = rough | knots | _beside_lit(cells, lit)
         there.append(np.sort(_names(cells)))
@@ -146,7 +143,7 @@ def integral(function: Function, radius: float, shade: Shade | None = None) -> I
 
 
 def _shaded(function: Function, shade: Shade) -> Function:
-    """Return a function that is dark where a shade hides its light."""
+    """Return the function with the light that a shade hides set to `HIDDEN`."""
 
     def shaded(at: Array) -> Array:
         values = function(at)
@@ -158,8 +155,8 @@ def _shaded(function: Function, shade: Shade) -> Function:
 
 
 def _crossed(cells: Cells, segments: Array, side: float, origin: Array) -> NDArray[np.bool_]:
-    """Tell which cells are crossed by a segment (k, 2, 2)."""
-    # Pieces no longer than a cell lie in the four cells of their two ends, by row and column.
+    """Tell which cells a segment (k, 2, 2) crosses."""
+    # A piece no longer than a cell lies in the four cells given by the rows and columns of its ends.
     ends = (segments - origin) / side
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     pieces = np.ceil(length).astype(np.int64).clip(min=1)
@@ -172,7 +169,7 @@ def _crossed(cells: Cells, segments: Array, side: float, origin: Array) -> NDArr
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         cell = np.column_stack([places[:, row, 0], places[:, column, 1]])
         off = middle - cell - 0.5
-        # Separating axes: the two sides of the cell, and the one square to the piece.
+        # Separating axes: the two sides of the cell, and the normal of the piece.
         meets = (np.abs(off) <= 0.5 + np.abs(half)).all(axis=1)
         meets &= np.abs(off[:, 0] * half[:, 1] - off[:, 1] * half[:, 0]) <= 0.5 * np.abs(half).sum(axis=1)
         inside = meets & (cell >= 0).all(axis=1) & (cell < 1 << 30).all(axis=1)
@@ -181,16 +178,16 @@ def _crossed(cells: Cells, segments: Array, side: float, origin: Array) -> NDArr
 
 
 class _Seen(NamedTuple):
-    """Cells of one size, and what is seen of each."""
+    """Cells of one size, with their values."""
 
-    cells: Cells  # (n, 2) numbers of their place; but for the largest, the four quarters of each cell in a row
-    corners: Array  # (n, 4) values at their corners, in order round the cell; 0 where it is dark
-    kinds: NDArray[np.int64]  # (n,) in how many ways the corners of a dark cell are dark; 0: it is not dark
+    cells: Cells  # (n, 2) row and column; except at the largest size, the four quarters of a cell are consecutive
+    corners: Array  # (n, 4) values at their corners, in order round the cell; 0 where dark
+    kinds: NDArray[np.int64]  # (n,) number of kinds of darkness at the corners of a dark cell; 0: not dark
     between: Array  # (n,) largest value found on the sides of a dark cell; 0: none
 
 
 def _look(function: Function, cells: Cells, searched: NDArray[np.bool_], side: float, origin: Array) -> _Seen:
-    """Evaluate a function at the corners of cells, and search the sides of some that are dark in several ways."""
+    """Evaluate a function at the corners of cells, and search the sides of the marked cells with mixed darkness."""
     corners = _at_corners(function, cells, side, origin)
     kinds = np.where((corners <= 0.0).all(axis=1), _kinds(corners), 0)
     between = _between_dark(function, cells, corners, searched & (kinds > 1), side, origin)
@@ -202,42 +199,42 @@ def _joined(one: _Seen, other: _Seen) -> _Seen:
 
 
 def _halved(cells: Cells) -> Cells:
-    """Return the four quarters of each cell, one cell after the other."""
+    """Return the four quarters of each cell, cell by cell."""
     return np.asarray((2 * cells[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2))
 
 
 def _names(cells: Cells) -> NDArray[np.int64]:
-    """Return a number for each cell, by its place."""
+    """Return a unique number for each cell, from its row and column."""
     return np.asarray(((cells[:, 0] + 1) << 32) + cells[:, 1] + 1)
 
 
 def _among(names: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which names are among those of an array in ascending order."""
+    """Tell which names occur in an ascending array."""
     if len(known) == 0:
         return np.zeros(len(names), bool)
     return np.asarray(known[np.searchsorted(known, names).clip(max=len(known) - 1)] == names)
 
 
 def _woken(seen: _Seen, there: list[NDArray[np.int64]], asleep: list[NDArray[np.int64]]) -> Cells:
-    """Return the cells, of twice the size, that were left as dark and into which the lit region reaches after all.
+    """Return the cells of twice the size that were left as dark but that the lit region reaches after all.
 
     Parameters
     ----------
     seen : _Seen
     there, asleep : list of (m,) int64
-        For each size, from the largest to twice that of `seen`: the cells that there were, and those left as dark, by
-        their names in ascending order.
+        Names, ascending, of all cells and of those left as dark, for each size from the largest to twice that of
+        `seen`.
     """
     if not there:
         return np.zeros((0, 2), np.int64)
     lit = seen.cells[(seen.kinds == 0) | (seen.between > 0.0)]
-    # Of its eight neighbours, those at its corners lie in all cells of twice the size that it touches.
+    # Of a cell's eight neighbours, the diagonal ones lie in all cells of twice the size that it touches.
     touched = (lit[:, None] + [[-1, -1], [-1, 1], [1, -1], [1, 1]]).reshape(-1, 2) >> 1
     names = np.setdiff1d(np.unique(_names(touched)), _names(seen.cells[::4] >> 1), assume_unique=True)
     parents = np.stack([(names >> 32) - 1, (names & 0xFFFFFFFF) - 1], axis=-1)
     wakes, open_ = np.zeros(len(parents), bool), np.ones(len(parents), bool)
     for up, (all_of_them, dark) in enumerate(zip(reversed(there), reversed(asleep), strict=True)):
-        # The smallest of the cells that held it tells what has become of it.
+        # The smallest cell that contained it has its latest state.
         names = _names(parents >> up)
         held = open_ & _among(names, all_of_them)
         wakes |= held & _among(names, dark)
@@ -246,7 +243,7 @@ def _woken(seen: _Seen, there: list[NDArray[np.int64]], asleep: list[NDArray[np.
 
 
 def _kinds(corners: Array) -> NDArray[np.int64]:
-    """Return how many different values the corners of each cell have, (n,)."""
+    """Return the number of different corner values of each cell, (n,)."""
     ranked = np.sort(corners, axis=1)
     return np.asarray(1 + (ranked[:, 1:] != ranked[:, :-1]).sum(axis=1))
 
@@ -254,7 +251,7 @@ def _kinds(corners: Array) -> NDArray[np.int64]:
 def _between_dark(
     function: Function, cells: Cells, corners: Array, searched: NDArray[np.bool_], side: float, origin: Array
 ) -> Array:
-    """Search the sides of dark cells, whose corners are dark in several ways, for light between these.
+    """Search for light on the sides of dark cells with several kinds of darkness.
 
     Parameters
     ----------
@@ -262,7 +259,7 @@ def _between_dark(
     corners : (n, 4) float64
         Values at their corners, in order round the cell.
     searched : (n,) bool
-        Which cells are searched.
+        Cells to search.
 
     Returns
     -------
@@ -273,7 +270,7 @@ def _between_dark(
     if len(mixed) == 0:
         return value
     ends = cells[mixed][:, None] + _CORNERS
-    # Sides that cells share are searched once: each is known by its lower end and its sense.
+    # Shared sides are searched once: each is named by its lower end and its direction.
     low, high = np.minimum(ends, np.roll(ends, -1, axis=1)), np.maximum(ends, np.roll(ends, -1, axis=1))
     width = int(high.max()) + 1
     name = 2 * (low[..., 0] * width + low[..., 1]) + (high[..., 0] > low[..., 0])
@@ -294,7 +291,7 @@ def _between_dark(
 
 
 def _beside_lit(cells: Cells, lit: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which cells without a lit corner have a neighbour with one: the lit region may reach into them."""
+    """Tell which cells without a lit corner adjoin a cell with one: the lit region may reach into them."""
     size = int(cells.max(initial=0)) + 3
     seen = np.zeros((size, size), bool)
     seen[tuple((cells[lit > 0] + 1).T)] = True
@@ -305,7 +302,7 @@ def _beside_lit(cells: Cells, lit: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _at_corners(function: Function, cells: Cells, side: float, origin: Array) -> Array:
-    """Return the values at the four corners of each cell, (n, 4); corners that cells share are evaluated once."""
+    """Return the values at the four corners of each cell, (n, 4); shared corners are evaluated once."""
     corners = cells[:, None] + _CORNERS
     width = int(corners.max(initial=0)) + 1
     nodes, place = np.unique(corners[..., 0] * width + corners[..., 1], return_inverse=True)
@@ -314,7 +311,7 @@ def _at_corners(function: Function, cells: Cells, side: float, origin: Array) ->
 
 
 def _along_edge(function: Function, cells: Cells, corners: Array, side: float, origin: Array) -> Array:
-    """Return the lit area of cells that an edge crosses, in cells, times the mean of their lit corners, (n,).
+    """Return the lit area of cells at an edge, in cells, times the mean of their lit corners, (n,).
 
     Parameters
     ----------
@@ -325,7 +322,7 @@ def _along_edge(function: Function, cells: Cells, corners: Array, side: float, o
     lit = corners > 0.0
     follows = np.roll(lit, -1, axis=1)
     crossed = lit != follows
-    # The slots of a polygon: each corner, and after it the place where the edge crosses the side to the next.
+    # Slots of a polygon: each corner, followed by the edge's crossing with the side to the next corner.
     slots = np.zeros((len(cells), 8, 2))
     slots[:, 0::2] = _CORNERS
     valid = np.zeros((len(cells), 8), bool)
@@ -339,7 +336,7 @@ def _along_edge(function: Function, cells: Cells, corners: Array, side: float, o
         inner, outer = np.where(inside, between, inner), np.where(inside, outer, between)
     slots[cell, 2 * number + 1] = 0.5 * (inner + outer)
     bulge = _square_corners(function, cells, lit, slots, side, origin)
-    # A slot that is not there repeats the one before it, which adds no area.
+    # A missing slot repeats the one before it, which adds no area.
     for slot in range(15):
         gone = ~valid[:, (slot + 1) % 8] & valid[:, slot % 8]
         slots[gone, (slot + 1) % 8] = slots[gone, slot % 8]
@@ -353,10 +350,10 @@ def _along_edge(function: Function, cells: Cells, corners: Array, side: float, o
 def _square_corners(
     function: Function, cells: Cells, lit: NDArray[np.bool_], slots: Array, side: float, origin: Array
 ) -> Array:
-    """Return the area, in cells, that a corner of the region adds to a line across the corner of each cell, (n,).
+    """Return the area, in cells, that a square corner of the region adds to a straight edge across each cell, (n,).
 
-    Where one corner of a cell differs from the three others, the edge may run straight on from both crossings, as at
-    the corner of a sensor, and not from one to the other.
+    If one corner differs from the three others, the edge may run straight on from both crossings, as at the corner of a
+    sensor.
     """
     bulge = np.zeros(len(cells))
     odd_is_lit = lit.sum(axis=1) == 1

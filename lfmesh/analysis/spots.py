@@ -1,4 +1,4 @@
-"""Spots: where the rays of a field meet the image plane, their size, and the geometric MTF that follows."""
+"""Spots: intersections of a field's rays with the image plane, their size, and the geometric MTF."""
 
 import math
 from dataclasses import dataclass
@@ -12,28 +12,26 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spot:
-    """The points at which the rays of one field meet the image plane, of all wavelengths together.
+    """Intersections of one field's rays with the image plane, for all wavelengths together.
 
-    Every ray stands for the same area of the stop and for the weight that Fresnel's transmittance gives it. The
-    reference is the chief ray of the primary wavelength. If there is none, the mean place of the rays is the reference,
-    and figures from the chief ray are NaN.
+    Each ray represents an equal area of the stop, weighted by its Fresnel transmittance. The reference is the primary
+    chief ray; without one it is the mean position, and figures from the chief ray are NaN.
 
     Attributes
     ----------
     slope_y : float
-        Of the field: its height over its distance, or the tangent of its angle.
+        Slope of the field: height over distance, or tangent of the angle.
     chief_mm : (2,) float64
-        Where the chief ray meets the plane, whatever apertures it passes; NaN where a surface ends before the ray, or
-        reflects it totally.
+        Intersection of the chief ray, regardless of apertures; NaN if it misses a surface or is totally reflected.
     reference_mm : (2,) float64
-        Place of the reference.
+        Position of the reference point.
     place_mm : (n, 2) float64
-        Relative to the reference.
+        Positions relative to the reference.
     weight : (n,) float64
     wavelength_nm : (n,) float64
-        Of each ray.
+        Wavelength of each ray.
     passed : float
-        Share of the stop's points whose rays the lens lets through.
+        Unvignetted fraction of the stop.
     """
 
     slope_y: float
@@ -46,7 +44,7 @@ class Spot:
 
     @cached_property
     def centroid_mm(self) -> Array:
-        """(2,): mean place, relative to the reference."""
+        """(2,): mean position, relative to the reference."""
         return np.asarray(np.average(self.place_mm, axis=0, weights=self.weight))
 
     @cached_property
@@ -75,7 +73,7 @@ class Spot:
         return bool(np.isfinite(self.chief_mm).all())
 
     def rms_about(self, point_mm: ArrayLike) -> float:
-        """Return the root mean square distance from a point, relative to the reference, mm."""
+        """Return the root mean square distance from a point given relative to the reference, mm."""
         off = self.place_mm - np.asarray(point_mm)
         return float(np.sqrt(np.average((off * off).sum(axis=1), weights=self.weight)))
 
@@ -85,9 +83,9 @@ class Spot:
         Parameters
         ----------
         per_mm : (m,) float
-            Spatial frequencies, line pairs a mm.
+            Line pairs per mm.
         tangential : bool
-            Of lines along x, blurred along y, the meridional direction; else sagittal.
+            Lines along x, blurred along y (the meridional direction); otherwise sagittal.
         """
         along = self.place_mm[:, 1 if tangential else 0]
         phase = np.exp(-2j * np.pi * np.multiply.outer(np.asarray(per_mm, dtype=np.float64), along))
@@ -95,12 +93,12 @@ class Spot:
 
 
 def half_contrast(frequencies: Array, mtf: Array) -> float:
-    """Return the frequency at which an MTF first falls to one half; NaN where it does not.
+    """Return the frequency at which an MTF first falls to one half; NaN if it does not.
 
     Parameters
     ----------
     frequencies : (f,) float64
-        Rising.
+        Ascending.
     mtf : (f,) float64
         At these frequencies.
     """

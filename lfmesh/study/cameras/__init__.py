@@ -1,1 +1,1 @@
-"""Kinds of camera side by side."""
+"""Comparison of camera types."""

@@ -2,8 +2,8 @@
 
     lfmesh compare scene.toml -o comparison/
 
-They share lens, sensor and samples. Each takes the scene itself, a slanted edge at several distances, a grid of points
-and a white plane; what it resolves, how deep it sees and how much light it gets are read off these pictures.
+The cameras share lens, sensor and samples. Each images the scene, a slanted edge at several distances, a grid of points
+and a white plane. Resolution, depth of field and light are measured on these pictures.
 """
 
 import json
@@ -35,24 +35,24 @@ Array = NDArray[np.float64]
 CONVENTIONAL, STANDARD, FOCUSED = "conventional", "plenoptic 1.0", "plenoptic 2.0"
 
 STEPS = 13
-"""Distances of the edge, from one end of the standard camera's refocus range to the other; closer near the focus, where
-the conventional camera's sharpness falls off within a few millimetres."""
+"""Number of edge distances across the standard camera's refocus range; denser near the focus, where the conventional
+camera's sharpness falls off within a few millimetres."""
 
 REACH = 0.9
-"""Share of that range, to either side, in which the edge stands."""
+"""Fraction of that range, to either side, covered by the edge distances."""
 
 EDGE_DEG = 5.0
 
 POINTS = (-0.3, 0.0, 0.3)
-"""Places of the points along both axes, as shares of the field of view."""
+"""Positions of the points along both axes, as fractions of the field of view."""
 
 POINT_SAMPLES = 2
 LIT = 0.1
-"""Pixels brighter than this share of the brightest count as lit."""
+"""Fraction of the brightest pixel above which a pixel counts as lit."""
 
 
 class _Camera:
-    """One of the three, and how its raw images become pictures."""
+    """One of the three cameras, and the way from its raw images to pictures."""
 
     def __init__(self, name: str, scene: Scene, array_height_mm: float) -> None:
         self.name, self.scene = name, scene
@@ -62,7 +62,7 @@ class _Camera:
         self.heights = array_height_mm / scene.camera.sensor.size_mm[1] if scene.camera.mla is None else 1.0
 
     def rendered(self, what: str, scene: Scene) -> Image:
-        """Render a scene, and keep the warnings of its image by what it shows."""
+        """Render a scene, and keep the image's warnings by subject."""
         with collected():
             image = render(scene)
         self.warned[f"{self.name}, {what}"] = image.warnings
@@ -74,7 +74,7 @@ class _Camera:
         return self.rendered(what, scene.changed({f"transport.{name}": value for name, value in transport.items()}))
 
     def picture(self, image: Image, distance_mm: float) -> tuple[Array, float]:
-        """Return the upright picture, (t, s), focused on a plane, and the size of its samples there in mm."""
+        """Return the upright picture, (t, s), focused on a plane, and its sample size there in mm."""
         white = self.white if image.wavelengths_nm == self.white.wavelengths_nm else None
         if self.name == CONVENTIONAL:
             light = image.mean if white is None else image.mean / np.maximum(white.mean, np.finfo(float).tiny)
@@ -89,18 +89,18 @@ class _Camera:
 
 
 def measuring(scene: Scene) -> Scene:
-    """Return a camera's scene with the transport that measurements need: one wavelength, no reflections."""
+    """Return a camera's scene with the transport used for measurements: one wavelength, no reflections."""
     values = {"transport.split": "transmit", "transport.method": "adjoint"}
     return scene.camera_alone(values).at_line(scene.primary_nm)
 
 
 def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
-    """Return the scene with a conventional camera, its own, and a focused plenoptic one.
+    """Return the scene with a conventional, its own and a focused plenoptic camera.
 
     Raises
     ------
     LfmeshError
-        The scene's camera is a conventional one, or cannot be made a focused one.
+        The scene's camera is conventional, or cannot be turned into a focused plenoptic camera.
     """
     scene = solved_camera(scene).scene
     if scene.camera.mla is None:
@@ -122,23 +122,23 @@ def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
 def compare(
     scene: Scene, *, reduction: float = 3.0, steps: int = STEPS, progress: Callable[[str], None] | None = None
 ) -> Comparison:
-    """Render a scene with three cameras, and measure what each can do.
+    """Render a scene with three cameras, and measure their performance.
 
     Parameters
     ----------
     scene : Scene
-        Of a standard plenoptic camera, in focus at a finite distance.
+        Scene of a standard plenoptic camera, focused at a finite distance.
     reduction : float
-        a/b of the focused one.
+        Reduction a/b of the focused plenoptic camera.
     steps : int
-        Distances at which the edge stands; odd, so that the plane in focus is one of them.
+        Number of edge distances; odd, so that one of them is the plane in focus.
     progress : callable, optional
-        Called with what is being done, in words.
+        Called with a description of the current step.
 
     Warns
     -----
     PictureWarning
-        Some of the pictures are or may be wrong: one warning a class, see `Comparison.warnings`.
+        Some pictures are or may be wrong: one warning per class, see `Comparison.warnings`.
 
     Raises
     ------
@@ -175,22 +175,22 @@ def compare(
 
 
 def _in_front(model: RayModel, share: float) -> float:
-    """Return the distance whose points shift by a share of a lenslet; no farther than can be told from infinity."""
+    """Return the distance whose points shift by a fraction of a lenslet; at most 1 km, which stands for infinity."""
     distance = model.distance_mm(share * model.lenslet_pitch_mm)
     return distance if 0.0 < distance < 1e6 else 1e6
 
 
 def edge_plane(report: FirstOrder, distance_mm: float, focus_mm: float | None = None) -> dict[str, Any]:
-    """Return the target of a bright half-plane whose edge, a little slanted, runs through the axis.
+    """Return the target of a bright half-plane with a slightly slanted edge through the axis.
 
     Parameters
     ----------
     report : FirstOrder
-        Of the camera, whose field the plane fills.
+        First-order report of the camera; the plane fills its field.
     distance_mm : float
-        Of the plane.
+        Distance of the plane.
     focus_mm : float, optional
-        Distance at which the camera's field of view is known; that of its plane in focus if omitted.
+        Distance of the report's field of view. Default: the camera's plane in focus.
     """
     focus = report.object_distance_mm if focus_mm is None else focus_mm
     width = 4.0 * max(report.field_of_view_mm) * max(1.0, distance_mm / focus)
@@ -204,7 +204,7 @@ def edge_plane(report: FirstOrder, distance_mm: float, focus_mm: float | None = 
 
 
 def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
-    """Measure a bright half-plane whose edge runs through the axis."""
+    """Measure a bright half-plane with its edge through the axis."""
     plane = edge_plane(solved_camera(camera.scene).report, distance_mm, focus_mm)
     image = camera.taken(f"edge at {distance_mm:.4g} mm", [plane])
     as_taken = _sharpness(camera, image, focus_mm)
@@ -213,14 +213,14 @@ def _edge(camera: _Camera, distance_mm: float, focus_mm: float) -> Focus:
 
 
 def _sharpness(camera: _Camera, image: Image, distance_mm: float) -> float:
-    """Return the MTF50 of an edge in line pairs per picture height; NaN where there is no picture."""
+    """Return the MTF50 of an edge in line pairs per picture height; NaN without a picture."""
     try:
         picture, _ = camera.picture(image, distance_mm)
     except LfmeshError:
-        # Patches wider than micro-images: the camera cannot focus there.
+        # The patches are wider than micro-images: the camera cannot focus there.
         return math.nan
     height, width = picture.shape
-    # Long enough that the edge crosses lenslets at every phase: between two of them it is sharper than on one.
+    # Long enough for the edge to cross lenslets at every phase: it is sharper between two lenslets than on one.
     middle = picture[height // 10 : height - height // 10, width // 4 : width - width // 4]
     return edge_mtf50(middle) * height * camera.heights
 
@@ -230,7 +230,7 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
     height, width = picture.shape
     reach = 0.1 * height
     widths = [
-        # Rows of an upright picture run down, against y.
+        # Rows of an upright picture run downwards, opposite to y.
         sample * point_width(picture, (0.5 * (height - 1) - y / sample, 0.5 * (width - 1) + x / sample), reach)
         for x, y in places
     ]
@@ -258,7 +258,7 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
 
 
 def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tuple[float, float]], Array, float]:
-    """Return the places of a grid of points in the plane in focus, its picture, and the size of a sample there, mm."""
+    """Return the positions of a grid of points in the plane in focus, its picture, and the sample size there, mm."""
     facts = solved_camera(standard).report
     width, height = facts.field_of_view_mm
     places = [(x * width, y * height) for y in POINTS for x in POINTS]
@@ -271,7 +271,7 @@ def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tup
         }
         for x, y in places
     ]
-    # From the points to the sensor: the other way round, hardly any ray would meet one.
+    # Trace from the points to the sensor: in the other direction hardly any ray would hit one.
     replicates = camera.scene.transport.replicates
     image = camera.taken("points", targets, method="forward", samples=POINT_SAMPLES * replicates)
     return places, *camera.picture(image, focus_mm)
@@ -287,20 +287,20 @@ def _views_across(camera: _Camera, focus_mm: float) -> float:
 def sharp_range(
     curve: list[tuple[float, float]], focus_mm: float
 ) -> tuple[tuple[float, float], tuple[float, ...]]:  # fmt: skip
-    """Return between which distances a curve stays above half of its value in the plane in focus.
+    """Return the distances between which a curve stays above half of its value at the plane in focus.
 
     Parameters
     ----------
     curve : list of (float, float)
-        Distances, mm, and sharpness there; NaN where it is not known.
+        Distances, mm, and sharpness; NaN: unknown.
     focus_mm : float
 
     Returns
     -------
     ends : (float, float)
-        The nearest and the farthest distance, mm; NaN where the sharpness in the plane in focus is not known.
+        Nearest and farthest distance, mm; NaN if the sharpness at the plane in focus is unknown.
     unknown_beyond : tuple of float
-        Those of the ends beyond which the next sharpness is not known, or was not measured: the range may go on there.
+        Ends beyond which the next sharpness is unknown or was not measured: the range may extend farther.
     """
     curve = sorted(curve)
     vergence = np.array([1.0 / distance for distance, _ in curve])
@@ -323,7 +323,7 @@ def sharp_range(
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write the numbers as JSON and the figure as PNG into a folder, made if need be; return the files.
+    """Write the numbers as JSON and the figure as PNG into a folder, created if necessary; return the files.
 
     Raises
     ------
@@ -340,7 +340,7 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def _write(comparison: Comparison, numbers: Path, figure: Path) -> None:
-    # The figure comes with the parts that draw, which studies do not load.
+    # Drawing libraries are imported here, so that studies do not load them.
     from lfmesh.study.cameras.compare_figure import draw
 
     numbers.write_text(json.dumps(comparison.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")

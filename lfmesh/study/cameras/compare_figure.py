@@ -1,4 +1,4 @@
-"""The figure of a comparison of cameras: what each saw, and how sharp it is from distance to distance."""
+"""Figure of a camera comparison: the picture of each camera, and sharpness against distance."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def draw(comparison: Comparison, path: Path) -> None:
         axes = figure.add_subplot(grid[0, number])
         known = picture[np.isfinite(picture)]
         white = float(np.percentile(known, 99.5)) if known.size else 1.0
-        # Linear light, shown with the gamma of a display.
+        # Linear light, shown with a display gamma.
         axes.imshow(np.clip(np.nan_to_num(picture) / (white or 1.0), 0.0, 1.0) ** (1 / 2.2), cmap="gray")
         words = f"{camera.name}, {camera.picture_samples[0]} × {camera.picture_samples[1]}"
         axes.set_title(words, fontsize=10, loc="left", parse_math=False)
@@ -44,7 +44,7 @@ def draw(comparison: Comparison, path: Path) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
-    # Names of cameras are the user's, who may write $ and ^ in them.
+    # Users may write $ and ^ in camera names.
     for text in axes.legend(frameon=False, fontsize=9).get_texts():
         text.set_parse_math(False)
     finish(axes, "sharpness of a slanted edge; dotted: the plane in focus")

@@ -1,4 +1,4 @@
-"""Results of a comparison of cameras, as plain values and as the table that a user reads."""
+"""Results of a camera comparison, as plain values and as a table for the user."""
 
 import math
 from collections.abc import Callable
@@ -18,16 +18,16 @@ NOT_KNOWN = "not known"
 
 @dataclass(frozen=True)
 class Focus:
-    """Resolution of a camera on a slanted edge at one distance: MTF50 in line pairs per height of the array.
+    """Slanted-edge MTF50 of a camera at one distance, in line pairs per height of the array.
 
-    NaN where no edge is to be seen, or the picture cannot be made.
+    NaN if the edge is not visible or the picture cannot be made.
     """
 
     distance_mm: float
     as_taken: float
-    """Left at the plane in focus."""
+    """Focused at the plane in focus."""
     refocused: float
-    """Focused on the edge after the fact; a conventional camera cannot."""
+    """Refocused on the edge; a conventional camera cannot."""
 
 
 @dataclass(frozen=True)
@@ -38,23 +38,23 @@ class CameraResult:
     ----------
     name : str
     picture_samples : tuple of int
-        Width and height of the picture focused on the plane in focus.
+        Width and height of the picture at the plane in focus.
     mtf50_lp_per_height : float
-        There, of a slanted edge.
+        Of a slanted edge in the plane in focus.
     point_width_mm, worst_point_width_mm : float
-        There, on the object: rms width of points, mean and largest over the grid.
+        Rms width of point images in the plane in focus, on the object: mean and largest over the grid.
     views_across : float
-        Directions that the camera tells apart in each point, along one axis.
+        Number of resolved directions per point, along one axis.
     depth_of_field_mm, refocus_range_mm : tuple of float
-        In which an edge is at least half as sharp as in the plane in focus, as taken and when focused after the fact;
-        of the distances tried.
+        Range of the tried distances in which an edge is at least half as sharp as in the plane in focus, as taken and
+        refocused.
     light_w_per_pixel : float
-        Mean over all pixels, of a white plane of 1 W/(m² sr).
+        Mean over all pixels, for a white plane of 1 W/(m² sr).
     lit_share : float
-        Of the pixels.
+        Fraction of the pixels.
     edges : tuple of Focus
     unknown_beyond_mm : dict of tuple of float
-        Ends of these ranges, by their name, beyond which an edge was not tried or its sharpness is not known.
+        Ends of these ranges, by name, beyond which the edge was not tried or its sharpness is unknown.
     """
 
     name: str
@@ -73,7 +73,7 @@ class CameraResult:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Three cameras and the pictures that they took of the scene."""
+    """Three cameras and their pictures of the scene."""
 
     focus_mm: float
     samples: int
@@ -82,7 +82,7 @@ class Comparison:
     warnings: tuple[PictureWarning, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as plain values; what is not known or infinite is None."""
+        """Return the numbers as plain values; None: unknown or infinite."""
         return plain_json(
             {
                 "focus_mm": self.focus_mm,
@@ -93,7 +93,7 @@ class Comparison:
         )
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return the table that a user reads: a heading, then a row a quantity."""
+        """Return the table for the user: a heading, then one row per quantity."""
         rows: list[tuple[str, ...]] = [("", *(camera.name for camera in self.cameras))]
         quantities: list[tuple[str, Callable[[CameraResult], str]]] = [
             ("picture / samples", lambda c: f"{c.picture_samples[0]} × {c.picture_samples[1]}"),

@@ -1,1 +1,1 @@
-"""Datasets: many scenes drawn from one template."""
+"""Datasets of scenes drawn from one template."""

@@ -1,4 +1,4 @@
-"""Many scenes from one template, each with raw image, views, true depth and camera: `lf.Dataset`."""
+"""Datasets: scenes drawn from one template, each with raw image, views, true depth and camera: `lf.Dataset`."""
 
 import hashlib
 import json
@@ -38,7 +38,7 @@ from lfmesh.transport.world import build
 INDEX, FACTS = "index.jsonl", "dataset.json"
 
 FORMAT = 3
-"""Of the folder; a reader refuses any other."""
+"""Format of the folder; a reader refuses any other."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,15 @@ class Made:
     Attributes
     ----------
     done : int
-        Items that the index names.
+        Items in the index.
     count : int
-        Items that there are to be.
+        Items wanted.
     failed : dict of str
-        Why items of this run could not be made, by their number.
+        Reasons why items of this run could not be made, by item number.
     warnings : tuple of PictureWarning
-        One for each class of those of items and cameras: how many have it, and what the first says.
+        Warnings of items and cameras, one per class: how many have it, and the first one's text.
     noted : int
-        Items whose line in the index has notes.
+        Items with notes in the index.
     index : Path
     """
 
@@ -69,23 +69,23 @@ class Made:
 
 
 class Dataset:
-    """Many scenes from one template. An item follows from template, seed and its number alone, not from their count.
+    """Scenes drawn from one template. An item depends only on template, seed and its number, not on the count.
 
     Parameters
     ----------
     scene : Scene
-        The template.
+        Template.
     random : sequence of dict
-        What is drawn for every item, with the keys of `[[random]]` in a dataset file.
+        Quantities drawn for each item, with the keys of `[[random]]` in a dataset file.
     folder : Path, optional
-        From which the patterns of `files` start; the current one if omitted.
+        Base folder for patterns in `files`. Default: the current one.
     **settings
-        The other keys of a dataset file: count, seed, parts, views, changes, ...
+        Other keys of a dataset file: count, seed, parts, views, changes, ...
 
     Raises
     ------
     LfmeshError
-        With one line for each fault.
+        One line per fault.
 
     Examples
     --------
@@ -105,7 +105,7 @@ class Dataset:
         ----------
         path : str or Path
         count, seed : int, optional
-            In place of the file's.
+            Replace the file's.
 
         Returns
         -------
@@ -114,7 +114,7 @@ class Dataset:
         Raises
         ------
         LfmeshError
-            With one line for each fault.
+            One line per fault.
         """
         path = Path(path)
         file = read_dataset(path)
@@ -147,7 +147,7 @@ class Dataset:
         if file.parts and self.base.camera.mla is None:
             faults.append(f"parts = {list(file.parts)}: need a camera with a microlens array; give parts = []")
         if not faults:
-            # No item takes another file than those that there are now.
+            # Freeze the candidates: files that appear later are not used.
             drawn = zip(self.file.random, self.candidates, strict=True)
             self.base = pinned_with(self.base, ((draw.path, self._in_scene(draw, found)) for draw, found in drawn))
         faults = faults or list(self._item_faults())
@@ -155,7 +155,7 @@ class Dataset:
             raise refused(name, faults)
 
     def _in_scene(self, draw: Draw, values: Iterable[Any]) -> list[Any]:
-        """Return values that were drawn as they stand in the scene: files as named from there."""
+        """Return drawn values as written in the scene: file names relative to its folder."""
         if draw.files is None:
             return list(values)
         return [relative(self.folder / value, self.base.folder) for value in values]
@@ -169,7 +169,7 @@ class Dataset:
             yield f"relative: {draw.path} is {value_at(self.base, draw.path)!r} in the template, no number to add to"
 
     def _item_faults(self) -> Iterator[str]:
-        """Yield the items that are no valid scene; every camera is solved, and every file read, once."""
+        """Yield the items that are not valid scenes; each camera is solved, and each file read, only once."""
         cameras: set[str] = set()
         files: set[str] = set()
         for number in range(len(self)):
@@ -193,14 +193,14 @@ class Dataset:
         return f" ({', '.join(f'{path} = {value}' for path, value in self.drawn(number).items())})"
 
     def drawn(self, number: int) -> dict[str, Any]:
-        """Return what is drawn for an item, by its path; every path has random numbers of its own.
+        """Return the values drawn for an item; each path has random numbers of its own.
 
-        Files are named as from the dataset file.
+        File names are relative to the dataset file's folder.
 
         Parameters
         ----------
         number : int
-            Of the item, from 0.
+            Number of the item, from 0.
 
         Returns
         -------
@@ -219,12 +219,12 @@ class Dataset:
         return value + value_at(self.base, draw.path) if draw.relative else value
 
     def scene(self, number: int) -> Scene:
-        """Return the scene of an item, which has random numbers of its own.
+        """Return the scene of an item, with random numbers of its own.
 
         Parameters
         ----------
         number : int
-            Of the item, from 0.
+            Number of the item, from 0.
 
         Returns
         -------
@@ -233,7 +233,7 @@ class Dataset:
         Raises
         ------
         SceneError
-            It is not valid.
+            The scene is not valid.
         """
         values = {"transport.seed": seed_of(self.file.seed, number + 1), **self.drawn(number)}
         for draw in self.file.random:
@@ -241,12 +241,12 @@ class Dataset:
         return self.base.changed(values)
 
     def camera_scene(self, scene: Scene) -> Scene:
-        """Return the camera of an item's scene by itself, at the origin, with the template's random numbers.
+        """Return the camera of an item's scene alone, at the origin, with the template's random numbers.
 
         Parameters
         ----------
         scene : Scene
-            Of an item, from `scene`.
+            Scene of an item, from `scene`.
 
         Returns
         -------
@@ -256,7 +256,7 @@ class Dataset:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that items follow from: template, files, draws, seed, parts; not of their count."""
+        """SHA-256 of everything that determines the items: template, files, draws, seed, parts; not their count."""
         facts = {
             "scene": self.base.digest,
             "inputs": self.base.digests,
@@ -274,9 +274,9 @@ class Dataset:
         Parameters
         ----------
         number : int
-            From 0.
+            Number of the item, from 0.
         threads : int
-            That render it; 0: all processors.
+            Threads that render it; 0: all processors.
 
         Returns
         -------
@@ -299,32 +299,32 @@ class Dataset:
         shard: Shard | None = None,
         progress: Report | None = None,
     ) -> Made:
-        """Make the items that are not there yet, and write the index of those that are.
+        """Make the missing items, and write the index of all finished ones.
 
         Parameters
         ----------
         folder : str or Path
-            Of the dataset: new, or one in which this dataset was begun, with fewer items or more.
+            Folder of the dataset: new, or begun with this dataset and any count.
         workers : int, optional
-            Processes; 0: this one alone. As many as cores allow if omitted.
+            Number of processes; 0: only this one. Default: as many as the cores allow.
         shard : (int, int), optional
-            Only this share of the items, such as (1, 3); several may work in one folder.
+            Share of the items to make, such as (1, 3); several shares may run in one folder.
         progress : callable, optional
 
         Returns
         -------
         Made
-            The index of the items that are there, and what was warned of.
+            Index of the finished items, and their warnings.
 
         Warns
         -----
         PictureWarning
-            Pictures of some items or cameras are or may be wrong: one warning a class, see `Made.warnings`.
+            Pictures of some items or cameras are or may be wrong: one warning per class, see `Made.warnings`.
 
         Raises
         ------
         KeyboardInterrupt
-            After Ctrl-C; what was finished is kept.
+            After Ctrl-C; finished items are kept.
         LfmeshError
             The folder holds another dataset or cannot be written.
         """
@@ -332,7 +332,7 @@ class Dataset:
         return _Making(self, Path(folder), progress).complete(workers, shard)
 
     def summary(self) -> dict[str, Any]:
-        """Return the dataset as plain values, as its folder keeps it.
+        """Return the dataset as plain values, as stored in its folder.
 
         Returns
         -------
@@ -348,7 +348,7 @@ def _sha256(facts: Mapping[str, Any]) -> str:
 
 
 class _Making:
-    """A dataset under way in a folder."""
+    """A dataset being made in a folder."""
 
     def __init__(self, dataset: Dataset, folder: Path, progress: Report | None) -> None:
         self.dataset, self.folder, self.progress = dataset, folder, progress
@@ -380,7 +380,7 @@ class _Making:
             )
 
     def complete(self, workers: int | None, shard: Shard | None) -> Made:
-        """Make what is missing, and write the index."""
+        """Make the missing items, and write the index."""
         first, step = (0, 1) if shard is None else (shard[0] - 1, shard[1])
         numbers = range(first, len(self.dataset), step)
         items = [self.dataset.item(number) for number in numbers]
@@ -409,7 +409,7 @@ class _Making:
         return made
 
     def _with_cameras(self, missing: list[Item]) -> Iterator[Item]:
-        """Yield the items whose camera's folder is there; make it before the first of them."""
+        """Yield the items whose camera folder exists; make the folder before its first item."""
         ready: dict[str, str] = {"": ""}
         for item in missing:
             if item.camera not in ready:
@@ -420,7 +420,7 @@ class _Making:
                 yield item
 
     def _camera(self, item: Item) -> str:
-        """Make the folder of an item's camera if it is not there; return why that cannot be done, or ""."""
+        """Make the folder of an item's camera if it is missing; return the reason for failure, or ""."""
         camera = self.dataset.camera_scene(item.scene)
         folder = self.folder / CAMERAS / item.camera
         try:
@@ -434,7 +434,7 @@ class _Making:
         return self._known(self.folder / item.folder, item.digest)
 
     def _known(self, folder: Path, digest: str) -> dict[str, Any] | None:
-        """Return the facts of a finished folder; one that cannot be used is named, and made again."""
+        """Return the facts of a finished folder; log an unreadable one, which is then made again."""
         try:
             return facts_of(folder, digest)
         except FileError as error:
@@ -442,7 +442,7 @@ class _Making:
             return None
 
     def _indexed(self) -> Made:
-        """Write the index: a line for each item that is there, by this process and others, in their order."""
+        """Write the index: one line, in order, for each finished item, whichever process made it."""
         wanted = map(self.dataset.item, range(len(self.dataset)))
         known = [facts for item in wanted if (facts := self._facts(item)) is not None]
         lines = [json.dumps(facts, ensure_ascii=False, sort_keys=True) + "\n" for facts in known]

@@ -1,4 +1,4 @@
-"""The dataset file: a template scene, and what is drawn anew for every item."""
+"""Dataset file: a template scene, and the quantities drawn for each item."""
 
 import glob
 import math
@@ -40,7 +40,7 @@ class Draw(Model):
     """Add the drawn value to the field's value in the template."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the draw."""
+        """Yield the faults of the draw."""
         given = [way for way in WAYS if getattr(self, way) is not None]
         if len(given) != 1:
             what = f"{' and '.join(given)} are given" if given else "says nothing to draw from"
@@ -58,12 +58,12 @@ class Draw(Model):
             yield Fault(("relative",), True, "only numbers can be added to what the template has")
 
     def candidates(self, folder: Path) -> tuple[Any, ...]:
-        """Return what is chosen from: values, or the files that there are, sorted by name; () for a distribution.
+        """Return the candidates: values, or the existing files sorted by name; () for a distribution.
 
         Parameters
         ----------
         folder : Path
-            From which the pattern starts.
+            Base folder of the pattern.
         """
         if self.files is None:
             return self.values or ()
@@ -73,7 +73,7 @@ class Draw(Model):
         return tuple(name for name in sorted(names) if (folder / name).is_file())
 
     def quantile(self, share: float) -> float:
-        """Return the number below which a share of the distribution lies."""
+        """Return the quantile of the distribution."""
         if self.log_uniform is not None:
             low, high = map(math.log, self.log_uniform)
             return min(max(math.exp(low + share * (high - low)), self.log_uniform[0]), self.log_uniform[1])
@@ -104,7 +104,7 @@ class DatasetFile(Model):
     """Quantities drawn anew for every item."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between the fields."""
         for i, part in enumerate(self.parts):
             if part not in PARTS:
                 yield Fault(("parts", i), part, f"unknown part{nearest(part, PARTS)}; there are {', '.join(PARTS)}")
@@ -122,6 +122,6 @@ def read_dataset(path: Path) -> DatasetFile:
     Raises
     ------
     LfmeshError
-        It cannot be read, is no TOML, or no valid dataset: one line for each fault.
+        The file cannot be read, is not TOML, or is not a valid dataset: one line per fault.
     """
     return read_tables(path, DatasetFile, "dataset")

@@ -1,7 +1,7 @@
-"""An item of a dataset, and what all items of a camera have in common: folders that are there whole or not at all.
+"""Folders of a dataset's items and cameras, each complete or absent.
 
-items/000017/    a run folder: raw image, scene, light field, true depth; item.json, what was drawn
-cameras/KEY/     the run folder of the white image, calibration.json, camera.exr, cameras.json
+items/000017/    run folder: raw image, scene, light field, true depth; item.json: drawn values
+cameras/KEY/     run folder of the white image, calibration.json, camera.exr, cameras.json
 """
 
 import json
@@ -42,19 +42,19 @@ class Item:
     Attributes
     ----------
     point : int
-        Its number, from 0.
+        Number of the item, from 0.
     scene : Scene
     drawn : dict
-        What was drawn, by its path.
+        Drawn values, by path.
     camera : str
-        Key of its camera, the name of a folder; "" where the dataset has none.
+        Key of its camera, a folder name; "" if the dataset has no cameras.
     digest : str
-        Of all that it follows from.
+        Digest of everything that determines the item.
     parts : tuple of str
     views : int or None
-        Along each axis.
+        Views along each axis.
     threads : int
-        In which it is traced; does not change the item.
+        Threads that trace it; they do not change the item.
     """
 
     point: int
@@ -73,7 +73,7 @@ class Item:
         return f"{ITEMS}/{self.point:06d}"
 
     def compute(self, given: bytes | Path) -> bytes:
-        """Make the item in the folder of the dataset; return the facts that its `item.json` holds."""
+        """Make the item in the dataset's folder; return the facts in its `item.json`."""
         assert isinstance(given, Path)
         facts: dict[str, Any] = {}
 
@@ -91,7 +91,7 @@ class Item:
         return json.dumps(plain_json(facts)).encode()
 
     def _white(self, data: Path, image: Image) -> Image | None:
-        """Return the white image of the camera, which is the same wherever the camera stands."""
+        """Return the camera's white image, which does not depend on the camera's pose."""
         if "white" not in self.parts:
             return None
         white = run.open_run(data / CAMERAS / self.camera)
@@ -114,13 +114,13 @@ def make_camera(scene: Scene, folder: Path, digest: str, parts: tuple[str, ...],
     Parameters
     ----------
     scene : Scene
-        The camera at the origin.
+        Camera at the origin.
     folder : Path
     digest : str
-        Of all that it follows from.
+        Digest of everything that determines the folder.
     parts : tuple of str
     views : int or None
-        Along each axis.
+        Views along each axis.
 
     Raises
     ------
@@ -142,18 +142,18 @@ def make_camera(scene: Scene, folder: Path, digest: str, parts: tuple[str, ...],
 
 
 def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
-    """Return what a finished folder says of itself; None where there is none.
+    """Return the facts of a finished folder; None if there is none.
 
     Parameters
     ----------
     folder : Path
     digest : str
-        Of all that it has to follow from.
+        Expected digest.
 
     Raises
     ------
     FileError
-        The folder is damaged, or follows from something else.
+        The folder is damaged, or was made from other input.
     """
     path = folder / FACTS
     refuse_link(folder)
@@ -177,20 +177,20 @@ def facts_of(folder: Path, digest: str) -> dict[str, Any] | None:
 
 
 def warnings_in(facts: Mapping[str, Any]) -> tuple[PictureWarning, ...]:
-    """Return the warnings of a folder's pictures, from what it says of itself."""
+    """Return the warnings of a folder's pictures from its facts."""
     return tuple(map(PictureWarning.from_dict, facts.get("warnings", ())))
 
 
 def _traced(scene: Scene, threads: int) -> Image:
-    """Render in some threads; the image does not tell in how many."""
+    """Render with a number of threads that the image's scene does not record."""
     image = render(scene.changed({"transport.threads": threads}))
     return replace(image, scene=image.scene.changed({"transport.threads": scene.transport.threads}))
 
 
 def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -> None:
-    """Make a folder beside its place, and move it there when it is complete, with what was warned about."""
+    """Make a folder in a temporary place, and move it into place when complete, with its warnings."""
     try:
-        # As deep as its place, so that relative paths stay what they are.
+        # At the same depth as the final place, so that relative paths stay valid.
         with (
             staged(folder.parent.parent) as outer,
             warnings.catch_warnings(record=True) as noted,

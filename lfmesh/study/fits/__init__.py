@@ -1,1 +1,1 @@
-"""Fits of a camera to its white image and to pictures of boards."""
+"""Fits of a camera to its white image and to pictures of checkerboards."""

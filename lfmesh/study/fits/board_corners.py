@@ -1,4 +1,4 @@
-"""Corners of a checkerboard in the views of a light field: found and numbered in the middle one, followed outwards."""
+"""Checkerboard corners in the views of a light field: found and numbered in the middle view, tracked outwards."""
 
 from dataclasses import dataclass
 
@@ -13,28 +13,28 @@ from lfmesh.study.fits.corner_fit import FittedCorners, fit_corners
 Array = NDArray[np.float64]
 
 SMOOTHING = 1.0
-"""Standard deviation, in samples, of the view whose curvature tells where to look."""
+"""Standard deviation, in samples, of the smoothing before the curvature is computed."""
 
 CURVED = 0.25
-"""Of the strongest saddle: weaker ones are not looked at."""
+"""Fraction of the strongest saddle below which candidates are ignored."""
 
 FIRST_REACH = 3.0
-"""In samples: the window in which the corners are first fitted, before their distance is known."""
+"""Half-window of the first fit of a corner, before the corner spacing is known, in samples."""
 
 FIRST_RESIDUAL, RESIDUAL = 0.25, 0.2
-"""Over the contrast: what leaves more is no corner of four squares."""
+"""Residual over contrast above which a candidate is not a corner of four squares."""
 
 CONTRAST = 0.4
-"""Of the median one: squares of less are no part of the board."""
+"""Fraction of the median contrast below which squares do not belong to the board."""
 
 BESIDE = 0.3
-"""Of a square: how far from where its neighbours put it a corner may lie."""
+"""Largest distance of a corner from the place predicted by its neighbours, in squares."""
 
 LEAST_SQUARE = 3.0
-"""Samples along the side of a square, below which its corners are not told apart."""
+"""Smallest side of a square, in samples, at which its corners can be resolved."""
 
 LEAST_CORNERS = 6
-"""Of a board: fewer hardly determine its six coordinates."""
+"""Smallest number of corners: fewer hardly determine the board's six coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,13 @@ class BoardCorners:
     Attributes
     ----------
     corner : (n,) int64
-        Number of the corner; those of one corner share its errors.
+        Number of the corner; all places of a corner share its errors.
     board_mm : (n, 2) float64
-        Place on the board, x to the right and y up where the board stands upright.
+        Position on the board, x to the right and y up when the board stands upright.
     view : (n, 2) float64
-        Column u and row v of the view, from the middle one, as rows and columns of `LightField` run.
+        Column u and row v of the view relative to the middle one, ordered as in `LightField`.
     sample : (n, 2) float64
-        Column s and row t of the sample in the view, the middle of the first at (0, 0).
+        Column s and row t of the sample in the view; the centre of the first sample is (0, 0).
     """
 
     corner: NDArray[np.int64]
@@ -65,23 +65,23 @@ class BoardCorners:
 def find_corners(
     views: Array, usable: NDArray[np.bool_], square_mm: float, columns: int | None = None, rows: int | None = None
 ) -> BoardCorners:
-    """Find the corners of a checkerboard, those between four squares, in every view.
+    """Find the inner corners of a checkerboard, between four squares, in every view.
 
     Parameters
     ----------
     views : (v, u, t, s) float64
-        Divided by the white image; NaN: unknown.
+        Views divided by the white image; NaN: unknown.
     usable : (v, u, t, s) bool
-        The samples that the lens does not cut.
+        Samples that the lens does not vignette.
     square_mm : float
         Side of a square.
     columns, rows : int, optional
-        BoardCorners along x and y of the board; as many as are seen, if omitted.
+        Corners along x and y of the board. Default: as many as are visible.
 
     Raises
     ------
     LfmeshError
-        No board, too few of its corners, or another number than stated.
+        No board, too few corners, or another number than stated.
     """
     views = np.where(usable, views, np.nan)
     middle = views.shape[0] // 2, views.shape[1] // 2
@@ -101,7 +101,7 @@ def find_corners(
 
 
 def _labelled(view: Array) -> tuple[Array, NDArray[np.int64], Array]:
-    """Return places (n, 2), columns and rows of the board (n, 2), and steps to the next ones (n, 2, 2), in samples."""
+    """Return places (n, 2), board columns and rows (n, 2), and steps to the next corners (n, 2, 2), in samples."""
     places, axes = _candidates(view)
     if len(places) < LEAST_CORNERS:
         raise LfmeshError(_too_few(len(places)))
@@ -142,7 +142,7 @@ def _fit_all(view: Array, places: Array, axes: Array, reach: float) -> FittedCor
 
 
 def _candidates(view: Array) -> tuple[Array, Array]:
-    """Return samples where the view is most saddle-shaped, (n, 2), and unit vectors of its edges there, (n, 2, 2)."""
+    """Return the samples at the strongest saddles, (n, 2), and unit vectors along the edges there, (n, 2, 2)."""
     known = np.isfinite(view)
     if not known.any():
         raise LfmeshError("board: the middle view has no sample that the lens fully lights; check the white image")
@@ -150,7 +150,7 @@ def _candidates(view: Array) -> tuple[Array, Array]:
     ss, tt, st = (gaussian_filter(filled, SMOOTHING, order=order, mode="nearest") for order in ((0, 2), (2, 0), (1, 1)))
     saddle = st**2 - ss * tt
     t, s = np.nonzero((saddle == maximum_filter(saddle, 3)) & (saddle > CURVED * saddle.max()) & known)
-    # Along edges the second derivative vanishes: at ± the same angle from the axis of the largest curvature.
+    # Along edges the second derivative vanishes: at equal angles on both sides of the axis of largest curvature.
     hessian = np.stack([ss[t, s], st[t, s], st[t, s], tt[t, s]], axis=1).reshape(-1, 2, 2)
     size, direction = np.linalg.eigh(hessian)
     spread = np.arctan2(np.sqrt(np.abs(size[:, 0])), np.sqrt(np.abs(size[:, 1])))
@@ -161,7 +161,7 @@ def _candidates(view: Array) -> tuple[Array, Array]:
 
 
 def _once(places: Array) -> Array:
-    """Drop places that repeat one within a sample."""
+    """Drop places within one sample of an earlier one."""
     kept: list[Array] = []
     for place in places:
         if all(np.abs(place - other).max() > 1.0 for other in kept):
@@ -170,11 +170,11 @@ def _once(places: Array) -> Array:
 
 
 OFF = np.iinfo(np.int64).min
-"""Number of a place that is no corner of the board."""
+"""Number of a place that is not a corner of the board."""
 
 
 def _numbered(places: Array) -> tuple[NDArray[np.int64], Array]:
-    """Count places, going from neighbour to neighbour, from the middle outwards; `OFF` for those off the grid."""
+    """Assign numbers to places from neighbour to neighbour, from the middle outwards; `OFF` for places off the grid."""
     numbers, steps = np.full((len(places), 2), OFF), np.zeros((len(places), 2, 2))
     seed = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
     away = places - places[seed]
@@ -202,7 +202,7 @@ def _numbered(places: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 def _upright(places: Array, numbers: NDArray[np.int64], steps: Array) -> tuple[Array, NDArray[np.int64], Array]:
-    """Turn the numbers so that columns run as much to the right, and rows as much upwards, as can be."""
+    """Orient the numbers so that columns run as far to the right, and rows as far upwards, as possible."""
     mean = steps.mean(axis=0)
     if abs(mean[1, 0]) * np.linalg.norm(mean[0]) > abs(mean[0, 0]) * np.linalg.norm(mean[1]):
         numbers, steps, mean = numbers[:, ::-1], steps[:, ::-1], mean[::-1]
@@ -211,7 +211,7 @@ def _upright(places: Array, numbers: NDArray[np.int64], steps: Array) -> tuple[A
 
 
 def _stated(numbers: NDArray[np.int64], columns: int | None, rows: int | None) -> NDArray[np.int64]:
-    """Return numbers from 0, turned by a quarter where the stated ones ask for it."""
+    """Return numbers from 0, rotated by 90° if the stated counts require it."""
     numbers = numbers - numbers.min(axis=0)
     found = tuple(int(n) for n in numbers.max(axis=0) + 1)
     stated = (columns or found[0], rows or found[1])
@@ -227,7 +227,7 @@ def _stated(numbers: NDArray[np.int64], columns: int | None, rows: int | None) -
 
 
 def _ends_are_seen(numbers: NDArray[np.int64]) -> bool:
-    """Tell whether most corners of the first and the last column and row are there, so that none can be another's."""
+    """Tell whether most corners of the first and last columns and rows are visible, so that none can be mistaken."""
     last = numbers.max(axis=0)
     return all(
         2 * np.count_nonzero(numbers[:, axis] == end) > last[1 - axis] + 1 for axis in (0, 1) for end in (0, last[axis])
@@ -235,7 +235,7 @@ def _ends_are_seen(numbers: NDArray[np.int64]) -> bool:
 
 
 def _followed(views: Array, middle: tuple[int, int], places: Array, steps: Array) -> Array:
-    """Return the place of every corner in every view, (v, u, n, 2); NaN: not seen whole."""
+    """Return the place of each corner in each view, (v, u, n, 2); NaN if not fully visible."""
     sizes = np.linalg.norm(steps, axis=2)
     axes, reach = steps / sizes[..., None], float(np.median(sizes))
     seen = np.full((*views.shape[:2], len(places), 2), np.nan)
@@ -259,7 +259,7 @@ def _followed(views: Array, middle: tuple[int, int], places: Array, steps: Array
 def _expected(
     seen: Array, middle: Array, ring: NDArray[np.int64], from_middle: NDArray[np.int64], number: int
 ) -> Array:
-    """Return where corners are to be looked for in the views of a ring: the shift from view to view is nearly even."""
+    """Predict the corners' places in the views of a ring: the shift from view to view is nearly constant."""
     known = np.isfinite(seen[..., 0])
     v, u, corner = np.nonzero(known & (ring < number)[..., None])
     shift: NDArray[np.floating] = np.zeros((2, 2))
@@ -272,7 +272,7 @@ def _expected(
 def _whole(
     views: Array, v: NDArray[np.int64], u: NDArray[np.int64], start: Array, axes: Array, reach: float
 ) -> NDArray[np.bool_]:
-    """Return whether the four samples that lie diagonally about each corner, half a square away, are known."""
+    """Tell whether the four diagonal samples half a square from each corner are known."""
     whole = np.ones(len(v), bool)
     height, width = views.shape[2:]
     for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)):

@@ -1,4 +1,4 @@
-"""Files of a fit to boards: lists of corners that it reads; the scene, the values and residuals that it writes."""
+"""Files of a board fit: corner lists to read; scene, values and residuals to write."""
 
 import csv
 import json
@@ -36,20 +36,20 @@ from lfmesh.study.fits.fit_files import (
 BOARD_PICTURE = "board_residuals.png"
 
 COLUMNS = ("board_x_mm", "board_y_mm", "view_row", "view_column", "row", "column")
-"""Of a list of corners."""
+"""Columns of a corner list."""
 
 
 def read_corners(path: Path) -> BoardCorners:
-    """Read a list of corners: a CSV file with a line for each place of a corner in a view.
+    """Read a corner list: a CSV file with one line per place of a corner in a view.
 
-    Columns are `board_x_mm`, `board_y_mm` (on the board, x to the right and y up), `view_row` and `view_column` (v and
-    u of the light field from its middle view, so −4.5..4.5 of ten views), `row` and `column` (t and s of the view, the
-    middle of the first sample at 0). Views are as decoded with the scene that the fit to the white image gives.
+    The columns are `board_x_mm`, `board_y_mm` (on the board, x to the right and y up), `view_row` and `view_column` (v
+    and u of the light field relative to its middle view, so −4.5..4.5 for ten views), `row` and `column` (t and s of
+    the view, 0 at the centre of the first sample). The views are decoded with the scene fitted to the white image.
 
     Raises
     ------
     FileError
-        It cannot be read, lacks a column, has a line that is no numbers, or too few corners.
+        The file cannot be read, lacks a column, has a value that is not a number, or has too few corners.
     """
     try:
         with open_text(path, newline="") as file:
@@ -99,7 +99,7 @@ def write_board_fit(found: BoardFit, folder: Path) -> list[Path]:
 
 
 def board_facts(found: BoardFit) -> dict[str, Any]:
-    """Return what ``fit.json`` holds of a fit to boards."""
+    """Return the content of ``fit.json`` for a board fit."""
     boards = []
     for number, (pose, seen, residuals) in enumerate(zip(found.poses, found.corners, found.residuals, strict=True)):
         slope, error = found.traded(number)
@@ -127,7 +127,7 @@ def board_facts(found: BoardFit) -> dict[str, Any]:
 
 
 def board_picture(found: BoardFit) -> bytes:
-    """Return a PNG: the corners' mean residuals over the middle view as arrows, and the distribution of all."""
+    """Return a PNG of the corners' mean residuals as arrows, and the distribution of all residuals."""
     figure, field, spread = two_plots()
     places, means = [], []
     for seen, residuals in zip(found.corners, found.residuals, strict=True):

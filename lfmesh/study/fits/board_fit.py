@@ -1,7 +1,7 @@
 """Fit of a camera to its white image and to pictures of boards: focus and poses, beside the assembly errors.
 
-Least squares on traced rays: the ray of each place where a corner is seen meets the board's plane beside that corner.
-What the white image says of the camera enters as it is known, with its errors and with what it left open.
+Least squares on traced rays: each observation's ray should meet the board at its corner. The white image's fit enters
+as prior knowledge, with its errors and with the parameters that it left undetermined.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,34 +31,34 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 FOCUS = "camera.mla.distance_mm"
-"""The field that is the focus: array and sensor move with it."""
+"""Field for the focus: array and sensor move with it."""
 
 FOCUS_REACH = 0.05
-"""Largest plausible error of that distance, over it."""
+"""Largest plausible relative error of that distance."""
 
 ROUNDS = 8
-"""Of tracing the rays of the camera that the round before found."""
+"""Largest number of rounds; each traces the rays of the camera fitted in the round before."""
 
 SETTLED = 0.05
-"""Of a standard error: a fit that moves less from round to round is done."""
+"""Change between rounds, in standard errors, below which a fit has converged."""
 
 OUTLIER = 6.0
-"""Standard deviations of a normal law, off the median, beyond which a place is left out."""
+"""Distance from the median, in normal standard deviations, beyond which an observation is rejected."""
 
 RESELECTED = 10
-"""Times at most, within a round, that places are left out anew: each time the fit moves, and others lie beside it."""
+"""Largest number of times per round that outliers are selected anew, as the fit moves."""
 
 FIRST_SIGMA = 0.05
-"""Samples: standard deviation of a place before any was fitted."""
+"""Assumed standard deviation of an observation in the first fit, in samples."""
 
 MODEL_ERROR = 0.002
-"""Samples at the border: what may go evenly over field and views in the places of corners beside those of the model.
+"""Assumed model error of corner places that varies smoothly over field and views, in samples at the border.
 
 At the true camera and pose, rendered boards leave slopes of 0.0005 to 0.004 over the field and the views.
 """
 
 WORST = 0.5
-"""Samples: residuals of more, rms, are no fit."""
+"""Rms residual, in samples, above which a fit is refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +68,19 @@ class BoardFit:
     Attributes
     ----------
     scene : Scene
-        With the fitted values.
+        Scene with the fitted values.
     white : Fit
-        To the white image alone.
+        Fit to the white image alone.
     estimates : tuple of Estimate
-        Of the camera's parameters, by all pictures. Kept: the pictures leave more than half of what is plausible.
+        The camera's parameters, from all pictures. Kept: the pictures leave more than half of the plausible range.
     covariance : (p + 6 b, p + 6 b) float64
-        Of the values in their units, then of position (mm) and rotation (degrees) of each board.
+        Covariance of the values in their units, then of position (mm) and rotation (degrees) of each board.
     poses : tuple of BoardPose
-        Of the boards, world frame.
+        Poses of the boards, world frame.
     corners : tuple of BoardCorners
-        Of the boards, as seen.
+        Observed corners of each board.
     residuals : tuple of (n, 2) float64
-        Of each place, in samples along s and t: the place less that of the fitted camera; NaN: left out.
+        Observed minus fitted places, in samples along s and t; NaN: rejected.
     """
 
     scene: Scene
@@ -107,17 +107,17 @@ class BoardFit:
 
     @property
     def left_out(self) -> int:
-        """Number of those that lie far beside the fit."""
+        """Number of places rejected as outliers."""
         return sum(len(each) for each in self.residuals) - self.used
 
     @property
     def rms(self) -> float:
-        """Root mean square of the coordinates of the residuals, in samples of a view."""
+        """Root mean square of the residuals' coordinates, in samples of a view."""
         return float(np.sqrt(np.nanmean(np.concatenate(self.residuals) ** 2)))
 
     @property
     def corner_rms(self) -> float:
-        """Root mean square of the corners' mean residuals over the views, in samples."""
+        """Root mean square of the corners' residuals averaged over views, in samples."""
         means = [
             np.nanmean(residuals[seen.corner == corner], axis=0)
             for residuals, seen in zip(self.residuals, self.corners, strict=True)
@@ -127,22 +127,22 @@ class BoardFit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Reservations about the values, a sentence each."""
+        """Reservations about the values, one sentence each."""
         more = (f"{self.left_out} places of corners lie far beside the fit and were left out",) if self.left_out else ()
         return (*self.white.notes, *more)
 
     def traded(self, board: int) -> tuple[float, float]:
-        """Return how far a board's distance moves with the focus, in mm a mm, and its standard error at a known focus.
+        """Return the change of a board's distance with the focus, and its standard error at a known focus.
 
         Parameters
         ----------
         board : int
-            Its number, from 0.
+            Number of the board, from 0.
 
         Returns
         -------
         moved : float
-            mm a mm.
+            mm per mm.
         error : float
             Standard error of the distance at a known focus, mm.
         """
@@ -158,18 +158,18 @@ def fit_boards(
     also: Mapping[str, float] | None = None, orientation: Orientation = "upright", samples: int = SAMPLES,
     progress: Callable[[str], None] | None = None,
 ) -> BoardFit:  # fmt: skip
-    """Estimate the assembly errors, the focus of a camera, and the poses of boards before it.
+    """Estimate the assembly errors and focus of a camera, and the poses of boards in front of it.
 
     Parameters
     ----------
     white : Image, Exposed or (H, W) or (H, W, channels) array
         White image, as for `lf.fit`.
     scene : Scene
-        The camera as designed.
+        Camera as designed.
     boards : sequence of Board
-        Pictures of checkerboards, or lists of corners; the camera is the same for all.
+        Pictures of checkerboards, or corner lists, all from the same camera.
     also, orientation, samples, progress
-        As for `lf.fit`; pictures of boards lie as the white image does.
+        As for `lf.fit`; the boards' pictures have the white image's orientation.
 
     Returns
     -------
@@ -178,7 +178,8 @@ def fit_boards(
     Raises
     ------
     LfmeshError
-        As `lf.fit`; a board that is not found, with another number of corners than stated, or that no such camera sees.
+        As for `lf.fit`; or a board is not found, has another number of corners than stated, or cannot be seen by such a
+        camera.
     """
     if not boards:
         raise LfmeshError("boards is empty: give one picture of a board or more, or use lf.fit")
@@ -194,25 +195,25 @@ def with_boards(
     by_white: Fit, start: Scene, light: Array, boards: Sequence[Board], orientation: Orientation = "upright",
     progress: Callable[[str], None] | None = None,
 ) -> BoardFit:  # fmt: skip
-    """Fit boards, where the white image is fitted already.
+    """Fit boards after the white image has been fitted.
 
     Parameters
     ----------
     by_white : Fit
-        With the focus among its parameters.
+        Fit of the white image, with the focus among its parameters.
     start : Scene
-        From which that fit started, solved.
+        Start of that fit, solved.
     light : (H, W) float64
         White image, as it lies on the sensor.
     boards : sequence of Board
     orientation : {"upright", "upside_down", "sensor"}
-        Of the boards' pictures.
+        Orientation of the boards' pictures.
     progress : callable, optional
 
     Raises
     ------
     LfmeshError
-        As `fit_boards`.
+        As for `fit_boards`.
     """
     say = progress or (lambda _: None)
     say("finding corners")
@@ -222,7 +223,7 @@ def with_boards(
 
 
 class _Adjustment:
-    """The rounds of a fit to boards: each traces the rays of the camera that the one before found."""
+    """Rounds of a board fit; each traces the rays of the camera fitted in the round before."""
 
     def __init__(
         self, by_white: Fit, model: FitModel, seen: Sequence[BoardCorners], say: Callable[[str], None]
@@ -244,12 +245,12 @@ class _Adjustment:
         self.sigma = FIRST_SIGMA
 
     def run(self) -> BoardFit:
-        """Fit until the camera no longer moves.
+        """Fit until the camera has converged.
 
         Raises
         ------
         LfmeshError
-            The fit does not settle, or no such camera sees the boards.
+            The fit does not converge, or such a camera cannot see the boards.
         """
         steps = self.expected
         rays = self._map(steps)
@@ -294,7 +295,7 @@ class _Adjustment:
         )
 
     def _solve(self, rays: RayMap, slopes: Array, base: Array, start: Array) -> "_Solution":
-        """Fit camera and poses to the rays of a camera and their derivative."""
+        """Fit camera and poses with the rays of a camera and their derivative."""
         root = np.linalg.cholesky(self.precision).T
         for number in range(RESELECTED + 1):
             terms, per_sample = self._in_samples(rays, start)
@@ -327,9 +328,9 @@ class _Adjustment:
         return _Solution(start, jacobian, hessian, scores, float(np.median(size)))
 
     def _best_turned(self, rays: RayMap, slopes: Array, base: Array, solution: "_Solution") -> "_Solution":
-        """Return the better of a solution and those with a board's tilts turned over.
+        """Return the best of a solution and its variants with one board's tilts reversed.
 
-        From far away a plane tilted one way looks as one tilted the other way: both are minima of the squares.
+        From far away, opposite tilts of a plane look alike: both are minima of the sum of squares.
         """
         for board in range(len(self.seen)):
             used, sigma = self.used, self.sigma
@@ -348,7 +349,7 @@ class _Adjustment:
         return solution
 
     def _in_samples(self, rays: RayMap, values: Array) -> tuple[Array, Array]:
-        """Return the ray map's terms, and what takes a distance on the board to samples at each place, (n, 2, 2)."""
+        """Return the ray map's terms, and the matrices from board distance to samples at each place, (n, 2, 2)."""
         terms = rays.terms(self.place, self.spread)
         columns = []
         for unit in 0.5 * np.eye(4)[:2]:
@@ -360,7 +361,7 @@ class _Adjustment:
         return terms, np.linalg.inv(np.stack(columns, axis=-1))
 
     def _beside(self, terms: Array, coefficients: Array, values: Array, per_sample: Array | None) -> Array:
-        """Return how far rays meet the boards beside the corners, (n, 2): mm, or samples."""
+        """Return the distances of the rays from the corners on the boards, (n, 2): mm, or samples."""
         rays = terms @ coefficients
         beside = np.empty((len(rays), 2))
         for board, pose in enumerate(values[len(self.expected) :].reshape(-1, 6)):
@@ -369,7 +370,7 @@ class _Adjustment:
         return beside if per_sample is None else np.einsum("nij,nj->ni", per_sample, beside)
 
     def _scores(self, jacobian: Array, left: Array, inverse: Array) -> Array:
-        """Return the scores of the corners with their own residuals taken as if each had been left out (CR3).
+        """Return the corners' scores from residuals as if each corner had been left out (CR3).
 
         R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage
         samples", Survey Methodology 28 (2002) 169.
@@ -384,10 +385,10 @@ class _Adjustment:
         return np.array(scores)
 
     def _model_pulls(self, steps: Array, solution: "_Solution") -> Array:
-        """Return what errors of the model pull at the values, (k, p + 6 b); each is taken as a standard deviation.
+        """Return the pulls of model errors on the values, (k, p + 6 b), each for one standard deviation.
 
-        A corner's place follows rays somewhere between those through the apexes and the mean rays of the bundles: the
-        first is the difference. The others are `MODEL_ERROR`, going evenly over the field and the views.
+        A corner's place follows rays between the apex rays and the mean rays of the bundles: the first error is their
+        difference. The others are `MODEL_ERROR`, smooth over field and views.
         """
         camera = self.model.at(steps)
         rays = [RayMap.of(camera, self.decoded, self.reach, of_bundles=whole) for whole in (False, True)]
@@ -403,7 +404,7 @@ class _Adjustment:
         return np.stack([np.einsum("nip,ni->p", solution.jacobian, each) / self.sigma for each in patterns])
 
     def _covariance(self, solution: "_Solution", pulls: Array) -> Array:
-        """Return the covariance of steps and poses, by corners: what disturbs one is shared by its views."""
+        """Return the covariance of steps and poses, clustered by corner: its views share disturbances."""
         inverse = np.linalg.inv(solution.hessian)
         meat = solution.scores.T @ solution.scores
         count = len(self.expected)
@@ -437,18 +438,18 @@ class _Adjustment:
 
 
 class _Solution(NamedTuple):
-    """A solved round.
+    """Solution of a round.
 
     Attributes
     ----------
     values : (p + 6 b,) float64
         Steps of the camera's parameters, and poses.
     jacobian : (n, 2, p + 6 b) float64
-        Of the residuals over their standard deviation.
+        Jacobian of the residuals over their standard deviation.
     hessian : (p + 6 b, p + 6 b) float64
-        Of half the sum of squares.
+        Hessian of half the sum of squares.
     scores : (corners, p + 6 b) float64
-        What each corner's residuals would pull at the values if it had not been fitted.
+        Pull of each corner's residuals on the values if it had not been fitted.
     typical : float
         Median distance of all places from the fit, in samples.
     """
@@ -461,10 +462,10 @@ class _Solution(NamedTuple):
 
 
 DERIVATIVES = 1
-"""Rounds in which the derivative is traced: it hardly changes with the camera."""
+"""Rounds that trace the derivative: it hardly changes with the camera."""
 
 KEPT = 0.5
-"""Of the standard deviation of what is plausible anyway: a parameter with more left is not determined."""
+"""Largest error, over the standard deviation of the plausible range, of a parameter that counts as determined."""
 
 
 def _estimate(by_white: Fit, number: int, step: float, error: float) -> Estimate:
@@ -474,9 +475,9 @@ def _estimate(by_white: Fit, number: int, step: float, error: float) -> Estimate
 
 
 def precision_of(found: Fit) -> Array:
-    """Return the inverse covariance, (p, p), of a white image's fit, in ranges: what was kept lies anywhere in its own.
+    """Return the inverse covariance, (p, p), of a white image's fit, in units of the plausible ranges.
 
-    The fitted ones follow those that were kept, as the combinations say.
+    Kept parameters are uniform over their ranges; the fitted ones follow them, as the combinations say.
     """
     paths = [each.parameter.path for each in found.estimates]
     reach = np.array([each.parameter.reach for each in found.estimates])
@@ -490,5 +491,5 @@ def precision_of(found: Fit) -> Array:
         for path, coefficient in both.coefficients.items():
             if path in columns:
                 follows[own, columns[path]] = -coefficient * reach[paths.index(path)] / reach[own]
-    # The variance of a uniform law of half width 1 is 1/3.
+    # The variance of a uniform distribution of half-width 1 is 1/3.
     return np.asarray(np.linalg.inv(covariance + follows @ follows.T / 3.0))

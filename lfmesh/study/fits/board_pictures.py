@@ -1,4 +1,4 @@
-"""Boards before a camera: pictures of checkerboards, decoded into views, or lists of corners."""
+"""Boards in front of a camera: checkerboard pictures decoded into views, or corner lists."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,14 +22,14 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 BRIGHT, WHOLE = 0.5, 0.93
-"""Of the brightest view of a lenslet, on the white image: the views that have more tell, by their median, what is full
-light; the lens cuts that of a sample with less than the second of this."""
+"""Fraction of a lenslet's brightest view, on the white image, above which views define full light by their median; and
+fraction of full light below which a sample is vignetted."""
 
 FOREIGN = 0.002
-"""Of a sample's light: what may be that of the next lenslets, which see the board elsewhere, by about a sample."""
+"""Largest fraction of a sample's light from neighbouring lenslets, which see the board about one sample away."""
 
 AROUND = 3
-"""Samples along each axis over which the white image is averaged for that, against its noise."""
+"""Samples along each axis over which the white image is averaged for that, to reduce its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +41,10 @@ class Board:
     picture : Image, Exposed or (H, W) or (H, W, channels) array, optional
         Linear in light.
     square_mm : float, optional
-        Side of a square; with a picture.
+        Side of a square; needed with a picture.
     columns, rows : int, optional
-        Corners between four squares, along x and y of the board, of whose outer columns and rows most must be seen.
-        Omitted: as many as are seen.
+        Corners between four squares, along x and y of the board; most of those in the outer columns and rows must be
+        visible. Default: as many as are visible.
     corners : BoardCorners, optional
         In place of a picture.
     """
@@ -67,9 +67,9 @@ class Board:
 
 
 def fully_lit(by_white: Array) -> NDArray[np.bool_]:
-    """Return the samples whose light the lens does not cut, (v, u, t, s).
+    """Return the samples that the lens does not vignette, (v, u, t, s).
 
-    Those that it cuts see through another part of the pupil than the rays of their middle say.
+    The others see through a part of the pupil other than their central rays.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def fully_lit(by_white: Array) -> NDArray[np.bool_]:
 
 
 def of_own_lenslets(calibration: Calibration, sampling: Sampling, upright: Upright, count: int) -> NDArray[np.bool_]:
-    """Return the samples whose pixels get no light of the next lenslets, (v, u, t, s).
+    """Return the samples whose pixels get no light of neighbouring lenslets, (v, u, t, s).
 
-    Where micro-images touch or overlap, a white image does not tell: what a neighbour adds fills up what is cut.
+    If micro-images touch or overlap, the white image cannot show this: a neighbour's light makes up for vignetting.
 
     Parameters
     ----------
@@ -118,13 +118,13 @@ def of_own_lenslets(calibration: Calibration, sampling: Sampling, upright: Uprig
 
 
 def _overlap(radius: float, away: Array) -> Array:
-    """Return about which share of pixels of width 1 lies in a disk, and 0 only where none does.
+    """Return approximately the fraction of pixels of width 1 inside a disk; exactly 0 only for pixels outside.
 
     Parameters
     ----------
     radius : float
     away : (..., 2) float64
-        From the disk's middle to that of a pixel.
+        From the disk's centre to the pixel's.
     """
     distance = np.linalg.norm(away, axis=-1)
     reach = 0.5 * np.abs(away).sum(axis=-1) / distance
@@ -134,7 +134,7 @@ def _overlap(radius: float, away: Array) -> Array:
 def corners_of(
     boards: Sequence[Board], scene: Scene, white: Array, orientation: Orientation
 ) -> tuple[BoardCorners, ...]:
-    """Return the corners of boards, in the views that the scene's calibration decodes.
+    """Return the corners of boards in the views decoded with the scene's calibration.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ def corners_of(
     white : (H, W) float64
         White image, as it lies on the sensor.
     orientation : {"upright", "upside_down", "sensor"}
-        Of pictures that are arrays.
+        Orientation of pictures that are arrays.
 
     Raises
     ------
     LfmeshError
-        A picture that is none of this camera, or on which the board is not found.
+        A picture was not taken by this camera, or the board is not found on it.
     """
     calibration, upright = calibrate(scene), Upright.of(scene)
     sampling, count = sampling_of(calibration, upright), view_count(calibration, None)

@@ -1,4 +1,4 @@
-"""Pose of a board before a camera: where rays meet its plane, a first guess, and the pose in the world."""
+"""Pose of a board in front of a camera: intersection with rays, first guess, and pose in the world."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,11 +21,11 @@ class BoardPose:
     Attributes
     ----------
     position_mm : tuple of float
-        Of the middle of the corners, world frame.
+        Centre of the corners, world frame.
     rotation_deg : tuple of float
-        About x, then y, then z. Not turned, the board faces a camera that is not turned.
+        About x, then y, then z. Unrotated, the board faces an unrotated camera.
     standard_error : tuple of float
-        Of the three coordinates, in mm, and of the three angles, in degrees.
+        Of the three coordinates (mm) and the three angles (degrees).
     """
 
     position_mm: tuple[float, ...]
@@ -34,18 +34,18 @@ class BoardPose:
 
 
 class Plane(NamedTuple):
-    """A board's plane in the camera frame: axes as columns, and the board's middle."""
+    """Plane of a board in the camera frame: axes as columns, and the board's centre."""
 
     axes: Array
     middle: Array
 
     def meet(self, rays: Array) -> Array:
-        """Return where rays meet the plane, (n, 2) mm on the board.
+        """Return the intersections of rays with the plane, (n, 2) mm on the board.
 
         Parameters
         ----------
         rays : (n, 4) float64
-            x and y where they cross z = 0, dx/dz and dy/dz.
+            x and y at z = 0, dx/dz and dy/dz.
         """
         normal = self.axes[:, 2]
         along = rays[:, 2:] @ normal[:2] + normal[2]
@@ -55,29 +55,29 @@ class Plane(NamedTuple):
 
 
 def pose_of(pose: Array) -> Plane:
-    """Return the plane of (6,) middle (mm) and rotation vector (radians), camera frame."""
+    """Return the plane of a (6,) pose: centre (mm) and rotation vector (radians), camera frame."""
     return Plane(Rotation.from_rotvec(pose[3:]).as_matrix(), pose[:3])
 
 
 def first_pose(rays: Array, board_mm: Array, near_mm: float) -> Array:
-    """Return a (6,) pose that faces the camera, at the distance where the rays are as far apart as the corners.
+    """Return a (6,) pose facing the camera, at the distance where the rays are as far apart as the corners.
 
     Parameters
     ----------
     rays : (n, 4) float64
-        x and y where they cross z = 0, dx/dz and dy/dz.
+        x and y at z = 0, dx/dz and dy/dz.
     board_mm : (n, 2) float64
     near_mm : float
-        The least distance.
+        Nearest distance.
 
     Raises
     ------
     LfmeshError
-        At no distance are they.
+        There is no such distance.
     """
     at_zero, slope, own = rays[:, :2], rays[:, 2:], board_mm - board_mm.mean(axis=0)
     at_zero_beside, slope_beside = at_zero - at_zero.mean(axis=0), slope - slope.mean(axis=0)
-    # |a + z b|² = |c|², of which the camera looks at negative z.
+    # Solve |a + z b|² = |c|²; the camera looks towards negative z.
     square, mixed, rest = (slope_beside**2).sum(), (at_zero_beside * slope_beside).sum(), (at_zero_beside**2).sum()
     inside = mixed**2 - square * (rest - (own**2).sum())
     z = (-mixed - np.sqrt(inside)) / square if inside > 0.0 else 0.0
@@ -95,11 +95,11 @@ def first_pose(rays: Array, board_mm: Array, near_mm: float) -> Array:
 
 
 TURN = 1e-6
-"""Radians, for the derivative of the angles."""
+"""Finite-difference step of the angles, radians."""
 
 
 def world_pose(pose: Array, scene: Scene) -> tuple[Array, Array]:
-    """Return a pose of the camera frame as position (mm) and rotation (degrees) in the world, and its derivative.
+    """Return the world position (mm) and rotation (degrees) of a camera-frame pose, and their derivative.
 
     Parameters
     ----------

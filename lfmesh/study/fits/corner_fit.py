@@ -1,7 +1,7 @@
-"""Places of the corners of a checkerboard, where four squares meet, by least squares on the samples around each.
+"""Least-squares positions of checkerboard corners, where four squares meet.
 
-The picture of a corner is the product of two edges. A sample is a mean over its own square, so that an edge is a step
-blurred by that square and by what is left, a Gaussian: the place comes out free of the samples' phase.
+The image of a corner is modelled as the product of two edges. Each edge is a step blurred by the area of a sample and
+by a Gaussian, so that the position does not depend on the sampling phase.
 """
 
 from typing import NamedTuple
@@ -13,30 +13,29 @@ from scipy.special import erf
 Array = NDArray[np.float64]
 
 ROUNDS = 25
-"""Of the Levenberg-Marquardt search."""
+"""Largest number of Levenberg-Marquardt iterations."""
 
 STEP = 1e-5
-"""Of each parameter, for the derivative."""
+"""Finite-difference step of each parameter."""
 
 LEAST_BLUR, MOST_BLUR = 0.05, 2.0
-"""Standard deviation, in samples: a narrower one cannot be told from none, a wider one is no edge."""
+"""Standard deviation of the blur, in samples: a smaller one has no visible effect, a larger one is not an edge."""
 
 WIDEST = 5.0
-"""In samples: how far from a corner its edges are taken to be straight."""
+"""Largest distance from a corner at which its edges count as straight, in samples."""
 
 
 class FittedCorners(NamedTuple):
-    """Corners as fitted.
+    """Fitted corners.
 
     Attributes
     ----------
     place : (n, 2) float64
-        Sample along s and t; NaN where the search left the window or found no corner.
+        Sample along s and t; NaN if the search left the window or found no corner.
     contrast : (n,) float64
-        Half the difference between bright and dark squares; positive where the square towards the sum of the two axes
-        is bright.
+        Half the difference between bright and dark squares; positive if the square between the two axes is bright.
     residual : (n,) float64
-        Root mean square of what the fit leaves, over the contrast.
+        Rms residual over the contrast.
     """
 
     place: Array
@@ -50,18 +49,18 @@ def fit_corners(view: Array, start: Array, axes: Array, reach: float) -> FittedC
     Parameters
     ----------
     view : (n, t, s) float64
-        The view of each corner; NaN: unknown.
+        View of each corner; NaN: unknown.
     start : (n, 2) float64
-        Sample along s and t, to within a sample.
+        Sample along s and t, accurate to one sample.
     axes : (n, 2, 2) float64
         Unit vectors (s, t) along the edges: [:, 0] towards the next column, [:, 1] towards the next row.
     reach : float
-        In samples: how far along the edges the nearest other edges are.
+        Distance to the next edges along the edges, in samples.
     """
     offsets, values, inside = _windows(view, start, axes, reach)
     count = len(start)
     normal = np.stack([axes[:, 1, 1], -axes[:, 1, 0]], axis=1), np.stack([axes[:, 0, 1], -axes[:, 0, 0]], axis=1)
-    # The normals of the edges look along the other axis.
+    # The normal of each edge points along the other axis.
     angles = []
     for this, along in zip(normal, (axes[:, 0], axes[:, 1]), strict=True):
         turned = this * np.where(np.einsum("ni,ni->n", this, along) < 0.0, -1.0, 1.0)[:, None]
@@ -79,14 +78,14 @@ def fit_corners(view: Array, start: Array, axes: Array, reach: float) -> FittedC
 
 
 LEAST_SAMPLES = 12
-"""Of a window, in which seven numbers are fitted."""
+"""Smallest number of samples in a window, for a fit of seven numbers."""
 
 FARTHEST = 1.2
-"""In samples: a search that goes farther from its start has found something else."""
+"""Distance from the start, in samples, beyond which a search has found something else."""
 
 
 def _windows(view: Array, start: Array, axes: Array, reach: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return offsets from the nearest sample, (n, w, 2), values, (n, w), and which count, (n, w)."""
+    """Return offsets from the nearest sample, (n, w, 2), values, (n, w), and a mask of the usable ones, (n, w)."""
     half = int(min(reach, WIDEST)) + 1
     one = np.arange(-half, half + 1)
     grid = np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2)
@@ -96,19 +95,19 @@ def _windows(view: Array, start: Array, axes: Array, reach: float) -> tuple[Arra
     on = (at >= 0).all(axis=2) & (at[..., 0] < width) & (at[..., 1] < height)
     values = view[np.arange(len(start))[:, None], np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
     along = np.einsum("nwi,nij->nwj", grid - (start - nearest)[:, None], np.linalg.inv(axes))
-    # A sample reaches half its width farther, and the next edge is blurred as this one is.
+    # A sample extends half its width farther, and the next edge has the same blur.
     inside = (np.abs(along).max(axis=2) <= min(reach - 1.0, WIDEST)) & on & np.isfinite(values)
-    # Those that count come first, so that the arrays are no wider than they must be.
+    # Usable samples come first, to keep the arrays as narrow as possible.
     first = np.argsort(~inside, axis=1, kind="stable")[:, : max(int(inside.sum(axis=1).max(initial=0)), 1)]
     pick = np.take_along_axis
     return grid.astype(np.float64)[first], pick(values, first, axis=1), pick(inside, first, axis=1)
 
 
 def _edge(distance: Array, angle: Array, blur: Array) -> Array:
-    """Return a step from −1 to 1 as samples see it.
+    """Return a step from −1 to 1 as seen by samples.
 
-    The square of a sample seen along the edge is a trapezium: the box of its longer side, |cos| or |sin| of the angle,
-    and of the shorter one the variance.
+    Along an edge, a square sample projects to a trapezium: the box of its longer side (|cos| or |sin| of the angle),
+    blurred with the variance of its shorter one.
     """
     cosine, sine = np.abs(np.cos(angle)), np.abs(np.sin(angle))
     half = 0.5 * np.maximum(cosine, sine)
@@ -132,7 +131,7 @@ def _pattern(shape: Array, offsets: Array) -> Array:
 
 
 def _levels(pattern: Array, values: Array, inside: NDArray[np.bool_]) -> Array:
-    """Return mean and contrast that fit best, (n, 2)."""
+    """Return the mean and contrast of the best fit, (n, 2)."""
     count = np.maximum(inside.sum(axis=1), 1)
     mean_pattern = np.where(inside, pattern, 0.0).sum(axis=1) / count
     mean = np.where(inside, values, 0.0).sum(axis=1) / count
@@ -143,7 +142,7 @@ def _levels(pattern: Array, values: Array, inside: NDArray[np.bool_]) -> Array:
 
 
 def _search(shape: Array, offsets: Array, values: Array, inside: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Fit all corners at once; mean and contrast, linear, follow from the shape at each step.
+    """Fit all corners at once; the linear parameters, mean and contrast, follow from the shape at each step.
 
     Returns
     -------
@@ -178,14 +177,14 @@ def _search(shape: Array, offsets: Array, values: Array, inside: NDArray[np.bool
 
 
 SETTLED = 1e-4
-"""In samples: a search that would move a corner less is done."""
+"""Step, in samples, below which a search has converged."""
 
 LOST = 3.0
-"""In samples: a search that has gone farther is given up."""
+"""Distance from the start, in samples, beyond which a search is abandoned."""
 
 
 def _left(shape: Array, offsets: Array, values: Array, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return what shapes leave of the values, (n, w), and their mean and contrast, (n, 2)."""
+    """Return the residuals of shapes, (n, w), and their mean and contrast, (n, 2)."""
     pattern = _pattern(shape, offsets)
     levels = _levels(pattern, values, inside)
     return np.where(inside, values - levels[:, :1] - levels[:, 1:] * pattern, 0.0), levels

@@ -1,8 +1,8 @@
-"""Fit of a camera to its white image: the assembly errors with their errors, and what the picture cannot tell apart.
+"""Fit of a camera to its white image: assembly errors, their uncertainties, and undetermined combinations.
 
-Least squares on the places of the micro-images. Directions in which they tell less than what is plausible anyway
-are found by the singular values of the derivative; along these the scene's own values are kept, and what is known is
-reported as a combination.
+Least squares on the positions of the micro-images. The singular values of the derivative show the directions that the
+picture determines worse than the plausible range. Along these the scene's values are kept, and the known combinations
+are reported.
 """
 
 import math
@@ -30,27 +30,27 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 SAMPLES = 128
-"""A pixel, of the simulated white images: their noise is then about that of a well exposed picture."""
+"""Samples per pixel of simulated white images: their noise is about that of a well exposed picture."""
 
 ROUNDS = 10
-"""Simulated white images at most."""
+"""Largest number of simulated white images."""
 
 SETTLED = 0.25
-"""Of a standard error, rms over the directions: a fit that another simulated image moves less is done."""
+"""Change by another simulated image, in standard errors (rms over the directions), below which a fit has converged."""
 
 FIRST_SIGMA_PX = 0.02
-"""About what micro-images lie beside chief rays as long as no image was simulated."""
+"""Assumed offset of micro-images from chief rays before any image is simulated."""
 
 OUTLIER = 6.0
-"""Standard deviations of a normal law, off the median, beyond which a micro-image is left out: dust, a dead lenslet."""
+"""Distance from the median, in normal standard deviations, that rejects a micro-image: dust, a dead lenslet."""
 
 WORST = 0.05
-"""Of the pitch of the micro-images: residuals of more, rms, are no fit."""
+"""Rms residual, over the micro-image pitch, above which a fit is refused."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter as fitted.
+    """Fitted parameter.
 
     Attributes
     ----------
@@ -58,10 +58,10 @@ class Estimate:
     value : float
         In the unit of the scene's field.
     standard_error : float
-        One standard deviation; NaN where the value is that of the scene, which was kept.
+        One standard deviation; NaN if the scene's value was kept.
     together : tuple of str
-        Paths of the parameters with which it is known only in combination: the standard error then holds if those
-        that were kept are right. Empty: it is known by itself.
+        Paths of parameters known only in combination with it; the standard error then assumes that the kept ones are
+        right. Empty: known by itself.
     """
 
     parameter: Parameter
@@ -77,14 +77,14 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum of parameters that is known where they themselves are not.
+    """Weighted sum of parameters that is known although the parameters themselves are not.
 
     Attributes
     ----------
     coefficients : dict
-        By path; the sum is that of coefficient times difference from the scene's value.
+        Coefficients by path, applied to differences from the scene's values.
     value, standard_error : float
-        In the unit of the first path, whose coefficient is 1.
+        In the unit of the first path, which has coefficient 1.
     """
 
     coefficients: dict[str, float]
@@ -99,23 +99,23 @@ class Fit:
     Attributes
     ----------
     scene : Scene
-        With the fitted values; distances that `focus_mm` had solved stand as numbers.
+        Scene with the fitted values; distances solved from `focus_mm` are given as numbers.
     estimates : tuple of Estimate
     covariance : (p, p) float64
-        Of the values, in their units; NaN for those that were kept. It holds the noise, and what kept values anywhere
-        in their range would do to the light within micro-images.
+        Covariance of the values, in their units; NaN for kept ones. It contains the noise and the effect of kept
+        values, anywhere in their ranges, on the light within micro-images.
     combinations : tuple of Combination
     pitch_px, pitch_error_px : float
-        Mean distance of neighbouring micro-images as fitted, and its standard error.
+        Mean distance of neighbouring fitted micro-images, and its standard error.
     residuals_px : (rows, columns, 2) float64
-        Micro-images less those of the fitted camera's simulated image, by lenslet as on the sensor; NaN: not used.
+        Measured minus simulated positions of the micro-images, by lenslet as on the sensor; NaN: not used.
     sigma_px : float
-        Standard deviation of a coordinate of a micro-image's place, from the residuals: the noise of both images, and
-        whatever single lenslets do.
+        Standard deviation of a coordinate of a micro-image, from the residuals: noise of both images, and deviations of
+        single lenslets.
     left_out : int
-        Micro-images that lie far beside the fit.
+        Number of rejected micro-images.
     warnings : tuple of PictureWarning
-        One for each class of those of the simulated white images.
+        Warnings of the simulated white images, one per class.
     """
 
     scene: Scene
@@ -142,17 +142,17 @@ class Fit:
 
     @property
     def used(self) -> int:
-        """Number of micro-images that were used."""
+        """Number of micro-images used."""
         return int(np.isfinite(self.residuals_px[..., 0]).sum())
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the coordinates of the residuals."""
+        """Root mean square of the residuals' coordinates."""
         return float(np.sqrt(np.nanmean(self.residuals_px**2)))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Reservations about the values, a sentence each."""
+        """Reservations about the values, one sentence each."""
         if not self.left_out:
             return ()
         return (f"{self.left_out} micro-images lie far beside the fit and were left out",)
@@ -164,23 +164,23 @@ def fit(
 ) -> Fit:  # fmt: skip
     """Estimate the assembly errors of a camera from its white image.
 
-    Fitted are rotation, tilts, shifts and distance of the array against the sensor, and the error of its pitch. Shifts
-    are known up to whole lenslets. Like an error in the scene, each is counted from the camera with solved distances.
+    The parameters are rotation, tilts, shifts and distance of the array relative to the sensor, and its pitch error.
+    Shifts are known up to whole lenslets. As in a scene, each error is relative to the camera with solved distances.
 
     Parameters
     ----------
     white : Image, Exposed or (H, W) or (H, W, channels) array
-        White image, linear in light; a constant black level does no harm. Arrays are pictures.
+        White image, linear in light; a constant black level does no harm. An array counts as a picture.
     scene : Scene
-        The camera as designed.
+        Camera as designed.
     also : mapping, optional
         Further fields to fit, with their largest plausible change: {"camera.sensor.distance_mm": 0.05}.
     orientation : {"upright", "upside_down", "sensor"}
-        Of an array: as a viewer shows it, turned by half a turn, or row 0 at the sensor's −y and column 0 at its −x.
+        Orientation of an array: as displayed, rotated by 180°, or with row 0 at the sensor's −y and column 0 at its −x.
     samples : int
-        A pixel, of the simulated white images with which the picture is compared.
+        Samples per pixel of the simulated white images.
     progress : callable, optional
-        Called with what is being done.
+        Called with a description of the current step.
 
     Returns
     -------
@@ -189,12 +189,12 @@ def fit(
     Warns
     -----
     PictureWarning
-        Some of the simulated white images are or may be wrong: one warning a class, see `Fit.warnings`.
+        Some simulated white images are or may be wrong: one warning per class, see `Fit.warnings`.
 
     Raises
     ------
     LfmeshError
-        A picture of another size, black, saturated, with too few micro-images, or that no such camera takes.
+        The picture has another size, is black or saturated, shows too few micro-images, or does not fit such a camera.
     """
     if samples < 2:
         raise LfmeshError(f"samples = {samples}: must be 2 or more, one for each of two replicates")
@@ -212,7 +212,7 @@ def _warnings(model: FitModel) -> tuple[PictureWarning, ...]:
 
 
 class _Search:
-    """The rounds of a fit: each simulates the white image of the camera that the one before found."""
+    """Rounds of a fit; each simulates the white image of the camera fitted in the round before."""
 
     def __init__(self, model: FitModel, light: Array, say: Callable[[str], None]) -> None:
         self.model, self.light, self.say = model, light, say
@@ -220,19 +220,19 @@ class _Search:
         self.measured = micro_image_places(light, model.scene)
         self.steps = np.zeros(len(model.parameters))
         self.simulated: list[tuple[Array, Array]] = []
-        # How places beside the chief rays change with the parameters, as simulated and without its noise.
+        # Derivative of the offsets from the chief rays by the parameters, as simulated and smoothed.
         self.seen = self.slopes = np.zeros((*self.measured.shape, len(self.steps)))
         self.sigma = FIRST_SIGMA_PX
         self.traced: tuple[Array, Array] | None = None
         self.outliers = np.zeros(self.measured.shape[:2], bool)
 
     def run(self) -> Fit:
-        """Fit until the camera no longer moves.
+        """Fit until the camera has converged.
 
         Raises
         ------
         LfmeshError
-            As `fit`.
+            As for `fit`.
         """
         self.say("tracing derivatives")
         self._fit(self.model.derivative(self.steps))
@@ -242,7 +242,7 @@ class _Search:
         self.say("simulating what chief rays do not show")
         self.seen = self.model.beside_slopes(self.steps, derivative[self._used(derivative)])
         self.slopes = smooth(self.seen)
-        # That one was taken before much was known.
+        # The first image was simulated before the camera was known well.
         self.simulated.clear()
         for number in range(2, ROUNDS + 1):
             self._simulate(number)
@@ -263,7 +263,7 @@ class _Search:
         self.simulated.append((self.steps.copy(), beside))
 
     def _fit(self, derivative: Array, like: Split | None = None) -> Split:
-        """Move to the least squares with the present offsets, and take their scatter as the noise."""
+        """Move to the least-squares solution for the present offsets, and take its scatter as the noise."""
         slopes = derivative + self.slopes
         for _ in range(2):
             used = self._used(derivative)
@@ -279,7 +279,7 @@ class _Search:
             self.sigma = math.sqrt(2.0 * solved.cost / max(len(rows) - len(split.free), 1))
             self._check(math.sqrt(2.0 * solved.cost / len(rows)))
             size = np.linalg.norm(self.residuals(self.steps), axis=-1)
-            # The median of a Rayleigh law is 1.177 σ.
+            # The median of a Rayleigh distribution is 1.177 σ.
             far = size > OUTLIER * np.nanmedian(size) / math.sqrt(2.0 * math.log(2.0))
             if (far == self.outliers).all():
                 break
@@ -288,10 +288,10 @@ class _Search:
         return split.known_to(self._covariance(slopes, used, split))
 
     def _covariance(self, slopes: Array, used: NDArray[np.bool_], split: Split) -> Array:
-        """Return the covariance of what is fitted: of noise, and of what is kept, which may lie anywhere in its range.
+        """Return the covariance of the fitted parameters: from noise, and from kept ones anywhere in their ranges.
 
-        Chief rays land in the same places whatever is kept, but micro-images have another size then: pixels sample
-        them differently, and the light in them is spread otherwise.
+        Kept values do not move the chief rays, but they change the size of micro-images and the distribution of light
+        in them, and so the sampling by pixels.
         """
         slopes = np.where(used[..., None, None], slopes, 0.0)
         free = slopes[..., split.free]
@@ -299,7 +299,7 @@ class _Search:
         noise = inverse @ neighbours_meat(self.residuals(self.steps), free, used) @ inverse
         unseen = self.seen[..., split.kept] + self.seen[..., split.free] @ split.traded
         known = np.isfinite(unseen).all(axis=(-1, -2))
-        # The variance of a uniform law of half width 1, in ranges, is 1/3.
+        # In units of the range, the variance of a uniform distribution of half-width 1 is 1/3.
         moved = inverse @ np.einsum("nip,nik->pk", free[known], unseen[known]) / math.sqrt(3.0)
         return np.asarray(noise + moved @ moved.T)
 
@@ -309,13 +309,13 @@ class _Search:
         return steps
 
     def residuals(self, steps: Array) -> Array:
-        """Return where micro-images lie beside those of a camera, (rows, columns, 2) pixels."""
+        """Return the offsets of micro-images from a camera's, (rows, columns, 2) pixels."""
         if self.traced is None or not np.array_equal(self.traced[0], steps):
             self.traced = (steps.copy(), self.model.centres(steps))
         return np.asarray(self.measured - self._beside(steps) - self.traced[1])
 
     def _beside(self, steps: Array) -> Array:
-        """Return how far micro-images lie beside chief rays: the mean of what all simulated images say."""
+        """Return the offsets of micro-images from chief rays, averaged over all simulated images."""
         if not self.simulated:
             return np.zeros_like(self.measured)
         each = [beside + self.slopes @ (steps - at) for at, beside in self.simulated]
@@ -367,14 +367,14 @@ class _Search:
         )
 
     def _pitch_slopes(self, derivative: Array, used: NDArray[np.bool_]) -> Array:
-        """Return the derivative of the pitch, the scale from lattice to centres, by the parameters."""
+        """Return the derivative of the pitch (scale from lattice to centres) by the parameters."""
         lattice = calibrate(self.model.scene).lattice
         ideal = lattice.centres()[used] / lattice.pitch
         ideal = ideal - ideal.mean(axis=0)
         return np.asarray(np.einsum("ni,nip->p", ideal, derivative[used]) / (ideal**2).sum())
 
     def _combinations(self, split: Split, errors: Array) -> tuple[Combination, ...]:
-        """Return each fitted parameter of the group with the parts of those that were kept."""
+        """Return a combination for each fitted parameter of the group, with the kept ones."""
         parameters, found = self.model.parameters, []
         for i in (i for i in split.group if i in split.free):
             parts = {parameters[i].path: 1.0}

@@ -1,4 +1,4 @@
-"""Errors of a fit: parameters that the micro-images cannot tell apart, and the effect of noise on the others."""
+"""Errors of a fit: parameters that micro-images cannot tell apart, and the effect of noise on the others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,21 +13,21 @@ from lfmesh.errors import LfmeshError
 Array = NDArray[np.float64]
 
 NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
-"""Distances of micro-images, rows and columns, over which their errors are correlated."""
+"""Offsets of micro-images, rows and columns, over which their errors are correlated."""
 
 
 def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the derivative's product with the errors of places, (p, p).
+    """Return the covariance of the product of derivative and position errors, (p, p).
 
-    What is found of one micro-image shares pixels with its neighbours, which a pixel moves the same way: errors of
-    neighbours are correlated, and not negatively. The products of residuals are averaged over the array, by the
-    distance in columns and rows, and what the fit has taken out of them is added: that of independent errors.
+    Micro-images share pixels with their neighbours, and a pixel shifts both in the same direction, so that errors of
+    neighbours have positive correlations. The products of residuals are averaged over the array by offset in columns
+    and rows; the part that the fit has absorbed, computed for independent errors, is added.
 
     Parameters
     ----------
     residuals : (rows, columns, 2) float64, pixels
     slopes : (rows, columns, 2, p) float64
-        Derivative of the places; 0 where they are not used.
+        Derivative of the positions; 0 where unused.
     used : (rows, columns) bool
     """
     left = np.where(used[..., None], residuals, 0.0)
@@ -46,7 +46,7 @@ def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) ->
 
 
 def _overlap(shape: Sequence[int], rows: int, columns: int) -> tuple[Any, Any]:
-    """Return the indices of all lenslets that have one at a distance, and of that one."""
+    """Return the indices of all lenslets that have a neighbour at an offset, and of that neighbour."""
     height, width = shape
     here = np.s_[max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)]
     there = np.s_[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)]
@@ -55,15 +55,15 @@ def _overlap(shape: Sequence[int], rows: int, columns: int) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class Split:
-    """Parameters that can be fitted, and those that are kept as the picture cannot tell them apart.
+    """Fitted parameters, and kept ones that the picture cannot tell apart.
 
     Attributes
     ----------
     free, kept : list of int
     group : tuple of int
-        Those that are not known by themselves: what was kept, and what would change with it.
+        Parameters not known by themselves: the kept ones, and others that would change with them.
     traded : (free, kept) float64
-        By how much a fitted one changes with a kept one if the picture stays the same; both in ranges.
+        Change of a fitted parameter with a kept one for the same picture; both in ranges.
     covariance : (free, free) float64
         In ranges.
     """
@@ -78,20 +78,20 @@ class Split:
     def of(cls, rows: Array, sigma: float, like: "Split | None" = None) -> "Split":
         """Split parameters by the singular values of a derivative.
 
-        A direction whose standard error is above the plausible range itself is not determined.
+        A direction with a standard error above its plausible range is not determined.
 
         Parameters
         ----------
         rows : (n, p) float64
-            Derivative of the residuals, pixels a range.
+            Derivative of the residuals, pixels per range.
         sigma : float
-            Standard deviation of a residual, pixels; they are taken as independent.
+            Standard deviation of a residual, pixels; residuals count as independent.
         like : Split, optional
-            Keep what it keeps.
+            Keep the same parameters as this one.
         """
         _, singular, directions = np.linalg.svd(rows, full_matrices=False)
         unknown = directions[singular <= sigma]
-        # The parameters that hold most of the unknown directions stand for them.
+        # Keep the parameters with the largest share of the unknown directions.
         _, _, order = qr(unknown, mode="economic", pivoting=True) if len(unknown) else (None, None, [])
         kept = like.kept if like is not None else sorted(int(i) for i in order[: len(unknown)])
         free = [i for i in range(rows.shape[1]) if i not in kept]

@@ -1,4 +1,4 @@
-"""Files of a fit: the fitted scene, the values with their errors, the residuals as a picture."""
+"""Files of a fit: fitted scene, values with their errors, picture of the residuals."""
 
 import io
 import json
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 SCENE, VALUES, PICTURE = "fitted.toml", "fit.json", "residuals.png"
 
 ARROW = 0.8
-"""Of the distance of neighbouring arrows: how long one of three standard deviations is drawn."""
+"""Length of an arrow of three standard deviations, over the spacing of arrows."""
 
 BLUE = "#1f4e8c"
 
@@ -50,14 +50,14 @@ def write_fit(fit: Fit, folder: Path) -> list[Path]:
 
 
 def write_files(contents: dict[str, str | bytes], folder: Path) -> list[Path]:
-    """Write files into a folder, when all of them are made."""
+    """Write files into a folder once all of them are made."""
     for name, content in contents.items():
         write_whole(folder / name, content)
     return [folder / name for name in contents]
 
 
 def facts(fit: Fit) -> dict[str, Any]:
-    """Return what ``fit.json`` holds."""
+    """Return the content of ``fit.json``."""
     return {
         "lfmesh_version": lfmesh.__version__,
         "parameters": parameter_facts(fit.estimates),
@@ -78,7 +78,7 @@ def facts(fit: Fit) -> dict[str, Any]:
 
 
 def parameter_facts(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
-    """Return what ``fit.json`` holds of parameters."""
+    """Return the parameters' part of ``fit.json``."""
     return [
         {
             "name": each.parameter.name,
@@ -96,11 +96,11 @@ def parameter_facts(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
 
 
 LISTED = 10000
-"""Residuals of more micro-images are left out of the JSON."""
+"""Largest number of micro-images with residuals in the JSON."""
 
 
 def residuals_picture(fit: Fit) -> bytes:
-    """Return a PNG: the residuals over the upright picture as arrows, and their distribution."""
+    """Return a PNG of the residuals over the upright picture, as arrows, and their distribution."""
     upright = Upright.of(fit.scene)
     residuals = upright.picture(fit.residuals_px) * np.array(upright.senses)
     rows, columns = residuals.shape[:2]
@@ -123,7 +123,7 @@ def residuals_picture(fit: Fit) -> bytes:
 
 
 def two_plots() -> tuple[Any, Any, Any]:
-    """Return a figure with two plots side by side: for residuals over the field, and for their distribution."""
+    """Return a figure with two plots side by side, for residuals over the field and for their distribution."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -148,4 +148,4 @@ def as_png(figure: Any) -> bytes:
 
 
 ARROWS = 32
-"""Along the longer side, at most."""
+"""Largest number of arrows along the longer side."""

@@ -1,8 +1,7 @@
-"""Parameters of a fit of a camera, and the places of its micro-images as their function.
+"""Parameters of a camera fit, and the positions of its micro-images as a function of them.
 
-What is found on a white image lies beside the chief rays: pixels sample the borders of a micro-image, and light falls
-off over it. The fit compares like with like: to the chief rays it adds what the same search finds beside them on a
-simulated white image of the camera.
+Micro-images on a white image are offset from the chief rays: pixels sample their borders, and light falls off over
+them. The model adds the offsets that the same search finds on a simulated white image.
 """
 
 from collections.abc import Mapping
@@ -23,42 +22,42 @@ from lfmesh.study.sweeps.paths import value_at
 Array = NDArray[np.float64]
 
 TILT_DEG, PITCH_ERROR = 1.0, 0.01
-"""Largest plausible tilt or rotation, and pitch error, of an array."""
+"""Largest plausible tilt or rotation (degrees), and pitch error, of an array."""
 
 DISTANCE = 0.2
-"""Largest plausible error of the distance from lenslets to sensor, over that distance."""
+"""Largest plausible relative error of the distance from lenslets to sensor."""
 
 ASIDE = 0.5
-"""Of the range: how far a camera is moved to see what chief rays do not show."""
+"""Displacement of the camera, in ranges, for effects that chief rays do not show."""
 
 HARDLY_PX = 0.1
-"""Directions along which this moves chief rays by less, rms, need to be looked at."""
+"""Rms motion of the chief rays by this displacement below which a direction is examined."""
 
 SLOPE_IMAGE = 1
-"""Number of the simulated images that are compared for it: the same random numbers, so that noise is partly shared."""
+"""Number of the simulated images compared for it: common random numbers cancel part of the noise."""
 
 DEGREE = 3
-"""Of the polynomial in columns and rows."""
+"""Degree of the polynomial in columns and rows."""
 
 STEP = 0.05
-"""Of the range: half of what a central difference spans. Centres are nearly linear in all that is fitted."""
+"""Central-difference half-step, in ranges. Centres are nearly linear in all parameters."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of the camera that is fitted.
+    """Fitted number of a camera.
 
     Attributes
     ----------
     name : str
     path : str
-        Of the scene's field.
+        Path of the scene's field.
     unit : str
         "" for a ratio.
     start : float
-        What the scene has.
+        Value in the scene.
     reach : float
-        Largest plausible difference from that. A direction in which the picture tells less is not determined.
+        Largest plausible difference from it. A direction that the picture determines worse than this is not determined.
     """
 
     name: str
@@ -69,18 +68,18 @@ class Parameter:
 
 
 def parameters_of(scene: Scene, also: Mapping[str, float] | None = None) -> tuple[Parameter, ...]:
-    """Return the assembly errors of a solved scene's array, and further fields.
+    """Return the assembly errors of a solved scene's array, followed by further fields.
 
     Parameters
     ----------
     scene : Scene
     also : mapping, optional
-        Largest plausible change of further fields by their paths, as {"camera.sensor.distance_mm": 0.05}.
+        Largest plausible changes of further fields, by path, as {"camera.sensor.distance_mm": 0.05}.
 
     Raises
     ------
     LfmeshError
-        A conventional camera, a path that leads to no number, a range that is not positive.
+        The camera is conventional, a path is not a number's, or a range is not positive.
     """
     mla = scene.camera.mla
     if mla is None:
@@ -125,12 +124,12 @@ class FitModel:
     Attributes
     ----------
     scene : Scene
-        Solved; where the fit starts.
+        Start of the fit, solved.
     parameters : tuple of Parameter
     samples : int
-        A pixel, of the simulated white images.
+        Samples per pixel of the simulated white images.
     warned : dict
-        Warnings of the white images simulated so far, by the name of each.
+        Warnings of the white images simulated so far, by name.
     """
 
     scene: Scene
@@ -140,11 +139,11 @@ class FitModel:
 
     @property
     def reach(self) -> Array:
-        """(p,): the ranges, in which steps and singular values are counted."""
+        """(p,): plausible ranges, the units of steps and singular values."""
         return np.array([each.reach for each in self.parameters])
 
     def at(self, steps: Array) -> Scene:
-        """Return the camera at (p,) differences from the start, in ranges."""
+        """Return the camera displaced from the start by (p,) steps, in ranges."""
         moved = zip(self.parameters, steps * self.reach, strict=True)
         try:
             return self.scene.changed({each.path: each.start + float(step) for each, step in moved})
@@ -153,12 +152,12 @@ class FitModel:
             raise LfmeshError(f"no camera near the scene's fits the picture; the search came to {line}") from None
 
     def centres(self, steps: Array) -> Array:
-        """Return where the chief rays land, (rows, columns, 2) pixels; NaN: there is none."""
+        """Return the chief rays' points on the sensor, (rows, columns, 2) pixels; NaN: none."""
         found = calibrate(self.at(steps))
         return np.where(found.known[..., None], found.centres_px, np.nan)
 
     def derivative(self, steps: Array) -> Array:
-        """Return the derivative of the centres by the parameters in ranges, (rows, columns, 2, p) pixels."""
+        """Return the derivative of the centres by the parameters, (rows, columns, 2, p) pixels per range."""
         columns = [
             (self.centres(steps + unit) - self.centres(steps - unit)) / (2.0 * STEP)
             for unit in STEP * np.eye(len(steps))
@@ -166,13 +165,13 @@ class FitModel:
         return np.stack(columns, axis=-1)
 
     def simulated(self, steps: Array, number: int) -> Array:
-        """Return a simulated white image of the camera, (H, W), as the raw image lies.
+        """Return a simulated white image of the camera, (H, W), oriented like the raw image.
 
         Parameters
         ----------
         steps : (p,) float64
         number : int
-            From 1. Each has its own random numbers, which are others than those of a render of the same scene.
+            From 1. Each image has its own random numbers, different from those of a render of the scene.
         """
         camera = self.at(steps)
         settings = {
@@ -188,7 +187,7 @@ class FitModel:
         return np.ascontiguousarray(image.mean.sum(axis=2))
 
     def beside(self, light: Array, steps: Array) -> Array:
-        """Return how far micro-images of a simulated white image lie beside the chief rays, (rows, columns, 2) pixels.
+        """Return the offsets of a simulated white image's micro-images from the chief rays, (rows, columns, 2) pixels.
 
         Parameters
         ----------
@@ -200,16 +199,16 @@ class FitModel:
         return np.asarray(micro_image_places(light, self.scene, centres) - centres)
 
     def beside_slopes(self, steps: Array, derivative: Array) -> Array:
-        """Return how places beside the chief rays change with the parameters in ranges, (rows, columns, 2, p) pixels.
+        """Return the derivative of the offsets from chief rays by the parameters, (rows, columns, 2, p) pixels.
 
-        Only along directions that hardly move chief rays; along the others it is a small part of what they move. Noise
-        is that of the simulated images.
+        It is computed only along directions that hardly move chief rays; elsewhere it is negligible. It has the
+        simulated images' noise.
 
         Parameters
         ----------
         steps : (p,) float64
         derivative : (lenslets, 2, p) float64
-            Of the chief rays' places.
+            Derivative of the chief rays' positions.
         """
         rows = derivative.reshape(-1, len(steps))
         _, singular, directions = np.linalg.svd(rows, full_matrices=False)
@@ -222,12 +221,12 @@ class FitModel:
 
 
 def smooth(values: Array) -> Array:
-    """Return the polynomials of columns and rows nearest to values over the array, (rows, columns, ...).
+    """Return the least-squares polynomials in columns and rows for values over the array, (rows, columns, ...).
 
     Parameters
     ----------
     values : (rows, columns, ...) float64
-        NaN says nothing.
+        NaN: ignored.
     """
     height, width = values.shape[:2]
     y, x = np.meshgrid(np.linspace(-1.0, 1.0, height), np.linspace(-1.0, 1.0, width), indexing="ij")

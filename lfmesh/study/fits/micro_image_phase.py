@@ -1,7 +1,7 @@
-"""Places of micro-images by the phase of the white image at the lattice's own spatial frequencies, one by one.
+"""Positions of micro-images from the phase of the white image at the lattice's spatial frequencies.
 
-A window that fades to nothing at the neighbours' middles makes the sums blind to where pixels cut the border of a
-micro-image, and to a constant background; both drag a centroid along.
+The window fades to zero at the neighbours' centres. It makes the sums insensitive to a constant background and to the
+sampling of a micro-image's border by pixels, both of which bias a centroid.
 """
 
 import numpy as np
@@ -15,26 +15,26 @@ from lfmesh.scene import Scene
 Array = NDArray[np.float64]
 
 ELSEWHERE = 0.25
-"""Of the pitch: a lattice that lies so far beside the micro-images is that of the light between them."""
+"""Offset, over the pitch, beyond which the lattice found is that of the light between micro-images."""
 
 
 def micro_image_places(light: Array, scene: Scene, near: Array | None = None) -> Array:
-    """Return where every micro-image lies, (rows, columns, 2) pixels; NaN where there is none or the window leaves.
+    """Return the positions of all micro-images, (rows, columns, 2) pixels; NaN: none, or its window leaves the sensor.
 
     Parameters
     ----------
     light : (H, W) float64
-        White image as the raw image lies, C-contiguous.
+        White image, oriented like the raw image, C-contiguous.
     scene : Scene
         Solved.
     near : (rows, columns, 2) float64, optional
-        About where they lie. Where micro-images overlap, the light is brightest between them, and the search, which
-        knows the pitch alone, takes that for micro-images.
+        Approximate positions. If micro-images overlap, the light is brightest between them; a search from the pitch
+        alone would lock on to these places.
 
     Raises
     ------
     LfmeshError
-        As `find_centroids`.
+        As for `find_centroids`.
     """
     found = find_centroids(light, scene)
     ideal = Lattice(found.hexagonal, 1.0, *found.known.shape[::-1]).centres()
@@ -54,10 +54,10 @@ def micro_image_places(light: Array, scene: Scene, near: Array | None = None) ->
 
 
 def _waves(hexagonal: bool) -> Array:
-    """Return reciprocal vectors of the lattice of pitch 1, (n, 2), one of each with its opposite.
+    """Return reciprocal vectors of the lattice of pitch 1, (n, 2), without their opposites.
 
-    Two of a square one. Of a hexagonal one the three shortest and the three next: disks that nearly touch fill it so
-    well that the light hardly changes along the shortest.
+    A square lattice has two; a hexagonal one gets the three shortest and the next three, as nearly touching disks leave
+    little modulation along the shortest.
     """
     if not hexagonal:
         return np.eye(2)
@@ -71,13 +71,13 @@ def _shifts(sums: Array, waves: Array) -> Array:
     Parameters
     ----------
     sums : (rows, columns, waves) complex128
-        Of windowed light times each wave.
+        Sums of windowed light times each wave.
     waves : (waves, 2) float64
 
     Notes
     -----
-    A phase counts by the square of the wave's mean amplitude. Where micro-images overlap, or are small against the
-    pitch, they are dark at the middle of a wave: its amplitude is negative, half a turn away.
+    Phases are weighted by the square of the wave's mean amplitude. This is negative, half a period away, where
+    micro-images are dark at the middle of a wave: if they overlap, or are small compared with the pitch.
     """
     mean = np.nanmean(sums.reshape(-1, len(waves)), axis=0)
     phases = np.angle(sums * np.where(mean.real < 0.0, -1.0, 1.0)) / (2.0 * np.pi)
@@ -101,12 +101,12 @@ def _fill_sums(
     waves : (waves, 2) float64
         Reciprocal vectors of that lattice.
     fades : (2,) float64
-        Where the window ends, in those coordinates: there no other wave of the lattice, nor a constant, adds to a sum.
+        End of the window in those coordinates; it makes constants and the lattice's other waves cancel in each sum.
     sums : (rows, columns, waves) complex128
     """
     height, width = light.shape
     rows, columns, _ = centres.shape
-    # Half the box that holds the window.
+    # Half the bounding box of the window.
     det = to_lattice[0, 0] * to_lattice[1, 1] - to_lattice[0, 1] * to_lattice[1, 0]
     reach_x = (abs(to_lattice[1, 1]) * fades[0] + abs(to_lattice[0, 1]) * fades[1]) / abs(det)
     reach_y = (abs(to_lattice[1, 0]) * fades[0] + abs(to_lattice[0, 0]) * fades[1]) / abs(det)

@@ -1,7 +1,7 @@
-"""Rays of a camera's samples in object space as a smooth function of sample and view: a polynomial fit.
+"""Object-space rays of a camera's samples, fitted by a polynomial in sample and view.
 
-Views and samples are those of another camera, the one by which a picture was decoded: a sample is a place on the
-sensor. Its ray goes through the apex of the lenslet. The mean of all rays that it gathers lies a little beside that.
+Views and samples are counted on the sensor, by the calibration that decoded the picture. A sample's ray passes through
+the apex of its lenslet; the mean of all rays that it gathers is slightly different.
 """
 
 from dataclasses import dataclass
@@ -25,29 +25,29 @@ from lfmesh.transport.world import build
 Array = NDArray[np.float64]
 
 DEGREE = 5
-"""Of the polynomial in s, t, u and v."""
+"""Degree of the polynomial in s, t, u and v."""
 
 VIEWS, ACROSS = 8, 7
-"""Along each axis: the views that are traced, and the lenslets."""
+"""Numbers of traced views and lenslets along each axis."""
 
 WHOLE = 0.95
-"""Of the most light of a bundle: the lens cuts those with less."""
+"""Fraction of the brightest bundle's light below which a bundle is vignetted."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayMap:
-    """Rays before the lens by sample and view.
+    """Rays in front of the lens as a function of sample and view.
 
     Attributes
     ----------
     coefficients : (terms, 4) float64
-        Of x and y (mm) where a ray crosses the plane of the first vertex, and of dx/dz and dy/dz; camera frame.
+        Coefficients of x and y (mm) at the plane of the first vertex, and of dx/dz and dy/dz; camera frame.
     size : (2,) float64
         Width and height of a view, in samples.
     reach : float
-        Views from the middle one, to which the map goes.
+        Range of the map in views from the middle one.
     rms : (4,) float64
-        What the polynomial leaves of the traced rays.
+        Rms residual of the traced rays.
     """
 
     coefficients: Array
@@ -64,16 +64,16 @@ class RayMap:
         scene : Scene
             Solved.
         decoded : Calibration
-            By which samples and views are counted.
+            Calibration that defines samples and views.
         reach : float
             Views from the middle one, along each axis.
         of_bundles : bool
-            The mean ray of all that a pixel gathers, in place of the one through the lenslet's apex.
+            Trace the mean ray of a pixel's bundle instead of the ray through the lenslet's apex.
 
         Raises
         ------
         LfmeshError
-            The lens lets hardly any of the rays through.
+            The lens blocks nearly all of the rays.
         """
         upright = Upright.of(scene)
         sampling = sampling_of(decoded, upright)
@@ -100,10 +100,10 @@ class RayMap:
         )
 
     def terms(self, place: Array, spread: Array) -> Array:
-        """Return the (n, terms) monomials by which the coefficients are to be multiplied, for the mean ray of a sample.
+        """Return the (n, terms) monomials for the mean ray of each sample, to be multiplied by the coefficients.
 
-        The mean over the pixels between which a sample is interpolated is taken as that of two views, a standard
-        deviation to either side: exact for cubes of u and v, as the aberrations of the lens are.
+        The mean over the pixels that form a sample is taken as the mean of two views, one standard deviation to either
+        side. This is exact for cubic terms in u and v, such as the lens's aberrations.
 
         Parameters
         ----------
@@ -122,18 +122,18 @@ class RayMap:
 def view_spread(decoded: Calibration, scene: Scene, place: Array) -> Array:
     """Return the standard deviation of u and v within samples, (n, 2), in views.
 
-    Samples are means over pixels, and interpolated between them.
+    A sample averages over the area of pixels and interpolates between them.
 
     Parameters
     ----------
     decoded : Calibration
-        By which samples and views are counted.
+        Calibration that defines samples and views.
     scene : Scene
     place : (n, 4) float64
         Sample s and t, view u and v from the middle one.
     """
     sampling = sampling_of(decoded, Upright.of(scene))
-    # Views lie at whole pixels, or halves, from the centre: the last view's place tells which.
+    # Views lie at whole or half pixels from the centre, depending on their number.
     offset = (0.5 * (view_count(decoded, None) - 1)) % 1.0
     part = (decoded.centres_px + offset) % 1.0
     between = uniform_filter((part * (1.0 - part))[sampling.rows], (AROUND, AROUND, 1), mode="nearest")
@@ -141,16 +141,16 @@ def view_spread(decoded: Calibration, scene: Scene, place: Array) -> Array:
     column = sampling.columns[parity] + np.rint(sampling.share[parity]).astype(np.int64)
     on_samples = np.take_along_axis(between, column[..., None], axis=1)
     t, s = (np.clip(np.rint(place[:, i]).astype(np.int64), 0, on_samples.shape[1 - i] - 1) for i in (1, 0))
-    # A pixel's variance is 1/12, that of a mean of two pixels with weights w and 1 − w is w (1 − w) more.
+    # A pixel's variance is 1/12; a mean of two pixels with weights w and 1 − w adds w (1 − w).
     return np.asarray(np.sqrt(1.0 / 12.0 + on_samples[t, s]))
 
 
 AROUND = 5
-"""Samples along each axis whose interpolation counts for a corner."""
+"""Samples along each axis whose interpolation affects a corner."""
 
 
 def _apex_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Array:
-    """Return the rays of pixels through the apexes of lenslets, (n, 4), NaN where the lens stops them."""
+    """Return the rays of pixels through the apexes of lenslets, (n, 4); NaN where blocked."""
     rays = object_rays(scene, lenslets, pixels)
     own = scene.camera.pose
     to_camera = frames.inverse(frames.frame(own.tilt_deg, own.shift_mm))
@@ -160,7 +160,7 @@ def _apex_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Arra
 
 
 def _mean_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Array:
-    """Return the mean rays of the bundles of pixels, (n, 4), NaN where the lens cuts them."""
+    """Return the mean rays of the pixels' bundles, (n, 4); NaN where vignetted."""
     plate = plate_of(scene)
     numbers = lenslets[:, 1] * plate.lenslets.lattice.columns + lenslets[:, 0]
     found = bundles(build(scene.camera_alone()), plate, numbers, pixels)
@@ -168,7 +168,7 @@ def _mean_rays(scene: Scene, lenslets: NDArray[np.int64], pixels: Array) -> Arra
 
 
 def _lenslets(sampling: Sampling, known: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return rows and columns of some lenslets all over the array, (n,), and their samples s and t, (n, 2)."""
+    """Return rows and columns, (n,), of lenslets spread over the array, and their samples s and t, (n, 2)."""
     t = np.unique(np.linspace(0, len(sampling.t_mm) - 1, ACROSS).astype(np.int64))
     rows, columns, samples = [], [], []
     for each in t:
@@ -189,7 +189,7 @@ def _chebyshev(count: int) -> Array:
 
 
 def _scaled(place: Array, size: Array, reach: float) -> Array:
-    """Return s, t, u, v, each within about −1..1."""
+    """Return s, t, u, v, scaled to about −1..1."""
     half = np.maximum(0.5 * (size - 1.0), 1.0)
     return np.column_stack([(place[:, :2] - 0.5 * (size - 1.0)) / half, place[:, 2:] / reach])
 

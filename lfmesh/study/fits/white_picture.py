@@ -1,4 +1,4 @@
-"""Light of a white image that a camera took, as on the sensor, and what may be wrong with it."""
+"""Light of a camera's white image, in sensor orientation, with checks for faults."""
 
 from typing import Any, Literal, get_args
 
@@ -16,16 +16,16 @@ Array = NDArray[np.float64]
 Orientation = Literal["upright", "upside_down", "sensor"]
 
 FULL = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
-"""Highest counts of converters."""
+"""Full-scale counts of converters."""
 
 SATURATED = 0.01
-"""Share of the pixels at the highest count above which a picture is refused."""
+"""Fraction of pixels at full scale above which a picture is refused."""
 
 
 def light_of(
     white: Image | Exposed | NDArray[Any], scene: Scene, orientation: Orientation, name: str = "white image"
 ) -> Array:
-    """Return the light of a white image or another picture, (H, W) as on the sensor.
+    """Return the light of a white image or another picture, (H, W), in sensor orientation.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ def light_of(
     scene : Scene
         Solved.
     orientation : {"upright", "upside_down", "sensor"}
-        Of an array.
+        Orientation of an array.
     name : str
-        What the picture is, for errors.
+        Name of the picture in errors.
 
     Raises
     ------
     LfmeshError
-        Another size than the sensor's, a mosaic, black, saturated, or values that are no light.
+        The picture has another size than the sensor, is a mosaic, black or saturated, or has values that are not light.
     """
     if orientation not in get_args(Orientation):
         raise LfmeshError(f"orientation = {orientation!r}: must be one of {', '.join(get_args(Orientation))}")

@@ -1,1 +1,1 @@
-"""Metrics of a camera against a reference, and the pictures that they are made of."""
+"""Metrics of a camera against a reference, and their pictures."""

@@ -1,4 +1,4 @@
-"""Metrics of the centres of micro-images: as white images show them, and as traced chief rays give them."""
+"""Metrics of the centres of micro-images, from white images and from traced chief rays."""
 
 import math
 
@@ -17,11 +17,11 @@ from lfmesh.study.sweeps.statistics import (
 
 Array = NDArray[np.float64]
 TRACED_DECIMALS = 9
-"""Of pixels and degrees that traced rays move: what follows is rounding."""
+"""Decimals of traced movements in pixels and degrees; the rest is rounding error."""
 
 
 def centres(pair: Comparison) -> Array:
-    """Return pseudo-values of the movement of the centres that both white images show.
+    """Return pseudo-values of the movement of the centres between both white images.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def centres(pair: Comparison) -> Array:
 
 
 def chief_rays(pair: Comparison) -> Array:
-    """Return the movement of the points where the chief rays of both cameras land; nothing here is random.
+    """Return the movement of the chief rays' points on the sensor between both cameras; nothing here is random.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ def chief_rays(pair: Comparison) -> Array:
     values = np.round(moved, TRACED_DECIMALS)[None, :] + 0.0
     pair.maps["chief_rays"] = _displacements(values, pair.reference_chief_rays)
     found = _movements(values)
-    # Displacements that cancel leave rounding of their sum.
+    # Displacements that cancel leave a rounding error in their sum.
     found[:, :2] = np.round(found[:, :2], TRACED_DECIMALS) + 0.0
     return found
 
 
 def _moved(own: Calibration, other: Calibration) -> Array:
-    """Return how far each centre has moved, x and y in pixels, NaN where one is not known; then pitch and rotation."""
+    """Return the movement of each centre, x and y in pixels, NaN where unknown; then pitch ratio and rotation."""
     both = (own.known & other.known)[..., None]
     moved = np.where(both, own.centres_px - other.centres_px, np.nan)
     turn = math.degrees(own.rotation_rad - other.rotation_rad)
@@ -68,7 +68,7 @@ def _displacements(values: Array, centres: Calibration) -> Array:
 
 
 def _movements(values: Array) -> Array:
-    """Return the columns of `_movement` from pseudo-values of `_moved`; noise of single centres adds to no square."""
+    """Return a metric's columns from pseudo-values of `_moved`; noise of single centres does not bias the square."""
     moved = values[:, :-2].reshape(len(values), -1, 2)
     moved = moved[:, np.isfinite(moved).all(axis=(0, 2))]
     if not moved.size:

@@ -1,7 +1,7 @@
-"""A camera and the reference as metrics see them: the films of both, replicate by replicate.
+"""Films of a camera and the reference, replicate by replicate, as input of metrics.
 
-Where the study is paired, replicates of the same number have the same random numbers, and the noise that both cameras
-share drops out of every difference.
+In a paired study, replicates of the same number share random numbers, and the common noise of both cameras cancels in
+differences.
 """
 
 import math
@@ -27,23 +27,23 @@ from lfmesh.study.sweeps.statistics import (
 
 Array = NDArray[np.float64]
 Found = dict[tuple[str, tuple[int, ...]], Any]
-"""Results by their name and the numbers of the replicates behind them."""
+"""Results by name and replicate numbers."""
 
 
 @dataclass
 class Comparison:
-    """A camera and the reference as metrics see them.
+    """A camera and the reference, as input of metrics.
 
     Attributes
     ----------
     camera, reference : Camera
     films, reference_films : dict of (replicates, H, W, channels) float64, W
     replicates : int
-        Number of them.
+        Number of replicates.
     maps : dict of (rows, columns, 2) float64
-        Fields over the array, which metrics leave here.
+        Fields over the array, stored by metrics.
     found : dict
-        Results of the reference alone, by name and replicates; comparisons with the same films share them.
+        Results of the reference alone, by name and replicates; shared by comparisons with the same films.
     """
 
     camera: Camera
@@ -55,15 +55,15 @@ class Comparison:
     found: Found = field(default_factory=dict)
 
     def of_reference(self, name: str, use: Numbers, compute: Callable[[Numbers], Any]) -> Any:
-        """Return what follows from some replicates of the reference alone; computed once for all cameras.
+        """Return a result of some replicates of the reference alone; it is computed once for all cameras.
 
         Parameters
         ----------
         name : str
-            Of the result.
+            Name of the result.
         use : (n,) int64
         compute : callable
-            Given the numbers of the replicates, returns the result.
+            Computes the result from the numbers of the replicates.
         """
         key = name, tuple(use.tolist())
         if key not in self.found:
@@ -72,37 +72,37 @@ class Comparison:
 
     @cached_property
     def chief_rays(self) -> Calibration:
-        """Centres of the camera's micro-images by traced chief rays."""
+        """Centres of the camera's micro-images from traced chief rays."""
         return calibrate(self.camera.scene)
 
     @cached_property
     def reference_chief_rays(self) -> Calibration:
-        """The same of the reference."""
+        """The same for the reference."""
         found: Calibration = self.of_reference("chief rays", self.every, lambda _: calibrate(self.reference.scene))
         return found
 
     @cached_property
     def products(self) -> Array:
-        """Products of the films of the scene by parts, the camera's before the reference's, less their means."""
+        """Products by parts of the mean-free films of the scene, the camera's before the reference's."""
         both = [*self.films["scene"], *self.reference_films["scene"]]
         return inner_products([film - film.mean() for film in both])
 
     @cached_property
     def reference_products(self) -> Array:
-        """Products of the reference's films of the scene by parts, W²."""
+        """Products by parts of the reference's films of the scene, W²."""
         return inner_products(list(self.reference_films["scene"]))
 
     @cached_property
     def reference_light(self) -> Array:
-        """Shares of the parts of these films in their means, (parts, replicates), W."""
+        """Contributions of the parts to the means of these films, (parts, replicates), W."""
         films = self.reference_films["scene"]
         return np.stack([in_parts(film).sum(axis=1) / film.size for film in films], axis=1)
 
     def peak(self, use: Numbers) -> float:
         """Return the brightness of white in the reference's picture, W: its mean square over its mean.
 
-        It is that of white where a picture is black and white, and lower in others. The brightest pixel would be that
-        of the largest noise.
+        This is exact for black-and-white pictures and too low for others. The brightest pixel would be the noisiest
+        one.
         """
         light = float(self.reference_light[:, use].sum(axis=0).mean())
         square = independent_product(chosen(self.reference_products, use))
@@ -115,11 +115,11 @@ class Comparison:
 
 
 Compute = Callable[[Comparison], Array]
-"""Returns pseudo-values, (replicates or 1, columns)."""
+"""Function that returns pseudo-values, (replicates or 1, columns)."""
 
 
 def reference_centres(pair: Comparison, use: Numbers) -> Calibration:
-    """Return the centres that white images of the reference show.
+    """Return the centres of micro-images in the reference's white images.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def from_replicates(estimate: Callable[[Numbers], Array], pair: Comparison) -> A
     Parameters
     ----------
     estimate : callable
-        Returns (columns,) values from the numbers of some replicates.
+        Returns (columns,) values for the numbers of some replicates.
     pair : Comparison
     """
     return pseudo_values(estimate, pair.replicates)

@@ -1,8 +1,8 @@
-"""Cross-talk: light that falls on the cell of one lenslet's micro-image through another lenslet.
+"""Cross-talk: light in the cell of one lenslet's micro-image that came through another lenslet.
 
-A cell is all of the sensor that lies nearer to where the chief ray of its lenslet lands than to that of any other. Rays
-start at random places of the pixels, as those of the adjoint method do, and pass the array and the lens to a uniform
-surround; a vertex is recorded at each face, and that of the curved face knows its lenslet.
+A cell consists of the points on the sensor nearest to its lenslet's chief ray. Rays start at random points of pixels,
+as in the adjoint method, and pass the array and the lens to a uniform surround. Vertices are recorded; the one on the
+curved face identifies the lenslet.
 """
 
 from collections.abc import Sequence
@@ -30,33 +30,33 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 STREAM = 0x63726F7373
-"""Number of the random numbers; renders have others."""
+"""Random-number stream, different from those of renders."""
 
 CHUNK = 4096
-"""Rays that are traced together: their vertices are all in memory."""
+"""Rays traced together, with all their vertices in memory."""
 
 MOST_PIXELS = 65_536
-"""Of a larger sensor each replicate takes so many pixels, spread evenly and at random: it is a share that is asked for,
-and rays whose lenslets are recorded take ten times as long as others."""
+"""Pixels per replicate on a larger sensor, random and evenly spread: enough for a fraction. Rays with recorded lenslets
+take ten times as long as others."""
 
 
 def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
-    """Return the light of a uniform surround in the cell of each lenslet, by where it came through.
+    """Return the light of a uniform surround in the cell of each lenslet, split by its path.
 
-    Refracted light alone, at the primary wavelength, of a radiance of 1 W/(m² sr). Of sensors with more than
-    `MOST_PIXELS` it is estimated from some of the pixels.
+    Only refracted light counts, at the primary wavelength, from a radiance of 1 W/(m² sr). On sensors with more than
+    `MOST_PIXELS` it is estimated from a sample of the pixels.
 
     Parameters
     ----------
     scene : Scene
-        With a microlens array.
+        Scene with a microlens array.
     replicates : sequence of int
-        Numbers of the replicates; those of scenes with the same seed share their random numbers.
+        Numbers of the replicates; scenes with the same seed share random numbers.
 
     Returns
     -------
     (replicates, rows, columns, 2) float64, W
-        Through the cell's own lenslet, and through all others.
+        Light through the cell's own lenslet, and through all others.
 
     Warns
     -----
@@ -86,7 +86,7 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
         key = descendant(descendant(run_key(transport.seed), STREAM), replicate)
         some = _spread(pixels, key)
         source = PixelSource(some, transport.samples_each, key, world.lines.middle)
-        # Added up in their order, whichever thread is done first.
+        # Summed in order, whichever thread finishes first.
         light = np.zeros((2, len(cells.data)))
         for sums, own in launcher.traced(source, keep, transport.threads, CHUNK):
             light += sums
@@ -97,7 +97,7 @@ def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
 
 
 def _spread(pixels: int, key: np.uint64) -> Whole:
-    """Return the numbers of the pixels to take: all, or a random one of each of `MOST_PIXELS` equal runs."""
+    """Return the pixels to sample: all, or a random one from each of `MOST_PIXELS` equal runs."""
     if pixels <= MOST_PIXELS:
         return np.arange(pixels)
     place = np.arange(MOST_PIXELS) + np.random.default_rng(int(key)).random(MOST_PIXELS)
@@ -105,9 +105,9 @@ def _spread(pixels: int, key: np.uint64) -> Whole:
 
 
 def _sums(world: World, ended: NDArray[np.void], nodes: NDArray[np.void], cells: KDTree) -> Array:
-    """Return the weights of the rays that left the camera by the cell that they began in, (2, cells).
+    """Return the weights of the rays that left the camera, by starting cell, (2, cells).
 
-    First of those that went through its own lenslet, then of the others.
+    The first row is for rays through the cell's own lenslet, the second for others.
     """
     out = ended[ended["status"] == Status.ESCAPED]
     start, lenslet = _followed_back(nodes, out["node"])
@@ -120,7 +120,7 @@ def _sums(world: World, ended: NDArray[np.void], nodes: NDArray[np.void], cells:
 
 
 def _followed_back(nodes: NDArray[np.void], last: Whole) -> tuple[Whole, Whole]:
-    """Return the first vertices of paths, and the lenslet next to the sensor that each went through, −1 if none.
+    """Return the first vertices of paths, and the lenslet next to the sensor on each path, −1 if none.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def _followed_back(nodes: NDArray[np.void], last: Whole) -> tuple[Whole, Whole]:
     going = np.arange(len(last))
     while len(going):
         row = nodes[node[going]]
-        # From object space back to the sensor: what comes last lies next to it.
+        # Going back to the sensor, the last curved face is the one next to it.
         through = (row["surface"] == CURVED_FACE) & (row["event"] == Event.TRANSMITTED)
         lenslet[going[through]] = row["part"][through]
         going, parent = going[row["parent"] >= 0], row["parent"][row["parent"] >= 0]

@@ -1,4 +1,4 @@
-"""Metric of the depth that the picture shows."""
+"""Metric of the depth from the light field."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def depth(pair: Comparison) -> Array:
-    """Return pseudo-values of the depth error, decoded as built to plan and calibrated.
+    """Return pseudo-values of the depth error, decoded with the nominal camera and with its calibration.
 
     Parameters
     ----------
@@ -42,6 +42,6 @@ def depth(pair: Comparison) -> Array:
 
 
 def _divided(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> LightField:
-    """Return the light field of the scene, divided by the white one."""
+    """Return the light field of the scene, divided by the white image's."""
     white = image_of(white_scene(nominal), films["white"][use])
     return decode(image_of(nominal, films["scene"][use]), nominal, white=white, calibration=centres)

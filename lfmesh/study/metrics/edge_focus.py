@@ -1,7 +1,7 @@
-"""Refocusing on an edge: the shift from view to view by which its views lie on one another.
+"""Refocusing on an edge: the shift between views that aligns them.
 
-An edge that view u shows at place x0 − a u is sharp in the photograph that moves the views by a samples each. The
-straight line through its places, by least squares, is the photograph in which the rms of its blur is least.
+An edge at x0 − a u in view u is sharp in the photograph that shifts the views by a samples each. The least-squares line
+through its positions gives the photograph with the smallest rms blur.
 """
 
 import math
@@ -16,39 +16,39 @@ from lfmesh.study.cameras.compare import EDGE_DEG
 Array = NDArray[np.float64]
 
 LEAST_CONTRAST = 0.2
-"""Views whose dark side is brighter than this share less than their bright one show no edge."""
+"""Contrast of a view, relative to its bright side, below which it shows no edge."""
 
 DARK = 0.1
-"""A view is unknown where a column of its white image has less than this share of the light of its brightest one."""
+"""Fraction of a view's brightest white-image column below which another column makes the view unknown."""
 
 UNLIKE = 0.04
-"""A view whose light differs by more from that of the brightest one in the middle of the pupil, over that, is not seen
-from its middle alone: with less light it is cut off, with more it holds light of neighbouring lenslets."""
+"""Relative difference of a view's light from the brightest view in the middle of the pupil above which its direction is
+uncertain: darker views are vignetted, brighter ones hold light of neighbouring lenslets."""
 
 LEAST_VIEWS = 3
-"""Different u, of which a slope has an error."""
+"""Smallest number of different u for a slope with an error."""
 
 CROSSING_ROWS = 1.0 / math.tan(math.radians(EDGE_DEG))
-"""Rows of samples in which the slanted edge moves on by one sample."""
+"""Rows of samples in which the slanted edge moves by one sample."""
 
 LEAST_ROWS = math.ceil(CROSSING_ROWS)
-"""Rows of samples that show every place of the edge within a sample."""
+"""Rows of samples that show every position of the edge within a sample."""
 
 LEAST_WIDTH_PX = 5.2
-"""Width of a micro-image with so many views, whether there is a view in the middle or not."""
+"""Width of a micro-image that gives this many views, with or without a middle one."""
 
 
 def edge_shift_mm(edge: LightField, white: LightField) -> float:
-    """Return by how much a nearly upright edge, bright on its right, moves on the array from one view to the next.
+    """Return the shift on the array, from view to view, of a nearly upright edge that is bright on its right.
 
-    Positive nearer than the focus, as `RayModel.shift_mm`. NaN where too few views show the edge, or it leaves the
-    middle of the picture. Whole columns are divided by those of the white image: samples by themselves hold too little
-    light, and noise would decide which of them are dark.
+    It is positive nearer than the focus, as in `RayModel.shift_mm`. NaN if too few views show the edge, or it leaves
+    the middle of the picture. Whole columns are divided by the white image's: single samples hold too little light, and
+    noise would decide which of them are dark.
 
     Parameters
     ----------
     edge, white : LightField
-        Of the edge and of a white plane, from the same samples.
+        Light fields of the edge and of a white plane, from the same samples.
     """
     if min(edge.data.shape[2:4]) < LEAST_ROWS:
         return float("nan")
@@ -58,7 +58,7 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     columns, bright = (_columns(field) for field in (edge, white))
     known = inner & np.isfinite(columns).all(axis=2) & np.isfinite(bright).all(axis=2)
     known &= bright.min(axis=2) > DARK * bright.max(axis=2)
-    # The pupil may lie elsewhere than in the camera to plan, as where the array has moved along the axis.
+    # The pupil may lie elsewhere than in the nominal camera, for example if the array has moved along the axis.
     light = bright.mean(axis=2)
     middle = known & (np.hypot(edge.v_rad[:, None], edge.u_rad[None, :]) <= 0.25 / edge.model.f_number)
     usual = light[middle].max(initial=0.0)
@@ -69,7 +69,7 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
     lit, inside = _bright_samples(columns[known] / bright[known])
     if not inside:
         return float("nan")
-    # A slanted edge also moves with v.
+    # A slanted edge also shifts with v.
     design = np.column_stack([u, v, np.ones(len(u))]).astype(np.float64)
     design = design if len(np.unique(v)) > 1 else design[:, ::2]
     slope, *_ = np.linalg.lstsq(design, lit)[0]
@@ -77,12 +77,12 @@ def edge_shift_mm(edge: LightField, white: LightField) -> float:
 
 
 def why_unknown(rows: int, columns: int, model: RayModel) -> str:
-    """Return in words why a camera cannot tell where an edge is refocused; nothing where it can.
+    """Return the reason why a camera cannot measure the refocus distance, or "".
 
     Parameters
     ----------
     rows, columns : int
-        Of its lenslets.
+        Numbers of lenslets.
     model : RayModel
     """
     if min(rows, columns) < LEAST_ROWS:
@@ -100,7 +100,7 @@ def why_unknown(rows: int, columns: int, model: RayModel) -> str:
 
 
 def _inner_views(v_rad: Array, u_rad: Array, f_number: float) -> NDArray[np.bool_]:
-    """Tell which views are not at the border of the pupil, of which the light is not seen from their middle."""
+    """Tell which views lie inside the pupil's border; the light of a border view does not come from its middle."""
     if len(u_rad) < LEAST_VIEWS:
         return np.zeros((len(v_rad), len(u_rad)), dtype=bool)
     return np.asarray(np.hypot(v_rad[:, None], u_rad[None, :]) <= 0.5 / f_number - abs(u_rad[1] - u_rad[0]))
@@ -117,11 +117,11 @@ def _columns(field: LightField) -> Array:
 
 
 def _row_weights(count: int) -> Array:
-    """Return weights of rows by which every place of the edge within a sample counts the same.
+    """Return weights of rows that give every position of the edge within a sample the same weight.
 
-    Lenslets that are not in focus on the pupil see neighbouring places through overlapping footprints, so that the
-    light of one row does not go with the edge's place. What repeats with every sample drops out of a mean weighted by a
-    box of one crossing, convolved with a box of the rows that are left.
+    Lenslets not focused on the pupil have overlapping footprints, so that the light of one row is not proportional to
+    the edge's position. A component periodic in samples drops out of a mean weighted by a box of one crossing,
+    convolved with a box of the remaining rows.
     """
     from_border = 0.5 + np.minimum(np.arange(count), np.arange(count)[::-1])
     ramp = min(CROSSING_ROWS, count - CROSSING_ROWS)
@@ -130,7 +130,7 @@ def _row_weights(count: int) -> Array:
 
 
 def _bright_samples(rows: Array) -> tuple[Array, bool]:
-    """Return how many samples of the mean row of each view are bright, and whether that is known.
+    """Return the number of bright samples in the mean row of each view, and whether it is known.
 
     Parameters
     ----------

@@ -28,14 +28,14 @@ from lfmesh.transport.render.image import Image
 
 Array = NDArray[np.float64]
 LEAST_LENSLETS = 10
-"""Along each axis, of which the middle, without micro-images that may be cut off, is enough for an MTF."""
+"""Smallest number of lenslets along each axis whose middle, without cut-off micro-images, suffices for an MTF."""
 
 SHARPEST = 0.6034
-"""MTF50 of a box as wide as a sample, cycles a sample; samples that gather light of their whole width have no more."""
+"""MTF50 of a box as wide as a sample, cycles per sample; the limit for samples that integrate over their width."""
 
 
 def mtf50(pair: Comparison) -> Array:
-    """Return pseudo-values of the MTF50 of an edge, decoded as built to plan and calibrated by the white image.
+    """Return pseudo-values of an edge's MTF50, decoded with the nominal camera and calibrated by the white image.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def mtf50(pair: Comparison) -> Array:
     most = SHARPEST * pair.reference_chief_rays.centres_px.shape[0]
     for values in found.T:
         value, error = combined(values)
-        # Beyond what is possible by noise, it is at the border; by more, it is wrong.
+        # A value beyond the limit by noise is put at the limit; a value farther beyond is wrong.
         if value > most:
             values[:] += most - value if value <= most + RESOLVED * error else math.nan
     return found
@@ -71,7 +71,7 @@ def _sharpness(image: Image, nominal: Scene, pair: Comparison, centres: Calibrat
 
 
 def why_no_mtf50(scene: Scene) -> str:
-    """Return the reason for which a camera can have no MTF50, or "".
+    """Return the reason why a camera has no MTF50, or "".
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def why_no_mtf50(scene: Scene) -> str:
 
 
 def refocus_distance(pair: Comparison) -> Array:
-    """Return pseudo-values of the distance at which an edge is refocused, as built to plan and calibrated.
+    """Return pseudo-values of the refocus distance of an edge, decoded with the nominal camera and calibrated.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def refocus_distance(pair: Comparison) -> Array:
 
 
 def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibration) -> float:
-    """Return at which distance the photograph of the edge is sharpest; NaN where that is no real one."""
+    """Return the distance of the sharpest photograph of the edge; NaN if it is not a real distance."""
     edge, white = measuring(nominal), measuring(white_scene(nominal))
     light = decode(image_of(white, films["white"][use].sum(axis=3, keepdims=True)), white, calibration=centres)
     field = decode(image_of(edge, films["edge"][use]), edge, calibration=centres)
@@ -117,7 +117,7 @@ def _refocused_mm(films: Films, use: Numbers, nominal: Scene, centres: Calibrati
 
 
 def why_no_refocus(scene: Scene) -> str:
-    """Return the reason for which a camera can have no refocus distance, or "".
+    """Return the reason why a camera has no refocus distance, or "".
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Metrics of the raw image: differences from the reference, light, ghosts, crosstalk and noise."""
+"""Metrics of the raw image: differences from the reference, light, ghosts, cross-talk and noise."""
 
 import math
 
@@ -70,12 +70,12 @@ def ssim(pair: Comparison) -> Array:
         peak = channels * pair.peak(use)
         return np.array([structural_similarity(own[use].mean(axis=0), other[use].mean(axis=0), peak)])
 
-    # Of these pictures with their noise: fewer replicates have more, which is not taken off.
+    # SSIM of the pictures with their noise; the larger noise of fewer replicates is not corrected for.
     return from_replicates(estimate, pair)
 
 
 def light(pair: Comparison) -> Array:
-    """Return pseudo-values of the light on a pixel, and over that of the reference.
+    """Return pseudo-values of the light per pixel, absolute and relative to the reference.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def light(pair: Comparison) -> Array:
 
 
 def ghosts(pair: Comparison) -> Array:
-    """Return pseudo-values of the fraction of light that was reflected on its way.
+    """Return pseudo-values of the fraction of light that was reflected on its path.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def ghosts(pair: Comparison) -> Array:
 
 
 def noise(pair: Comparison) -> Array:
-    """Return pseudo-values of the noise over the image.
+    """Return pseudo-values of the noise relative to the image.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def noise(pair: Comparison) -> Array:
 
     def estimate(use: Numbers) -> Array:
         signal = np.float64(independent_product(chosen(products, use)))
-        # Of the mean of all replicates, whatever number the estimate is from.
+        # Noise of the mean of all replicates, whatever number the estimate is from.
         return np.array([(own[:, use].sum() / len(use) - signal) / pair.replicates / signal])
 
     own = products.diagonal(axis1=1, axis2=2)

@@ -1,7 +1,7 @@
-"""Metrics of a camera against the reference, each as jackknife pseudo-values of its replicates.
+"""Metrics of a camera against the reference, each as jackknife pseudo-values over replicates.
 
-A metric is given the films of both cameras, replicate by replicate. Where the study is paired, replicates of the same
-number have the same random numbers, and the noise that both cameras share drops out of every difference.
+A metric gets the films of both cameras, replicate by replicate. In a paired study, replicates of the same number share
+random numbers, and the common noise of both cameras cancels in differences.
 """
 
 import math
@@ -21,19 +21,19 @@ from lfmesh.study.metrics.image_metrics import crosstalk, ghosts, light, ncc, no
 
 
 class Metric(NamedTuple):
-    """A metric.
+    """A metric of a study.
 
     Attributes
     ----------
     columns : tuple of Column
     pictures : tuple of str
-        That it needs, see `pictures.films`.
+        Pictures that it needs, see `pictures.films`.
     compute : callable
     needs_mla : bool
     unknown : callable
-        Given a scene, returns in words why its camera can have none, or "".
+        Returns the reason why a scene's camera has no value, or "".
     unseen : str
-        What pictures lack, in words, where a value is not known although the camera could have one.
+        Reason why a picture may give no value although the camera could have one.
     """
 
     columns: tuple[Column, ...]
@@ -44,7 +44,7 @@ class Metric(NamedTuple):
     unseen: str = "there is no light, or not enough of it"
 
     def why_unknown(self, scene: Scene) -> str:
-        """Return in words why the metric cannot be computed of a scene's camera; nothing where it can."""
+        """Return the reason why the metric cannot be computed for a scene's camera, or ""."""
         if self.needs_mla and scene.camera.mla is None:
             return "needs a camera with a microlens array"
         return self.unknown(scene)
@@ -168,11 +168,11 @@ METRICS: Mapping[str, Metric] = {
     "noise": Metric((Column("noise", "noise, rms over rms of the image", "root", worse="high"),), ("scene",), noise),
     "efficiency": Metric((), ("scene",), lambda pair: np.empty((pair.replicates, 0))),
 }
-"""All metrics by name; "efficiency" has no column here: times are not the same from run to run, see `outcome`."""
+"""All metrics by name; "efficiency" has no column here because times vary from run to run, see `outcome`."""
 
 
 def pictures_of(metrics: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the pictures that some metrics need."""
+    """Return the pictures needed by some metrics."""
     return tuple(dict.fromkeys(name for metric in metrics for name in METRICS[metric].pictures))
 
 

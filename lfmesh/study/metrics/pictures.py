@@ -1,4 +1,4 @@
-"""The pictures that metrics are made of: the scene, a white plane, an edge, one film for each replicate."""
+"""Pictures for metrics: the scene, a white plane, an edge, with one film per replicate."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -24,37 +24,38 @@ from lfmesh.transport.world import build
 
 Array = NDArray[np.float64]
 Films = Mapping[str, Array]
-"""By the name of a picture the light of each replicate, (replicates, H, W, channels) float64, W."""
+"""Light of each replicate, (replicates, H, W, channels) float64, W, by picture name."""
 
 FARTHEST_MM = 1e6
-"""No edge stands farther off."""
+"""Largest distance of the edge."""
 
 
 LENSLETS = "lenslets"
-"""No picture: light of a white surround in each micro-image, through its own lenslet and through others."""
+"""Not a picture: light of a white surround in each micro-image, through its own lenslet and through others."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera of a study, solved, and where its edge stands."""
+    """A solved camera of a study, with the distance of its edge."""
 
     scene: Scene
     edge_distance_mm: float = FARTHEST_MM
 
 
 def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
-    """Trace some replicates of some pictures; each of `PICTURES` is bitwise that of `lf.render` of the same scene.
+    """Trace replicates of pictures; each of `PICTURES` is bitwise equal to `lf.render` of the same scene.
 
-    Not of more than eight replicates of a scene with bands: those of `lf.render` depend on each other, and metrics take
-    products and spreads of independent ones.
+    An exception is a scene with bands and more than eight replicates: `lf.render` makes its replicates depend on each
+    other, and metrics need independent ones.
 
-    Warnings are those of `lf.render`, without what takes a whole image: the blind check, and errors of single pixels.
+    The warnings are also those of `lf.render`, except for checks that need a whole image: the blind check, and errors
+    of single pixels.
 
     Parameters
     ----------
     camera : Camera
     names : sequence of str
-        Of `PICTURES`, or "lenslets" for `lenslet_light`.
+        Names from `PICTURES`, or "lenslets" for `lenslet_light`.
     replicates : sequence of int
 
     Raises
@@ -66,12 +67,12 @@ def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> di
 
 
 class Taken(dict[str, Array]):
-    """Films of a camera by picture; one that cannot be traced raises the reason when it is asked for.
+    """Films of a camera by picture; accessing one that cannot be traced raises the reason.
 
     Attributes
     ----------
     lacking : dict of str
-        Why pictures cannot be traced, by their names.
+        Reasons why pictures cannot be traced, by name.
     """
 
     def __init__(self, films: Films, lacking: Mapping[str, str]) -> None:
@@ -79,14 +80,14 @@ class Taken(dict[str, Array]):
         self.lacking = lacking
 
     def __missing__(self, name: str) -> Array:
-        """Raise the reason why there is no such film."""
+        """Raise the reason why the film is missing."""
         if name in self.lacking:
             raise LfmeshError(self.lacking[name])
         raise KeyError(name)
 
 
 def taken(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> Taken:
-    """Trace those of some pictures that can be traced, as `films` does.
+    """Trace the pictures that can be traced, as `films` does.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def taken(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> Ta
         try:
             found |= films(camera, (name,), replicates)
         except FileError:
-            # Of the machine, not of the camera.
+            # A fault of the machine, not of the camera.
             raise
         except LfmeshError as error:
             lacking[name] = in_a_line(error)
@@ -144,7 +145,7 @@ def _films(scene: Scene, replicates: Sequence[int]) -> Array:
 
 
 def image_of(scene: Scene, films: Array) -> Image:
-    """Return the image of some replicates, as if its camera were that of a scene.
+    """Return the image of some replicates, as if taken by the camera of a scene.
 
     Parameters
     ----------
@@ -169,7 +170,7 @@ def _image_path(camera: Camera) -> Scene:
 
 
 def edge_scene(camera: Camera) -> Scene:
-    """Return a scene of a bright half-plane whose edge, a little slanted, runs through the axis."""
+    """Return a scene of a bright half-plane with a slightly slanted edge through the axis."""
     solved = solved_camera(camera.scene)
     plane = edge_plane(solved.report, camera.edge_distance_mm)
     return measuring(solved.scene).changed({"targets": [plane]})

@@ -1,4 +1,4 @@
-"""Resolution of a picture: the MTF from a slanted edge, and the width of points."""
+"""Resolution of a picture: MTF from a slanted edge, and width of points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,37 +11,37 @@ from lfmesh.analysis.spots import half_contrast
 Array = NDArray[np.float64]
 
 LEAST_CONTRAST = 0.05
-"""A picture whose two sides differ by less, as a share of the brighter, shows no edge."""
+"""Difference between both sides of a picture, relative to the brighter, below which it shows no edge."""
 
 LEAST_ROWS = 8
-"""Rows in which the edge has to be seen."""
+"""Smallest number of rows in which the edge is visible."""
 
 KNOTS = 4
-"""Knots of the edge's profile a sample, as many as ISO 12233 has bins."""
+"""Spline knots per sample of the edge's profile, as many as ISO 12233 has bins."""
 
 STIFFNESS = 1e-4
-"""Weight of the third differences of the profile's coefficients, over that of the samples: it fills gaps."""
+"""Weight of the third differences of the profile's coefficients, relative to the samples'; it bridges gaps."""
 
 ROUNDS = 3
-"""Fits of profile and line in turn; the second changes the line by less than a thousandth of a sample."""
+"""Alternating fits of profile and line; the second changes the line by less than 0.001 samples."""
 
 FINE = 16
-"""Points a sample at which the profile's slope is summed."""
+"""Points per sample at which the profile's slope is summed."""
 
 
 def edge_mtf50(picture: Array) -> float:
-    """Return the frequency, in cycles a sample, at which the MTF of a slanted, nearly upright edge falls to one half.
+    """Return the MTF50 of a slanted, nearly upright edge, in cycles per sample.
 
-    The edge is a straight line and a profile across it, a cubic spline, both fitted to all samples by least squares; no
-    samples are put into bins, whose borders would move the result. The MTF is the Fourier transform of the profile's
-    slope within a window about the edge. Frequencies are those across the edge; the sampling is part of the MTF, and
-    what lies above half a cycle a sample is resolved by the slant alone (ISO 12233:2017, edge-based spatial frequency
-    response). NaN where no edge is to be seen, or the MTF does not fall to one half.
+    A straight line and a cubic-spline profile across it are fitted to all samples by least squares. Unlike bins, this
+    has no borders that shift the result. The MTF is the Fourier transform of the profile's slope within a window about
+    the edge. Frequencies are measured across the edge. The MTF includes the sampling; above 0.5 cycles per sample, only
+    the slant resolves it (ISO 12233:2017, edge-based spatial frequency response). NaN if no edge is visible, or the MTF
+    does not fall to one half.
 
     Parameters
     ----------
     picture : (t, s) float64
-        Dark on one side, bright on the other.
+        Picture, dark on one side and bright on the other.
     """
     picture = np.asarray(picture, dtype=np.float64)
     found = _edge_line(picture)
@@ -55,7 +55,7 @@ def edge_mtf50(picture: Array) -> float:
     if total == 0.0:
         return float("nan")
     middle, low, high = np.interp([0.5, 0.05, 0.95], np.maximum.accumulate(np.cumsum(slope) / total), x)
-    # Only the surroundings of the edge: what lies far off is noise.
+    # Use only the surroundings of the edge: the rest is noise.
     half = min(middle + reach, reach - middle, 3.0 * (high - low) + 2.0)
     if not half > 1.0:
         return float("nan")
@@ -68,9 +68,9 @@ def edge_mtf50(picture: Array) -> float:
 
 
 def _edge_line(picture: Array) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Return the edge's slope and its column in row 0, and the rows in which it is seen; None where there is no edge.
+    """Return the edge's slope and its column in row 0, and a mask of the rows that show it; None without an edge.
 
-    Its place in every row is the centroid of the row's differences.
+    Its position in each row is the centroid of the row's differences.
     """
     height, width = picture.shape
     if min(height, width) < LEAST_ROWS or not np.isfinite(picture).all():
@@ -82,12 +82,12 @@ def _edge_line(picture: Array) -> tuple[Array, NDArray[np.bool_]] | None:
     column = np.arange(width - 1) + 0.5
     rows = np.arange(height)
     place = np.full(height, 0.5 * (width - 1))
-    # Twice, the second time in a window about the edge: noise far from it pulls the centroid to the middle.
+    # Two passes, the second in a window about the edge: distant noise pulls the centroid to the middle.
     for reach in (width, width / 4):
         near = np.abs(column[None, :] - place[:, None]) <= reach
         weight = np.where(near, slope, 0.0)
         step = weight.sum(axis=1)
-        # In some rows of a noisy picture there may be no step to see.
+        # In a noisy picture some rows may show no step.
         seen = step > 0.5 * np.median(step)
         if seen.sum() < LEAST_ROWS:
             return None
@@ -98,7 +98,7 @@ def _edge_line(picture: Array) -> tuple[Array, NDArray[np.bool_]] | None:
 
 
 def _edge_profile(picture: Array, line: Array, seen: NDArray[np.bool_]) -> BSpline | None:
-    """Fit brightness as a spline of the distance from the edge, in samples, and the edge's line; None: too little."""
+    """Fit brightness as a spline of the distance from the edge, in samples, and the edge's line; None: too few data."""
     width = picture.shape[1]
     rows, values = np.flatnonzero(seen), picture[seen]
     lean, start = line
@@ -126,20 +126,20 @@ def _edge_profile(picture: Array, line: Array, seen: NDArray[np.bool_]) -> BSpli
 
 
 def point_width(picture: Array, place: tuple[float, float], reach: float) -> float:
-    """Return the rms width along one axis of a point's picture, in samples, that of a sample included.
+    """Return the rms width of a point's picture along one axis, in samples, including the sample's own width.
 
     Parameters
     ----------
     picture : (t, s) float64
     place : tuple of float
-        Where the point is expected, (t, s).
+        Expected position of the point, (t, s).
     reach : float
-        Samples round it that belong to it.
+        Half-side of the square of samples that belong to it.
 
     Returns
     -------
     float
-        NaN where there is no light.
+        NaN without light.
     """
     t, s = np.indices(picture.shape)
     near = (np.abs(t - place[0]) <= reach) & (np.abs(s - place[1]) <= reach)

@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 
 SIGMA_PX = 1.5
 REACH = 3.5
-"""The Gaussian window ends this many sigmas from its middle, which makes it 11 pixels wide."""
+"""Half-width of the Gaussian window in sigmas, so that it is 11 pixels wide."""
 K1, K2 = 0.01, 0.03
 
 
@@ -15,13 +15,13 @@ def structural_similarity(one: Array, other: Array, brightest: float) -> float:
     """Return the mean structural similarity (SSIM) of two pictures; 1 for equal ones.
 
     Z. Wang et al., IEEE Trans. Image Process. 13 (2004) 600: Gaussian window of 1.5 pixels, K1 = 0.01, K2 = 0.03,
-    population covariances, a border of 5 pixels left out.
+    population covariances, without a border of 5 pixels.
 
     Parameters
     ----------
     one, other : (H, W) float64
     brightest : float
-        The range of the data.
+        Range of the data.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -1,1 +1,1 @@
-"""Numbers of a camera brought to their best: design files, merit, derivatives of rays, search, report."""
+"""Camera optimisation: design files, merit, derivatives of rays, search, report."""

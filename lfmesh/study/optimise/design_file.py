@@ -1,4 +1,4 @@
-"""The design file: a scene, the numbers of it that may vary, and what makes a camera good."""
+"""Design file: a scene, its variables, and the merit of a camera."""
 
 import difflib
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.study_file import read_tables
 
 MOST_ACROSS, MOST_STARTS = 100, 10_000
-"""Bounds of what is asked of a search: more rays, or cameras to begin with, would fill the memory."""
+"""Largest numbers of rays and starts: more would fill the memory."""
 
 ALL_FIGURES = 'All of them: "Designs" in lfmesh/study/README.md, "Design file" in the reference of the documentation'
-"""Place of the list of figures, in the words of a message."""
+"""Reference to the list of figures, for messages."""
 
 
 class Variable(Model):
@@ -44,7 +44,7 @@ class Variable(Model):
         return self.path.rsplit(".", 1)[-1].split("[")[0] == "radius_mm"
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the range or the values."""
+        """Yield the faults of the range or the values."""
         if (self.range is None) == (self.values is None):
             yield Fault((), None, f"{'neither' if self.range is None else 'both'} range and values: give one of them")
             return
@@ -69,7 +69,7 @@ class Goal(Model):
     """Of "mtf": spatial frequency, line pairs a mm."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the figure."""
+        """Yield the faults of the figure."""
         figure = figure_named(self.metric)
         if figure is None:
             close = ", ".join(difflib.get_close_matches(self.metric, FIGURES, n=3, cutoff=0.0))
@@ -85,12 +85,12 @@ class Goal(Model):
 
     @property
     def figure(self) -> tuple[str, float | None, float | None]:
-        """Metric, field and frequency: what two goals of the same figure share."""
+        """Metric, field and frequency, which identify the figure."""
         return self.metric, self.field, self.per_mm
 
     @property
     def title(self) -> str:
-        """The figure in reports."""
+        """Name of the figure in reports."""
         at = [f"{self.per_mm:g} / mm"] if self.per_mm is not None else []
         at += [f"field {self.field:g}"] if self.field is not None else []
         return f"{self.metric} ({', '.join(at)})" if at else self.metric
@@ -105,7 +105,7 @@ class Term(Goal):
     """Factor of the deviation, in 1 over the unit of the metric."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the figure, or its target."""
+        """Yield the faults of the figure or its target."""
         yield from super().faults()
         figure = figure_named(self.metric)
         if figure is not None and figure.ideal is None and self.target is None:
@@ -113,7 +113,7 @@ class Term(Goal):
 
     @property
     def wanted(self) -> float:
-        """The target, or what the metric is at its best."""
+        """Target, or the metric's ideal value."""
         if self.target is not None:
             return self.target
         figure = figure_named(self.metric)
@@ -131,7 +131,7 @@ class Constraint(Goal):
     """It is this or less."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the figure, or the limits."""
+        """Yield the faults of the figure or the limits."""
         yield from super().faults()
         if self.least is None and self.most is None:
             yield Fault((), None, "no limit: give least, most or both")
@@ -140,7 +140,7 @@ class Constraint(Goal):
 
     @property
     def in_words(self) -> str:
-        """The limits."""
+        """Limits in words."""
         words = [f"at least {self.least:g}"] if self.least is not None else []
         words += [f"at most {self.most:g}"] if self.most is not None else []
         return ", ".join(words)
@@ -197,7 +197,7 @@ class DesignFile(Model):
     """Constraints that must hold."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between the fields."""
         if not self.variables:
             yield Fault(("variables",), None, "missing: what may vary")
         if not self.merit:
@@ -209,7 +209,7 @@ class DesignFile(Model):
         yield from self._contradictions()
 
     def _contradictions(self) -> Iterator[Fault]:
-        """Yield the limits that exclude those of an earlier constraint of the same figure."""
+        """Yield limits that contradict an earlier constraint of the same figure."""
         for i, later in enumerate(self.constraints):
             for j, earlier in enumerate(self.constraints[:i]):
                 if later.figure != earlier.figure:
@@ -230,6 +230,6 @@ def read_design(path: Path) -> DesignFile:
     Raises
     ------
     LfmeshError
-        It cannot be read, is no TOML, or no valid design: one line for each fault.
+        The file cannot be read, is not TOML, or is not a valid design: one line per fault.
     """
     return read_tables(path, DesignFile, "design")

@@ -1,4 +1,4 @@
-"""Files of an optimised camera: its scene, the outcome as JSON, as text and as a page."""
+"""Files of an optimised camera: its scene, and the outcome as JSON, text and HTML page."""
 
 import json
 from pathlib import Path

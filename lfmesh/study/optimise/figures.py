@@ -1,4 +1,4 @@
-"""Figures of a camera that a merit or a constraint may name, and those that follow from the solved scene alone."""
+"""Figures for merits and constraints, and the values of figures that depend only on the solved scene."""
 
 import math
 from collections.abc import Callable
@@ -18,19 +18,18 @@ Array = NDArray[np.float64]
 
 
 class Figure(NamedTuple):
-    """A figure.
+    """A figure of a camera.
 
     Attributes
     ----------
     title : str
-        In words.
+        Title in words.
     source : str
-        What it follows from: "rays" that are traced with derivatives; "camera": the solved scene; "render": pictures,
-        as in a study.
+        Origin: "rays", traced with derivatives; "camera", the solved scene; "render", pictures as in a study.
     ideal : float or None
-        What it is at its best; None where that is for the user to say.
+        Best possible value; None if the user must state it.
     shown : str
-        How several values are shown as one: "rms", "mean" or "least".
+        Reduction of several values to the one in reports: "rms", "mean" or "least".
     """
 
     title: str
@@ -40,7 +39,7 @@ class Figure(NamedTuple):
 
 
 class CameraFigure(NamedTuple):
-    """A figure that follows from the solved scene alone."""
+    """A figure that depends only on the solved scene."""
 
     title: str
     of: Callable[[Scene, FirstOrder], float | list[float]]
@@ -116,7 +115,7 @@ CAMERA_FIGURES = {
     "field_of_view_x_mm": CameraFigure("width seen of the plane in focus / mm", lambda _, at: at.field_of_view_mm[0]),
     "field_of_view_y_mm": CameraFigure("height seen of the plane in focus / mm", lambda _, at: at.field_of_view_mm[1]),
 }  # fmt: skip
-"""Figures of the solved scene beside those of the first-order report."""
+"""Figures of the solved scene in addition to the first-order report's."""
 
 FIRST_ORDER = tuple(field.name for field in fields(FirstOrder) if field.type in (float, float | None))
 """Numbers of the first-order report, by their names there."""
@@ -137,7 +136,7 @@ FIGURES: dict[str, Figure] = {
 
 
 def figure_named(name: str) -> Figure | None:
-    """Return a figure; None where there is none of this name."""
+    """Return the figure of a name, or None."""
     return FIGURES.get(name)
 
 
@@ -158,7 +157,7 @@ def camera_values(name: str, scene: Scene, facts: FirstOrder) -> Array:
 
 
 def shown_value(name: str, values: Array) -> float:
-    """Return one number for the values of a figure, as reports show it."""
+    """Reduce the values of a figure to the number in reports."""
     how = FIGURES[name].shown
     if not values.size:
         return math.nan

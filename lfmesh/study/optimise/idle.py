@@ -1,4 +1,4 @@
-"""Variables of a design that none of its terms and constraints depends on: a search leaves them as they are."""
+"""Variables of a design that affect none of its terms and constraints; a search leaves them unchanged."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -11,17 +11,17 @@ from lfmesh.study.optimise.problem import Place, Problem, picked
 Array = NDArray[np.float64]
 
 PLACES, STEPS = (0.0, 1.0, 0.618), (-0.01, 0.01)
-"""Places in its range to which a variable is moved, and steps from where it is, over the range."""
+"""Positions in its range that a variable is moved to, and steps from its present one, as fractions of the range."""
 
 SHARES = (0.0, 0.01, 0.1, 1.0, 1.0)
-"""Ways from the camera to begin with to a drawn one, over the whole: what has no effect there may have one here."""
+"""Fractions of the way from the initial camera to a random one: a variable may have no effect in one camera only."""
 
 ALIKE = 1e-10
-"""Difference of figures, over the figures, up to which they are the same; aiming of rays leaves less."""
+"""Relative difference below which figures count as equal; ray aiming leaves less."""
 
 
 class Idle(NamedTuple):
-    """Numbers of the variables that nothing depends on.
+    """Indices of the variables without effect.
 
     Attributes
     ----------
@@ -38,14 +38,14 @@ class Idle(NamedTuple):
 
 
 def idle_variables(problem: Problem) -> Idle:
-    """Move every variable by itself, in the camera to begin with and in others, and find those that change no figure.
+    """Move each variable alone, in the initial and in other cameras, and find those that change no figure.
 
     Parameters
     ----------
     problem : Problem
     """
     knobs, choices = list(range(len(problem.knobs))), list(range(len(problem.choices)))
-    # A variable is known to change nothing only once another value of it has figures in the camera to begin with.
+    # A variable is known to have no effect only if another of its values has figures in the initial camera.
     untold = True
     for place in _cameras(problem):
         if not (knobs or choices):
@@ -59,7 +59,7 @@ def idle_variables(problem: Problem) -> Idle:
 
 
 def _cameras(problem: Problem) -> Iterator[Place]:
-    """Yield the camera to begin with, others near it and others anywhere in the ranges."""
+    """Yield the initial camera, others near it, and others anywhere in the ranges."""
     rng = np.random.default_rng(0)
     start = problem.start
     for share in SHARES:
@@ -83,7 +83,7 @@ def _chosen(problem: Problem, place: Place, number: int) -> Iterator[Place]:
 
 
 def _matters(problem: Problem, here: Array, others: Iterator[Place], untold: bool) -> bool:
-    """Tell whether cameras have other figures; `untold` where none but the camera itself has any."""
+    """Tell whether any camera has other figures; return `untold` if none of them has figures at all."""
     for other in others:
         there = problem.beside(other)
         if there.shape != here.shape or not np.isfinite(there).all():

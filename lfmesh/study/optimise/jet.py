@@ -1,4 +1,4 @@
-"""Forward-mode derivatives: numbers that carry their derivatives by the variables through a calculation."""
+"""Forward-mode derivatives: numbers that carry their derivatives through a calculation."""
 
 from typing import Any, Union
 
@@ -20,7 +20,7 @@ class Jet:
     """
 
     __slots__ = ("slope", "value")
-    # numpy leaves arithmetic with jets to them.
+    # numpy leaves arithmetic with jets to this class.
     __array_ufunc__ = None
 
     def __init__(self, value: Any, slope: Array) -> None:
@@ -65,23 +65,23 @@ class Jet:
         return Jet(ratio, (-ratio / self.value)[..., None] * self.slope)
 
     def power(self, exponent: int) -> "Jet":
-        """Return a whole power, of 1 at least."""
+        """Return an integer power, 1 or more."""
         lower = self.value ** (exponent - 1)
         return Jet(lower * self.value, (exponent * lower)[..., None] * self.slope)
 
     def root(self) -> "Jet":
-        """Return the square root; at 0, where it has no derivative, with one of 0."""
+        """Return the square root; the derivative at 0, where it does not exist, is set to 0."""
         root = np.sqrt(self.value)
         half = np.divide(0.5, root, out=np.zeros_like(root), where=root != 0.0)
         return Jet(root, half[..., None] * self.slope)
 
     def picked(self, where: Any) -> "Jet":
-        """Return some of the values, as an index of numpy tells."""
+        """Return the values selected by a numpy index."""
         return Jet(self.value[where], self.slope[where])
 
 
 def constant(value: Any, variables: int) -> Jet:
-    """Return values that do not depend on the variables, as a jet.
+    """Return constants as a jet.
 
     Parameters
     ----------

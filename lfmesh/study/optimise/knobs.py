@@ -1,4 +1,4 @@
-"""Variables of a design as numbers from 0 to 1, and their places in the scene."""
+"""Variables of a design as numbers from 0 to 1, and the corresponding values in the scene."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -13,18 +13,18 @@ from lfmesh.study.sweeps.paths import value_at
 from lfmesh.study.sweeps.plan import path_faults
 
 AT_BOUND = 1e-3
-"""Share of a range within which a value counts as at its end."""
+"""Fraction of a range within which a value counts as at its end."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A number of the scene that varies within a range; a radius as its curvature.
+    """A number of the scene that varies within a range; a radius varies as its curvature.
 
     Attributes
     ----------
     variable : Variable
     start : float
-        Value in the scene to begin with.
+        Value in the initial scene.
     """
 
     variable: Variable
@@ -35,11 +35,11 @@ class Knob:
         low, high = self.variable.range or (0.0, 0.0)
         if not self.variable.is_radius:
             return low, high
-        # Between radii of one sign the curvature falls; from a negative one to a positive one it rises through 0.
+        # Between radii of one sign the curvature falls with the radius; between opposite signs it rises through 0.
         return (1.0 / low, 1.0 / high) if low < 0.0 < high else (1.0 / high, 1.0 / low)
 
     def value(self, place: float) -> float:
-        """Return the scene's value at a place of the range, from 0 to 1; exactly its ends there."""
+        """Return the scene's value at a position in the range, 0 to 1; exact at the ends."""
         low, high = self._ends
         at = high if place == 1.0 else low + place * (high - low)
         if not self.variable.is_radius:
@@ -47,13 +47,13 @@ class Knob:
         return 1.0 / at if at else math.inf
 
     def place(self, value: float) -> float:
-        """Return the place in the range of a value of the scene."""
+        """Return the position in the range of a value of the scene."""
         low, high = self._ends
         at = 1.0 / value if self.variable.is_radius else value
         return (at - low) / (high - low)
 
     def bound_in_words(self, place: float) -> str:
-        """Say at which end of its range a value is, if at one."""
+        """Return in words the end of the range at which a value is, or ""."""
         if not (place <= AT_BOUND or place >= 1.0 - AT_BOUND):
             return ""
         return f"at the end of its range, {self.value(0.0 if place <= AT_BOUND else 1.0):.6g}"
@@ -61,13 +61,13 @@ class Knob:
 
 @dataclass(frozen=True)
 class Choice:
-    """A field of the scene that takes one of some values.
+    """A field of the scene that takes one of several values.
 
     Attributes
     ----------
     variable : Variable
     start : int
-        Number of the value in the scene to begin with.
+        Index of the value in the initial scene.
     """
 
     variable: Variable
@@ -75,25 +75,25 @@ class Choice:
 
     @property
     def values(self) -> tuple[Any, ...]:
-        """The values to choose from."""
+        """Values to choose from."""
         return self.variable.values or ()
 
 
 def knobs_of(variables: Sequence[Variable], scene: Scene) -> tuple[list[Knob], list[Choice], list[str]]:
-    """Find the variables in the scene to begin with.
+    """Find the variables in the initial scene.
 
     Parameters
     ----------
     variables : sequence of Variable
     scene : Scene
-        Its lens read from its file.
+        Scene with its lens read from its file.
 
     Returns
     -------
     knobs : list of Knob
     choices : list of Choice
     faults : list of str
-        What is wrong, a line each.
+        One line per fault.
     """
     knobs: list[Knob] = []
     choices: list[Choice] = []
@@ -134,7 +134,7 @@ def _faults(variable: Variable, scene: Scene) -> Iterator[str]:
 
 
 def _outside(variable: Variable, value: float) -> str:
-    """Say that a value of the scene is outside of the range of its variable."""
+    """Return in words that a value of the scene is outside the range of its variable."""
     low, high = variable.range or (0.0, 0.0)
     words = f"range = [{low:g}, {high:g}]: {variable.path} is {value:g} in the scene, outside of it"
     if not (variable.is_radius and low < 0.0 < high):

@@ -1,7 +1,7 @@
-"""The numbers of a solved lens that its rays follow from, as one vector, so that anything may be differentiated.
+"""Numbers of a solved lens that determine its rays, as one vector for differentiation.
 
-Whatever the variables of a design are, rays depend on them through these numbers alone: shapes, places and indices of
-the surfaces, the stop, the object and the image plane.
+Rays depend on the variables of a design only through these numbers: shapes, positions and indices of the surfaces, the
+stop, the object and the image plane.
 """
 
 import math
@@ -26,16 +26,16 @@ Array = NDArray[np.float64]
 
 
 class SurfaceNumbers(NamedTuple):
-    """One surface.
+    """Numbers of one surface.
 
     Attributes
     ----------
     curvature, conic, thin_power : Jet
-        Of the vertex, 1/mm; conic constant; power of an ideal thin lens, 1/mm.
+        Curvature at the vertex, 1/mm; conic constant; power of an ideal thin lens, 1/mm.
     pose : Jet
-        (3, 4): rotation and place of its frame, whose origin is the vertex.
+        (3, 4): rotation and position of its frame, with the vertex as origin.
     terms : Jet
-        Coefficients of the powers of r that are added to the conic.
+        Coefficients of the powers of r added to the conic.
     """
 
     curvature: Jet
@@ -46,7 +46,7 @@ class SurfaceNumbers(NamedTuple):
 
 
 class LensNumbers(NamedTuple):
-    """A lens, its object points and its image plane.
+    """Numbers of a lens, its object points and its image plane.
 
     Attributes
     ----------
@@ -54,9 +54,9 @@ class LensNumbers(NamedTuple):
     indices : Jet
         (wavelengths, surfaces + 1): before the first surface and after each.
     stop_radius, vergence, image_z : Jet
-        Of the stop, mm; one over the object distance, 1/mm; image plane, mm.
+        Radius of the stop, mm; reciprocal of the object distance, 1/mm; image plane, mm.
     slopes, heights : Jet
-        (fields,): of the object points, see `LensRays.starts`; paraxial image heights, mm.
+        (fields,): slopes of the object points, see `LensRays.starts`; paraxial image heights, mm.
     """
 
     surfaces: list[SurfaceNumbers]
@@ -70,24 +70,24 @@ class LensNumbers(NamedTuple):
 
 @dataclass(frozen=True)
 class RayLayout:
-    """Properties of a lens that stay as they are while its numbers vary, and the rays that are sent.
+    """Properties of a lens that stay fixed while its numbers vary, and its rays.
 
     Attributes
     ----------
     powers : tuple of tuple of int
-        Of each surface: the powers of r that are added to its conic.
+        Powers of r added to the conic of each surface.
     stop : int
-        Number of the surface that is the stop.
+        Number of the stop surface.
     pure_stop : bool
-        It is no interface.
+        True if the stop is not an interface.
     waves_nm : tuple of float
-        The primary one in the middle.
+        Wavelengths, with the primary one in the middle.
     fields : tuple of float
-        Shares of the largest image height.
+        Fractions of the largest image height.
     object_mm : float or None
-        Distance of the object plane; None: as the camera is focused.
+        Distance of the object plane; None: as focused.
     height_mm : float or None
-        Largest image height; None: half the diagonal of what sensor and array use.
+        Largest image height; None: half the diagonal of the used part of sensor and array.
     """
 
     powers: tuple[tuple[int, ...], ...]
@@ -99,12 +99,12 @@ class RayLayout:
     height_mm: float | None = None
 
     def numbers_of(self, scene: Scene) -> Array:
-        """Return the numbers of a solved scene, (n,), in the order in which `opened` takes them.
+        """Return the numbers of a solved scene, (n,), in the order of `opened`.
 
         Raises
         ------
         LfmeshError
-            There is no image of the object plane, or the lens is another one than laid out.
+            There is no image of the object plane, or the lens has another layout.
         """
         camera, primary = scene.camera, scene.primary_nm
         lens, paraxial = camera.lens, Paraxial.of(camera.lens, primary)
@@ -139,7 +139,7 @@ class RayLayout:
         Parameters
         ----------
         numbers : Jet
-            (n,), as `numbers_of` gives them.
+            (n,), from `numbers_of`.
         """
         at = 0
 
@@ -167,7 +167,7 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
     Raises
     ------
     LfmeshError
-        The lens has surfaces that are meshes, or not of revolution.
+        A surface is a mesh or not of revolution.
     """
     lens = scene.camera.lens
     if lens.has_meshes:
@@ -185,7 +185,7 @@ def layout_of(scene: Scene, waves_nm: tuple[float, ...], object_mm: float | None
 
 
 def powers_of(lens: Lens) -> tuple[tuple[int, ...], ...]:
-    """Return the powers of r that are added to the conic of each surface."""
+    """Return the powers of r added to the conic of each surface."""
     return tuple(tuple(power for power, _ in surface.powers_mm) for surface in lens.surfaces)
 
 

@@ -1,4 +1,4 @@
-"""`lf.optimise`: a camera whose numbers are varied until its merit is the best."""
+"""`lf.optimise`: variation of a camera's numbers for the best merit."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,24 +19,23 @@ from lfmesh.study.optimise.search import Say, Search
 from lfmesh.wrapping import wrapped
 
 REACHED = 1e-3
-"""Deviation from a target, over its size, up to which it counts as reached."""
+"""Largest relative deviation from a target that counts as reached."""
 
 UNLIKE, NOTHING = 0.1, 1e-6
-"""Difference of two values of a figure of rays, over the larger, that is noted; and values so small that it is not."""
+"""Smallest relative difference of two values of a ray figure that is noted, and largest values that are ignored."""
 
 
 @dataclass(frozen=True)
 class TermResult:
-    """A term of the merit, or a constraint, before and after.
+    """A term of the merit, or a constraint, before and after the search.
 
     Attributes
     ----------
     goal : Term or Constraint
     before, after : float
-        The figure; of several values as reports show it.
+        The figure, reduced to one number as in reports.
     share_before, share_after : float
-        What a term adds to the merit; of a constraint the largest excess over its limit, over the limit's size, 0 where
-        it is kept.
+        Contribution of a term to the merit; of a constraint, the largest relative excess over its limit, 0 if kept.
     """
 
     goal: Term | Constraint
@@ -47,14 +46,14 @@ class TermResult:
 
     @property
     def share_left(self) -> float:
-        """Share of the merit after the search; 0 if that is rounding."""
+        """Contribution to the merit after the search; 0 if it is rounding error."""
         goal = self.goal
         rounding = isinstance(goal, Term) and is_rounding(goal, self.share_after, self.share_before)
         return 0.0 if rounding else self.share_after
 
     @property
     def missed(self) -> str:
-        """Target that is not reached or limit that is not kept, in words; "" where there is none."""
+        """Missed target or broken limit in words, or ""."""
         goal = self.goal
         if isinstance(goal, Constraint):
             return f"{goal.title} = {self.after:.6g} violates {goal.in_words}" if self.share_after else ""
@@ -66,7 +65,7 @@ class TermResult:
 
 @dataclass(frozen=True)
 class VariableResult:
-    """A variable before and after.
+    """A variable before and after the search.
 
     Attributes
     ----------
@@ -74,7 +73,7 @@ class VariableResult:
     before, after : object
         Values of the scene.
     note : str
-        At which end of its range it is, if at one; that it was left as it was, if no term depends on it.
+        Tells if it is at an end of its range, or unchanged because no term depends on it.
     """
 
     variable: Variable
@@ -85,28 +84,28 @@ class VariableResult:
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best camera that a search has found.
+    """Best camera that a search has found.
 
     Attributes
     ----------
     scene : Scene
-        The camera; distances that the scene leaves to `focus_mm` are left to it.
+        The best camera; distances solved from `focus_mm` are left to it.
     first : Scene
-        The camera to begin with.
+        Initial camera.
     merit_before, merit_after : float
         Sum of the terms: (weight · (value − target))².
     terms, constraints : tuple of TermResult
     variables : tuple of VariableResult
     evaluations : int
-        Cameras that were tried, those for derivatives left out.
+        Cameras tried, without those for derivatives.
     starts : int
-        Searches by least squares.
+        Number of least-squares searches.
     seconds : float
         Wall-clock time.
     complete : bool
         False if Ctrl-C ended the search.
     notes : tuple of str
-        How derivatives were made, and what the merit does not know of.
+        Method of the derivatives, and properties that the merit ignores.
     """
 
     scene: Scene
@@ -124,17 +123,17 @@ class Optimum:
 
     @property
     def missed(self) -> tuple[str, ...]:
-        """Targets that are not reached and limits that are not kept, a line each."""
+        """Missed targets and broken limits, one line each."""
         return tuple(each.missed for each in (*self.terms, *self.constraints) if each.missed)
 
     @property
     def violated(self) -> tuple[str, ...]:
-        """Limits that are not kept, a line each."""
+        """Broken limits, one line each."""
         return tuple(each.missed for each in self.constraints if each.missed)
 
     @property
     def effort(self) -> str:
-        """Effort of the search in words, and that it was stopped."""
+        """Effort of the search in words, with a note if it was stopped."""
         ended = "" if self.complete else "; stopped before the search had ended"
         searches = f"{self.starts} search{'' if self.starts == 1 else 'es'}"
         return f"{self.evaluations} cameras tried, {searches}, {self.seconds:.1f} s{ended}"
@@ -144,11 +143,11 @@ class Optimum:
 
     @property
     def merit_left(self) -> float:
-        """The merit after the search, without terms of which only rounding is left."""
+        """Merit after the search, without terms that are only rounding error."""
         return sum(each.share_left for each in self.terms)
 
     def lines(self) -> list[str]:
-        """Return the outcome for a terminal, a line each.
+        """Return the outcome for a terminal, one line per item.
 
         Returns
         -------
@@ -215,36 +214,36 @@ def optimise(
     search: Mapping[str, Any] | None = None,
     progress: Say | None = None,
 ) -> Optimum:
-    """Vary numbers of a camera until its merit is the best.
+    """Vary numbers of a camera for the best merit.
 
-    The tables are those of a design file, which `lfmesh/study/README.md` describes.
+    The tables have the keys of a design file, described in `lfmesh/study/README.md`.
 
     Parameters
     ----------
     scene : Scene
-        The camera to begin with.
+        Initial camera.
     variables : sequence of dict
-        With the keys of `[[variables]]`: path, and range or values.
+        Keys of `[[variables]]`: path, and range or values.
     merit : sequence of dict
-        With the keys of `[[merit]]`: metric, target, weight, field, per_mm.
+        Keys of `[[merit]]`: metric, target, weight, field, per_mm.
     constraints : sequence of dict
-        With the keys of `[[constraints]]`: metric, least, most, field, per_mm.
+        Keys of `[[constraints]]`: metric, least, most, field, per_mm.
     rays : dict, optional
-        With the keys of `[rays]`: object_mm, height_mm, wavelengths_nm, across.
+        Keys of `[rays]`: object_mm, height_mm, wavelengths_nm, across.
     search : dict, optional
-        With the keys of `[search]`: method, starts, seed, evaluations.
+        Keys of `[search]`: method, starts, seed, evaluations.
     progress : callable, optional
-        Is told, in words, how far the search is.
+        Called with the progress in words.
 
     Returns
     -------
     Optimum
-        After Ctrl-C the best camera so far.
+        Best camera; after Ctrl-C, the best so far.
 
     Raises
     ------
     LfmeshError
-        With one line for each fault.
+        One line per fault.
 
     Examples
     --------
@@ -268,7 +267,7 @@ def load_design(path: str | Path) -> Problem:
     Raises
     ------
     LfmeshError
-        With one line for each fault.
+        One line per fault.
     """
     path = Path(path)
     design = read_design(path)
@@ -291,7 +290,7 @@ def best_of(problem: Problem, progress: Say | None = None) -> Optimum:
         complete = True
         return _optimum(problem, search, began, complete=complete)
     except KeyboardInterrupt:
-        # One that comes after the search costs nothing of what it found either.
+        # An interrupt after the search does not lose the result either.
         return _optimum(problem, search, began, complete=complete)
 
 
@@ -376,7 +375,7 @@ def _notes(problem: Problem, search: Search) -> tuple[str, ...]:
 
 
 def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
-    """Yield values with which no search could begin."""
+    """Yield values that no search could start with."""
     for number, choice in enumerate(problem.choices):
         searched, lost = ({picks[number] for picks in seen} for seen in (search.searched, search.lost))
         for pick in sorted(lost - searched):
@@ -387,7 +386,7 @@ def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
 
 
 def _differences(problem: Problem, best: Rated) -> Iterator[str]:
-    """Yield which figures of rays are others when more rays, of those that pass the best camera, are sent."""
+    """Yield ray figures that differ for a denser grid of rays chosen to pass the best camera."""
     try:
         again = problem.looked_at_again(best.place)
     except LfmeshError as error:
@@ -417,5 +416,5 @@ def _facts(result: TermResult) -> dict[str, Any]:
 
 
 def shown_number(value: Any) -> str:
-    """Return a value of the scene in words, numbers to seven digits."""
+    """Return a value of the scene in words, with numbers to seven digits."""
     return f"{value:.7g}" if isinstance(value, float | np.floating) else literal(value)

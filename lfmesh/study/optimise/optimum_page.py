@@ -1,4 +1,4 @@
-"""The outcome of an optimisation as one HTML page that loads nothing: figures, variables, both cameras drawn."""
+"""Self-contained HTML page of an optimisation: figures, variables, drawings of both cameras."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ TEMPLATE = Path(__file__).parents[1] / "templates" / "optimum.html"
 
 
 def page(found: Optimum) -> str:
-    """Return the whole page."""
+    """Return the HTML page."""
     name = found.first.name or "a camera"
     return filled(
         TEMPLATE,
@@ -59,7 +59,7 @@ def _cells(result: TermResult) -> list[str]:
 
 
 def _drawn(words: str, scene: Scene) -> list[tuple[str, str]]:
-    """Return a camera's layout as the address of an image, with its words; nothing where it cannot be drawn."""
+    """Return a camera's layout as an image URL with its caption; nothing if it cannot be drawn."""
     try:
         return [(words, file_url(encoded(layout(scene), "svg"), "image/svg+xml"))]
     except LfmeshError:

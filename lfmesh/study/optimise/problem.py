@@ -1,4 +1,4 @@
-"""A design as a problem of least squares: residuals of its merit and their derivatives, by the places of its knobs."""
+"""Least-squares problem of a design: residuals of its merit and their derivatives by the positions of its knobs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,28 +28,28 @@ from lfmesh.study.sweeps.study_file import refused
 Array = NDArray[np.float64]
 
 DIFFERENCE = 1e-5
-"""Share of a range by which a knob is moved for the derivatives of numbers in closed form, by central differences."""
+"""Central-difference step of closed-form numbers, as a fraction of a knob's range."""
 
 RENDERED_DIFFERENCE = 1e-2
-"""The same for figures of pictures, which have noise, with the same random numbers."""
+"""The same for figures of pictures, which are noisy; random numbers are shared."""
 
 KEPT = 1e-6
-"""Excess over a limit, over the limit's size, up to which a constraint is kept."""
+"""Largest relative excess over a limit that counts as kept."""
 
 ROUNDING = 1e-9
-"""Deviation of a term, over its target and over that at first, that counts as rounding."""
+"""Largest deviation of a term, relative to its target and to its initial deviation, that counts as rounding error."""
 
 Picks = tuple[int, ...]
-"""Number of the value of every choice."""
+"""Index of the value of each choice."""
 
 
 class Place(NamedTuple):
-    """A camera of a design.
+    """Position of a camera in the space of a design.
 
     Attributes
     ----------
     at : (n,) float64
-        Of every knob in its range, from 0 to 1.
+        Position of each knob in its range, 0 to 1.
     picks : tuple of int
     """
 
@@ -64,7 +64,7 @@ class Rated(NamedTuple):
     ----------
     place : Place
     figures : dict of Jet
-        By the terms and constraints that name them.
+        Figures by their terms and constraints.
     """
 
     place: Place
@@ -78,13 +78,13 @@ class Rated(NamedTuple):
 
 @dataclass(frozen=True)
 class Pressure:
-    """Augmented Lagrangian: how hard constraints press on the merit.
+    """Augmented Lagrangian: pressure of the constraints against the merit.
 
     Attributes
     ----------
     stiffness : float
     multipliers : (k,) float64, or a number for all
-        Of each excess.
+        Multipliers of the excesses.
     merit : float
         Weight of the merit's residuals.
     """
@@ -94,32 +94,32 @@ class Pressure:
     merit: float = 1.0
 
     def residuals(self, excess: Jet) -> Jet:
-        """Return √µ max(0, c + λ/µ) of excesses c over limits, (k,)."""
+        """Return the residuals √µ max(0, c + λ/µ) of excesses c over limits, (k,)."""
         root = float(np.sqrt(self.stiffness))
         pressed = (excess + self.multipliers / self.stiffness) * root
         active = pressed.value > 0.0
         return Jet(np.where(active, pressed.value, 0.0), np.where(active[:, None], pressed.slope, 0.0))
 
     def raised(self, excess: Array) -> Array:
-        """Return the multipliers after a search that ended with some excesses."""
+        """Return the multipliers after a search that ended with given excesses."""
         return np.maximum(0.0, self.multipliers + self.stiffness * excess)
 
 
 class Problem:
-    """A design whose variables, merit and constraints are known to be sound.
+    """A design with validated variables, merit and constraints.
 
     Parameters
     ----------
     design : DesignFile
     scene : Scene
-        The camera to begin with.
+        Initial camera.
     name : str
-        What messages call the design.
+        Name of the design in messages.
 
     Raises
     ------
     LfmeshError
-        With one line for each fault.
+        One line per fault.
     """
 
     def __init__(self, design: DesignFile, scene: Scene, name: str = "design") -> None:
@@ -151,43 +151,43 @@ class Problem:
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """Terms of the merit, then constraints."""
+        """Terms of the merit, followed by the constraints."""
         return (*self.design.merit, *self.design.constraints)
 
     @cached_property
     def start(self) -> Place:
-        """The camera to begin with."""
+        """Initial camera."""
         at = np.array([knob.place(knob.start) for knob in self.knobs])
         return Place(at, tuple(choice.start for choice in self.choices))
 
     @cached_property
     def rays(self) -> RayFigures | None:
-        """The rays of the design; None where no figure is of rays."""
+        """Rays of the design; None if no figure needs rays."""
         return self._rays_of(self.scene, self.design.rays) if self.of_rays else None
 
     @property
     def of_rays(self) -> list[Goal]:
-        """Terms and constraints of rays."""
+        """Terms and constraints on ray figures."""
         return [goal for goal in self.goals if FIGURES[goal.metric].source == "rays"]
 
     @cached_property
     def renders(self) -> Renders | None:
-        """The pictures of the design; None where no figure is of pictures."""
+        """Pictures of the design; None if no figure needs pictures."""
         columns = dict.fromkeys(goal.metric for goal in self.goals if FIGURES[goal.metric].source == "render")
         return Renders(self._solved(self.scene), tuple(columns)) if columns else None
 
     def scene_at(self, place: Place) -> Scene:
-        """Return the scene of a camera, with what it leaves to be solved.
+        """Return the scene of a camera, before its distances are solved.
 
         Raises
         ------
         LfmeshError
-            It is not valid.
+            The scene is not valid.
         """
         return self.scene.changed(self.values_at(place)) if self.design.variables else self.scene
 
     def values_at(self, place: Place) -> dict[str, Any]:
-        """Return the values of all variables, by their paths, in their order; that of the scene where it is kept."""
+        """Return the values of all variables by path, in order; unchanged variables keep the scene's exact value."""
         found: dict[str, Any] = {}
         for knob, at, first in zip(self.knobs, place.at, self.start.at, strict=True):
             found[knob.variable.path] = knob.start if at == first else knob.value(float(at))
@@ -196,11 +196,11 @@ class Problem:
         return {variable.path: found[variable.path] for variable in self.design.variables}
 
     def rated(self, place: Place, *, slopes: bool = False) -> Rated:
-        """Return a camera's figures, NaN where it is not valid, with their derivatives by the knobs if wanted.
+        """Return a camera's figures, NaN if it is not valid, and optionally their derivatives by the knobs.
 
-        Derivatives of rays are those of traced rays by the numbers of the lens; those of these numbers, and of figures
-        of the solved scene, are central differences of their closed forms; those of pictures are differences with
-        common random numbers.
+        Rays are differentiated by the numbers of the lens while traced. These numbers, and figures of the solved scene,
+        are differentiated by central differences of their closed forms, and pictures by differences with common random
+        numbers.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class Problem:
         return rated
 
     def beside(self, place: Place) -> Array:
-        """Return all values of all figures of a camera beside the search, which neither counts nor remembers it.
+        """Return all values of all figures of a camera outside the search, without effect on its counts or caches.
 
         Parameters
         ----------
@@ -228,7 +228,7 @@ class Problem:
         Returns
         -------
         (k,) float64
-            NaN where the camera is not valid.
+            NaN if the camera is not valid.
         """
         guess = self.rays.guess if self.rays is not None else None
         figures = self._figures(_with_slopes(self._numbers, place, 0.0), _with_slopes(self._pictures, place, 0.0))
@@ -237,38 +237,38 @@ class Problem:
         return joined([figures[goal] for goal in self.goals]).value
 
     def residuals(self, rated: Rated) -> Jet:
-        """Return the residuals of the merit, which is the sum of their squares."""
+        """Return the residuals of the merit (the sum of their squares)."""
         return joined([term_residuals(term, rated.figures[term]) for term in self.design.merit])
 
     def excess(self, rated: Rated) -> Jet:
-        """Return by how much limits are exceeded, over their size; below 0 inside; (k,), with derivatives."""
+        """Return the relative excesses over limits, negative inside, (k,), with derivatives."""
         return joined([excess_of(each, rated.figures[each]) for each in self.design.constraints])
 
     def merit(self, rated: Rated) -> float:
-        """Return the merit, the smaller the better."""
+        """Return the merit; smaller is better."""
         residuals = self.residuals(rated).value
         return float(residuals @ residuals)
 
     def violation(self, rated: Rated) -> float:
-        """Return the largest excess over a limit; 0 where all are kept, NaN where that is not known."""
+        """Return the largest relative excess over a limit; 0 if all are kept, NaN if unknown."""
         excess = float(self.excess(rated).value.max(initial=0.0)) if self.design.constraints else 0.0
         return 0.0 if excess <= KEPT else excess
 
     def is_exact(self, rated: Rated, first: Rated) -> bool:
-        """Tell whether a camera keeps all limits, and only rounding is left of each term of the merit.
+        """Tell whether a camera keeps all limits and has only rounding error left in each term of the merit.
 
         Parameters
         ----------
         rated, first : Rated
-            The camera, which has all figures, and the one to begin with.
+            The camera, with all figures known, and the initial one.
         """
         left = (is_rounding(term, share_of(term, rated), share_of(term, first)) for term in self.design.merit)
         return not self.violation(rated) and all(left)
 
     def looked_at_again(self, place: Place) -> dict[Goal, float]:
-        """Return figures of rays by more than twice as many rays across, of those that pass the camera itself.
+        """Return ray figures from more than twice as many rays across, traced where they pass this camera.
 
-        Twice as many would have the same moiré.
+        Exactly twice as many would have the same moiré.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class Problem:
         Raises
         ------
         LfmeshError
-            Rays of a field do not pass it.
+            Rays of a field do not pass the camera.
         """
         if not self.of_rays:
             return {}
@@ -295,7 +295,7 @@ class Problem:
         return solved(measured(scene))
 
     def _numbers(self, place: Place) -> Array:
-        """Return all that figures follow from in closed form: numbers of the lens, figures of the solved scene."""
+        """Return all closed-form inputs of figures: numbers of the lens, figures of the solved scene."""
         scene = self._solved(self.scene_at(place))
         lens = self.rays.layout.numbers_of(scene) if self.rays is not None else np.empty(0)
         facts = facts_of_solved(scene)
@@ -336,8 +336,8 @@ class Problem:
         return found
 
     def _refuse_unknown_values(self, name: str) -> None:
-        """Refuse a design whose first camera has no merit."""
-        # The first camera must be valid: what is wrong with it is said in its own words.
+        """Refuse a design if the initial camera has no merit."""
+        # Check the initial camera first: a fault of it has its own message.
         self._numbers(self.start)
         rated = self.rated(self.start)
         faults = [
@@ -350,7 +350,7 @@ class Problem:
             raise refused(name, faults)
 
     def _in_words(self, goal: Goal, rated: Rated) -> str:
-        """Return the value of a figure in the camera to begin with, or that it is not known and why."""
+        """Return the value of a figure in the initial camera, or why it is unknown."""
         value = shown_value(goal.metric, rated.figures[goal].value)
         if not np.isnan(value):
             return f"{value:g} in the camera to begin with"
@@ -358,7 +358,7 @@ class Problem:
         return "not known in the camera to begin with" + (f": {why}" if why else "")
 
     def _value_faults(self) -> Iterator[str]:
-        """Yield which values to choose from are none that the camera to begin with can take, in the scene's words."""
+        """Yield the candidate values that are not valid in the initial camera, in the scene's words."""
         size = len(self._numbers(self.start))
         for number, choice in enumerate(self.choices):
             path, variable = choice.variable.path, self.design.variables.index(choice.variable)
@@ -374,7 +374,7 @@ class Problem:
 
 
 def term_residuals(term: Term, values: Jet) -> Jet:
-    """Return the residuals of a term, whose squares add up to (weight · (value − target))²."""
+    """Return the residuals of a term; their squares add up to (weight · (value − target))²."""
     if FIGURES[term.metric].shown == "rms":
         if term.wanted == 0.0:
             return values * term.weight
@@ -384,25 +384,25 @@ def term_residuals(term: Term, values: Jet) -> Jet:
 
 
 def share_of(term: Term, rated: Rated) -> float:
-    """Return what a term adds to the merit of a camera."""
+    """Return the contribution of a term to a camera's merit."""
     residuals = term_residuals(term, rated.figures[term]).value
     return float(residuals @ residuals)
 
 
 def is_rounding(term: Term, share: float, first: float) -> bool:
-    """Tell whether what a term adds to the merit is rounding, beside what it added at first and its target.
+    """Tell whether a term's contribution to the merit is only rounding error.
 
     Parameters
     ----------
     term : Term
     share, first : float
-        What it adds, and what it added at first; see `share_of`.
+        Present and initial contribution, see `share_of`; the target counts, too.
     """
     return share <= ROUNDING**2 * max(first, (term.weight * term.wanted) ** 2)
 
 
 def excess_of(constraint: Constraint, values: Jet) -> Jet:
-    """Return by how much values exceed limits, over the size of these; of a limit of 0 in the unit of the values."""
+    """Return the relative excesses of values over limits; for a limit of 0, in the unit of the values."""
     if FIGURES[constraint.metric].shown == "rms":
         values = Jet((values.value @ values.value)[None], 2.0 * (values.value @ values.slope)[None]).root()
     beyond = []
@@ -414,25 +414,25 @@ def excess_of(constraint: Constraint, values: Jet) -> Jet:
 
 
 def joined(parts: Sequence[Jet]) -> Jet:
-    """Return jets of one dimension one after the other."""
+    """Concatenate one-dimensional jets."""
     return Jet(np.concatenate([part.value for part in parts]), np.concatenate([part.slope for part in parts]))
 
 
 def _with_slopes(function: Callable[[Place], Array], place: Place, share: float) -> Jet | None:
-    """Return values with their derivatives by central differences; one-sided where a value beyond is not known.
+    """Return values with their derivatives by central differences, or by one-sided ones next to unknown values.
 
     Parameters
     ----------
     function : callable
-        Returns values of a camera, (k,); raises `LfmeshError` where it is not valid.
+        Returns values of a camera, (k,); raises `LfmeshError` if it is not valid.
     place : Place
     share : float
-        Of each range; 0: no derivatives.
+        Step as a fraction of each range; 0: no derivatives.
 
     Returns
     -------
     Jet or None
-        None where the camera itself is not valid; derivatives are NaN where they cannot be told.
+        None if the camera itself is not valid; unknown derivatives are NaN.
     """
     middle = _known(function, place)
     if middle is None:
@@ -464,13 +464,13 @@ def _known(function: Callable[[Place], Array], place: Place) -> Array | None:
 
 
 def picked(place: Place, number: int, pick: int) -> Place:
-    """Return a camera with another value of a choice.
+    """Return a camera with another value of one choice.
 
     Parameters
     ----------
     place : Place
     number, pick : int
-        Of the choice, and of its value.
+        Index of the choice, and of its new value.
     """
     return Place(place.at, (*place.picks[:number], pick, *place.picks[number + 1 :]))
 
@@ -480,7 +480,7 @@ def _same(place: Place, other: Place) -> bool:
 
 
 def _is_of_array(metric: str) -> bool:
-    """Tell whether only a camera with a microlens array has a figure."""
+    """Tell whether a figure exists only for cameras with a microlens array."""
     if FIGURES[metric].source == "render":
         return METRICS[metric_of(metric)].needs_mla
     return metric.startswith(("lenslet", "micro", "view"))

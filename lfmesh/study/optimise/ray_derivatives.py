@@ -1,9 +1,8 @@
-"""Rays of a lens with their derivatives by the variables, all rays at once.
+"""Rays of a lens with their derivatives by the variables, for all rays at once.
 
-Rays run from their object points through given points of the stop to the image plane, along the same surfaces however
-the numbers vary: paths are fixed, and apertures take none of them. Newton's iterations, towards a surface and towards
-the point of the stop, are done on plain numbers; one more step with jets from where they ended is the implicit function
-theorem, and gives the derivatives of the solution.
+Rays run from object points through given points of the stop to the image plane. Their sequence of surfaces is fixed,
+and no aperture blocks them. Newton's iterations to a surface or a point of the stop run on plain numbers. By the
+implicit function theorem, one further step with jets gives the derivatives of the solution.
 """
 
 from typing import NamedTuple
@@ -19,27 +18,27 @@ Whole = NDArray[np.int64]
 Vector = tuple[Number, Number, Number]
 
 STEPS = 30
-"""Of Newton's method, towards a surface or a point of the stop."""
+"""Largest number of Newton steps to a surface or a point of the stop."""
 
 SETTLED = 1e-13
-"""Step of Newton's method, over the lengths that it is added to, at which it ends."""
+"""Relative step at which Newton's method has converged."""
 
 AIMED = 1e-9
-"""Distance from the point of the stop, in stop radii, at which a ray counts as aimed."""
+"""Distance from the point of the stop at which a ray counts as aimed, in stop radii."""
 
 MOST_STEP = 0.5
-"""Longest step of the aim, in stop radii at the first vertex."""
+"""Longest step of the aim at the first vertex, in stop radii."""
 
 
 class RayFan(NamedTuple):
-    """Rays that are sent.
+    """Rays to trace.
 
     Attributes
     ----------
     pupil : (n, 2) float64
-        Points of the stop, in its radii.
+        Points of the stop, in stop radii.
     field, wave : (n,) int64
-        Number of the field and of the wavelength.
+        Numbers of the field and the wavelength.
     """
 
     pupil: Array
@@ -53,9 +52,9 @@ class Landed(NamedTuple):
     Attributes
     ----------
     x, y : Jet
-        (n,), mm; NaN where a ray does not arrive.
+        (n,), mm; NaN for lost rays.
     entry : (n, 2) float64
-        Where they cross the plane of the first vertex, mm.
+        Intersections with the plane of the first vertex, mm.
     """
 
     x: Jet
@@ -64,28 +63,28 @@ class Landed(NamedTuple):
 
 
 def land(layout: RayLayout, numbers: Jet, fan: RayFan, guess: Array) -> Landed:
-    """Follow rays through points of the stop to the image plane.
+    """Trace rays through points of the stop to the image plane.
 
     Parameters
     ----------
     layout : RayLayout
     numbers : Jet
-        Those of the lens, with their derivatives by m variables; m may be 0.
+        Numbers of the lens, with their derivatives by m variables; m may be 0.
     fan : RayFan
     guess : (n, 2) float64
-        About where the rays cross the plane of the first vertex, mm.
+        Approximate intersections with the plane of the first vertex, mm.
 
     Returns
     -------
     Landed
-        With derivatives by the m variables, every ray aimed anew.
+        Derivatives are by the m variables, with each ray re-aimed.
     """
     with np.errstate(all="ignore"):
         entry = _aimed(layout, numbers.value, fan, guess)
         variables = numbers.slope.shape[-1]
         lens = layout.opened(Jet(numbers.value, np.pad(numbers.slope, ((0, 0), (0, 2)))))
         x, y, stop = _followed(layout, lens, fan, _seeded(entry, variables), to_image=True)
-        # The ray stays at its point of the stop while variables move: what that takes of the entry.
+        # A ray stays at its point of the stop while variables change; its entry must move accordingly.
         off = [stop[k] - lens.stop_radius * fan.pupil[:, k] for k in (0, 1)]
         slopes = np.stack([each.slope for each in off], axis=1)
         moved = -np.linalg.solve(_regular(slopes[:, :, variables:]), slopes[:, :, :variables])
@@ -97,13 +96,13 @@ def land(layout: RayLayout, numbers: Jet, fan: RayFan, guess: Array) -> Landed:
 
 
 def _regular(matrices: Array) -> Array:
-    """Return matrices (n, 2, 2) with the identity in place of those that cannot be solved with."""
+    """Return matrices (n, 2, 2) with singular ones replaced by the identity."""
     fine = np.abs(np.linalg.det(np.where(np.isfinite(matrices), matrices, 0.0))) > 0.0
     return np.where(fine[:, None, None], matrices, np.eye(2))
 
 
 def _seeded(entry: Array, variables: int) -> tuple[Jet, Jet]:
-    """Return the entries of rays, which are the last two variables."""
+    """Return the entry points of rays, with themselves as the last two variables."""
     x, y = (constant(entry[:, k], variables + 2) for k in (0, 1))
     x.slope[:, variables] = 1.0
     y.slope[:, variables + 1] = 1.0
@@ -111,7 +110,7 @@ def _seeded(entry: Array, variables: int) -> tuple[Jet, Jet]:
 
 
 def _aimed(layout: RayLayout, numbers: Array, fan: RayFan, guess: Array) -> Array:
-    """Return where rays must cross the plane of the first vertex, (n, 2) mm; NaN where none is found."""
+    """Return the entry points of aimed rays in the plane of the first vertex, (n, 2) mm; NaN if none is found."""
     lens = layout.opened(constant(numbers, 2))
     radius = float(lens.stop_radius.value)
     aim, entry = radius * fan.pupil, guess.copy()
@@ -125,14 +124,14 @@ def _aimed(layout: RayLayout, numbers: Array, fan: RayFan, guess: Array) -> Arra
         entry += step * np.where(length > most, most / length, 1.0)[:, None]
         if not np.any(length > SETTLED * (radius + np.abs(entry).max(axis=1))):
             break
-    # The last step was Newton's: what is left is its square.
+    # Convergence is quadratic: the remaining error is about the square of the last step.
     return np.where((length <= AIMED * radius)[:, None], entry, np.nan)
 
 
 def _followed(
     layout: RayLayout, lens: LensNumbers, fan: RayFan, entry: tuple[Jet, Jet], *, to_image: bool
 ) -> tuple[Jet, Jet, tuple[Jet, Jet]]:
-    """Return where rays meet the image plane, and the surface of the stop, in its frame."""
+    """Return the intersections of rays with the image plane, and with the stop surface in its frame."""
     p, d = _starts(lens, fan, entry)
     stop: tuple[Jet, Jet] = entry
     for number, surface in enumerate(lens.surfaces):
@@ -166,7 +165,7 @@ def _is_upright(pose: Jet) -> bool:
 
 
 def _into(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Return rays in the frame of a surface, at the plane of its vertex."""
+    """Transform rays into the frame of a surface, and move them to the plane of its vertex."""
     p = tuple(p[i] - pose.picked((i, 3)) for i in range(3))  # type: ignore[assignment]
     if not _is_upright(pose):
         p, d = (_turned(pose, vector, back=True) for vector in (p, d))
@@ -175,7 +174,7 @@ def _into(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
 
 
 def _out_of(pose: Jet, p: Vector, d: Vector) -> tuple[Vector, Vector]:
-    """Return rays in the camera frame."""
+    """Transform rays back into the camera frame."""
     if not _is_upright(pose):
         p, d = (_turned(pose, vector, back=False) for vector in (p, d))
     return tuple(p[i] + pose.picked((i, 3)) for i in range(3)), d  # type: ignore[return-value]
@@ -188,10 +187,10 @@ def _turned(pose: Jet, vector: Vector, *, back: bool) -> Vector:
 
 
 def _met(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector) -> Vector:
-    """Return where rays, at the plane of the vertex, meet a surface.
+    """Return the intersections of rays, given at the plane of the vertex, with a surface.
 
-    The conic is met in closed form, other terms by Newton's method from there, on values. A last step with jets gives
-    the derivatives, -(∂F/∂variables)/(∂F/∂t) of F = z - sag.
+    The conic is intersected in closed form; other terms follow by Newton's method on plain values. A last step with
+    jets gives the derivatives, -(∂F/∂variables)/(∂F/∂t) of F = z - sag.
     """
     values, ahead = [_value(each) for each in p], (_value(d[0]), _value(d[1]), _value(d[2]))
     plain = SurfaceNumbers(*(constant(each.value, 0) for each in surface))
@@ -217,14 +216,14 @@ def _moved(p: Vector, d: Vector, t: Number) -> Vector:
 
 
 def _excess(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector) -> tuple[Number, Number]:
-    """Return how far behind a surface points lie along z, and the derivative of that along rays."""
+    """Return the distance of points behind a surface along z, and its derivative along rays."""
     r2 = _as_jet(p[0] * p[0] + p[1] * p[1])
     sag, double = _sag(surface, powers, r2)
     return p[2] - sag, d[2] - double * (p[0] * d[0] + p[1] * d[1])
 
 
 def _sag(surface: SurfaceNumbers, powers: tuple[int, ...], r2: Jet) -> tuple[Number, Number]:
-    """Return the sag at heights whose squares are given, and its derivative by the height over the height."""
+    """Return the sag at given squared heights, and its derivative by the height, divided by the height."""
     c = surface.curvature
     root = (1.0 - (surface.conic + 1.0) * c * c * r2).root()
     sag, double = c * r2 / (root + 1.0), c / root
@@ -238,7 +237,7 @@ def _sag(surface: SurfaceNumbers, powers: tuple[int, ...], r2: Jet) -> tuple[Num
 
 
 def _bent(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector, ratio: Jet) -> Vector:
-    """Return the directions of rays behind a surface: Snell's law in vectors, or the ideal thin lens."""
+    """Return the directions of rays behind a surface, by Snell's law in vector form or for an ideal thin lens."""
     if surface.thin_power.value != 0.0 or surface.thin_power.slope.any():
         x, y = (d[i] / d[2] - surface.thin_power * p[i] for i in (0, 1))
         scale = 1.0 / (_as_jet(x * x + y * y + 1.0)).root()

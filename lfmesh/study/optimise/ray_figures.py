@@ -1,4 +1,4 @@
-"""Figures of rays with their derivatives: spots, MTF, distortion, lateral colour."""
+"""Ray figures with their derivatives: spots, MTF, distortion, lateral colour."""
 
 import math
 from dataclasses import dataclass, field
@@ -21,22 +21,22 @@ Whole = NDArray[np.int64]
 
 
 HALF = 0.5
-"""Share of a field's rays below which it is noted that the camera stops most of them."""
+"""Fraction of a field's rays below which a note says that the camera blocks most of them."""
 
 
 @dataclass
 class RayFigures:
-    """The rays of a design, which are those that the camera lets through at the start.
+    """Rays of a design: those that pass the initial camera.
 
     Attributes
     ----------
     layout : RayLayout
     fan : RayFan
-        The chief rays of each field and wavelength first, then all others.
+        Chief rays of each field and wavelength, followed by all others.
     guess : (n, 2) float64
-        Where the rays of the last camera cross the plane of the first vertex, mm.
+        Intersections of the last camera's rays with the plane of the first vertex, mm.
     shares : dict of float
-        Share of a field's rays that pass at the start, by its image height, mm.
+        Fraction of a field's rays that pass initially, by image height, mm.
     """
 
     layout: RayLayout
@@ -50,12 +50,12 @@ class RayFigures:
 
     @property
     def passed(self) -> int:
-        """Number of rays, chief rays left out."""
+        """Number of rays without chief rays."""
         return len(self.fan.field) - self._chiefs
 
     @property
     def stopped(self) -> str:
-        """Fields of whose rays less than half pass at the start, in words; "" where there is none."""
+        """Fields that initially pass less than half of their rays, in words, or ""."""
         few = [f"{100.0 * share:.0f} % at {height:.4g} mm" for height, share in self.shares.items() if share < HALF]
         return ", ".join(few)
 
@@ -64,12 +64,12 @@ class RayFigures:
         return len(self.layout.fields) * len(self.layout.waves_nm)
 
     def landed(self, numbers: Jet) -> Landed:
-        """Follow the rays through a lens; NaN where a ray has no path.
+        """Trace the rays through a lens; NaN for rays without a path.
 
         Parameters
         ----------
         numbers : Jet
-            As `RayLayout.numbers_of` gives them.
+            From `RayLayout.numbers_of`.
         """
         landed = land(self.layout, numbers, self.fan, self.guess)
         fine = np.isfinite(landed.entry).all() and np.isfinite(landed.x.value).all()
@@ -83,15 +83,15 @@ class RayFigures:
     def values(self, goal: Goal, landed: Landed, numbers: Jet) -> Jet:
         """Return the values of a figure, (k,), with their derivatives.
 
-        Values that are shown as their rms have it as the root of the sum of their squares.
+        If reports show their rms, it is the root of the sum of their squares.
 
         Parameters
         ----------
         goal : Goal
-            Of rays.
+            A ray figure.
         landed : Landed
         numbers : Jet
-            Those of the lens.
+            Numbers of the lens.
         """
         shares = FIELDS if goal.field is None else (goal.field,)
         fields = [self.layout.fields.index(share) for share in shares]
@@ -126,14 +126,14 @@ class RayFigures:
         return landed.x.picked(slice(row, row + 1)), landed.y.picked(slice(row, row + 1))
 
     def _spot(self, landed: Landed, number: int, *, about_chief: bool) -> list[Jet]:
-        """Return the deviations of a field's rays along x and y, over the root of their number."""
+        """Return the deviations of a field's rays along x and y, divided by the root of their number."""
         rows = self._rows(number)
         at = [landed.x.picked(rows), landed.y.picked(rows)]
         middle = self._chief(landed, number) if about_chief else tuple(map(_mean, at))
         return [(each - of) * (1.0 / math.sqrt(len(rows))) for each, of in zip(at, middle, strict=True)]
 
     def _mtf(self, landed: Landed, number: int, per_mm: float) -> list[Jet]:
-        """Return the tangential and the sagittal MTF of a field."""
+        """Return the tangential and sagittal MTF of a field."""
         rows = self._rows(number)
         return [_modulus(along.picked(rows), per_mm) for along in (landed.y, landed.x)]
 
@@ -149,15 +149,15 @@ def ray_figures_of(scene: Scene, rays: Rays, shares: tuple[float, ...]) -> RayFi
     Parameters
     ----------
     scene : Scene
-        Solved, at the start.
+        Initial scene, solved.
     rays : Rays
     shares : tuple of float
-        Shares of the largest image height, beside those of the lens sheet.
+        Fractions of the largest image height, in addition to the lens sheet's.
 
     Raises
     ------
     LfmeshError
-        The lens has surfaces without formulas or not of revolution; there is no object plane; no ray of a field passes.
+        A surface has no formula or is not of revolution; there is no object plane; no ray of a field passes.
     """
     layout = layout_of(scene, wavelengths_of(scene, rays.wavelengths_nm), rays.object_mm, rays.height_mm)
     layout = RayLayout(**{**layout.__dict__, "fields": tuple(dict.fromkeys((*layout.fields, *shares)))})
@@ -204,7 +204,7 @@ def _joined(parts: list[Jet]) -> Jet:
 
 
 def _modulus(along: Jet, per_mm: float) -> Jet:
-    """Return the modulus of the transform of points along one direction, (1,)."""
+    """Return the modulus of the Fourier transform of points along one direction, (1,)."""
     turn = -2j * np.pi * per_mm
     phase = np.exp(turn * along.value)
     mean = phase.mean()

@@ -1,4 +1,4 @@
-"""Figures of pictures: columns of a study's table, of a camera against the one to begin with."""
+"""Figures of pictures: columns of a study's table, relative to the initial camera."""
 
 import math
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ Array = NDArray[np.float64]
 
 
 class Renders:
-    """Renders cameras with the random numbers of the first one, so that differences are sharp.
+    """Renderer with common random numbers for all cameras, so that differences are precise.
 
     Parameters
     ----------
     scene : Scene
-        The camera to begin with, solved.
+        Initial camera, solved.
     columns : sequence of str
-        Of a study's table.
+        Columns of a study's table.
 
     Attributes
     ----------
     unknown : dict of str
-        Why columns of the last camera are not known.
+        Reasons for unknown columns of the last camera.
     """
 
     def __init__(self, scene: Scene, columns: Sequence[str]) -> None:
@@ -50,12 +50,12 @@ class Renders:
         return films(camera, pictures_of(self.metrics), range(camera.scene.transport.replicates))
 
     def values(self, scene: Scene) -> Array:
-        """Return the columns of a solved camera, (k,); NaN where one is not known.
+        """Return the columns of a solved camera, (k,); NaN: unknown.
 
         Raises
         ------
         LfmeshError
-            It cannot be traced.
+            The camera cannot be traced.
         """
         camera = Camera(scene, self._reference.edge_distance_mm)
         own, count = self._traced(camera), scene.transport.replicates

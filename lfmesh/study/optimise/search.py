@@ -1,8 +1,8 @@
-"""The search for the best camera of a design: least squares within ranges, starts, choices, differential evolution.
+"""Search for the best camera of a design: bounded least squares, starts, choices, differential evolution.
 
-All of it is scipy's: `least_squares` (trust region reflective) with the derivatives of the problem, Latin hypercubes
-and `differential_evolution`. A camera that is not valid, or in which a ray loses its path, has no residuals; a step
-that leads to one is shortened. All ends where only rounding is left of the merit.
+The algorithms are scipy's `least_squares` (trust region reflective) with the problem's derivatives, Latin hypercubes
+and `differential_evolution`. A camera that is not valid, or that loses a ray, has no residuals; steps to one are
+shortened. The search ends early if only rounding error is left of the merit.
 """
 
 import contextlib
@@ -20,75 +20,75 @@ from lfmesh.study.optimise.problem import KEPT, Picks, Place, Pressure, Problem,
 Array = NDArray[np.float64]
 
 ROUNDS = 20
-"""Searches by least squares with constraints, each with more pressure."""
+"""Largest number of least-squares rounds with constraints, each with more pressure."""
 
 PRESSURE = 0.1
-"""Stiffness of constraints at first, over the merit: weak, so that the search is not forced along them from afar."""
+"""Initial stiffness of constraints, over the merit: low, so that the search is not forced along them from afar."""
 
 STIFFER = 4.0
-"""Factor of the stiffness where a round has not brought the excess down to `FALL` of what it was."""
+"""Factor of the stiffness if a round has not reduced the excess to `FALL` times its value."""
 
 FALL = 0.25
 
 STEADY = 1e-3
-"""Relative change of the multipliers of constraints at which they are taken as known."""
+"""Relative change of the constraints' multipliers at which they have converged."""
 
 SETTLED = 1e-10
-"""Relative change of merit and places at which a search by least squares ends."""
+"""Relative change of merit and positions at which a least-squares search has converged."""
 
 NO_GRADIENT = float(np.finfo(np.float64).eps)
-"""Gradient at which a search ends at once: that of variables that change nothing."""
+"""Gradient at which a search ends at once, as for variables without effect."""
 
 COARSE = 1e-3
-"""The same in the first round of several, which get finer by `STIFFER`."""
+"""The same in the first of several rounds; later ones are finer by `STIFFER`."""
 
 MOST_COMBINATIONS = 24
-"""Combinations of choices that are all searched; of more, one choice at a time is changed while that helps."""
+"""Largest number of combinations of choices that are all searched; otherwise one choice is changed at a time."""
 
 DRAWS = 20
-"""Cameras drawn for each start, of which one must be valid."""
+"""Random cameras per start; one of them must be valid."""
 
 POPULATION = 8
-"""Members of the population of differential evolution, for each variable."""
+"""Population of differential evolution per variable."""
 
 NONE = 1e300
-"""In place of the merit of a camera that has none."""
+"""Substitute for the merit of a camera that has none."""
 
 LIMITS_ALONE = Pressure(1.0, 0.0, merit=0.0)
-"""The limits, whatever that costs."""
+"""Pressure that ignores the merit."""
 
 Say = Callable[[str], None]
 
 
 class _ExactError(Exception):
-    """The best camera keeps all limits, and only rounding is left of its merit."""
+    """The best camera keeps all limits, and only rounding error is left of its merit."""
 
 
 class Search:
-    """A search that keeps the best camera it has seen.
+    """Search that keeps the best camera found.
 
     Parameters
     ----------
     problem : Problem
     say : callable, optional
-        Is told now and then how far the search is.
+        Called now and then with the progress in words.
 
     Attributes
     ----------
     first, best : Rated
     starts : int
-        Cameras that searches by least squares began with.
+        Initial cameras of least-squares searches.
     idle : Idle
-        Variables that stay as they are, as nothing depends on them.
+        Variables without effect, which stay unchanged.
     searched, lost : set of Picks
-        Values of choices with which searches by least squares began, and with which they could not: the camera there is
-        not valid, or a ray loses its path.
+        Values of choices that least-squares searches started with, and values that they could not start with because
+        the camera is not valid or loses a ray.
     cut : bool
-        A search ended because it had tried as many cameras as it may, not because it had found its best.
+        A search ended at its limit of cameras before it converged.
     left_open : set of str
-        Figures whose derivatives could not be told where a search ended for that reason.
+        Figures with unknown derivatives where a search ended for that reason.
     beyond_reach : bool
-        A search ended because it found no camera that keeps all limits, though it looked for nothing else.
+        A search for the limits alone found no camera that keeps all of them.
     """
 
     def __init__(self, problem: Problem, say: Say | None = None) -> None:
@@ -104,7 +104,7 @@ class Search:
         self.beyond_reach = False
 
     def run(self) -> None:
-        """Search; the best camera is kept even if Ctrl-C ends it. Nothing is searched for beyond an exact one."""
+        """Search; the best camera is kept even after Ctrl-C. The search stops at an exact solution."""
         self.idle = idle_variables(self.problem)
         with contextlib.suppress(_ExactError):
             self._search()
@@ -119,7 +119,7 @@ class Search:
             self._over_choices(place)
 
     def rank(self, rated: Rated) -> tuple[float, float]:
-        """Return what is the smaller the better a camera is: its excess over limits, then its merit."""
+        """Return the sort key of a camera, smaller is better: excess over limits, then merit."""
         if not rated.finite:
             return math.inf, math.inf
         return self.problem.violation(rated), self.problem.merit(rated)
@@ -140,7 +140,7 @@ class Search:
         return rated
 
     def _places(self, count: int, seed: int) -> Iterator[Place]:
-        """Yield the camera of the scene, and others drawn from the ranges."""
+        """Yield the scene's camera, followed by random ones from the ranges."""
         start = self.problem.start
         yield start
         if count == 1 or not self.problem.knobs:
@@ -152,7 +152,7 @@ class Search:
         yield from itertools.islice(valid, count - 1)
 
     def _over_choices(self, place: Place) -> None:
-        """Search from a camera, with all combinations of its choices or with better ones, one changed at a time."""
+        """Search from a camera: over all combinations of choices, or by improving one choice at a time."""
         options: list[Sequence[int]] = [range(len(choice.values)) for choice in self.problem.choices]
         for number in self.idle.choices:
             options[number] = [self.problem.start.picks[number]]
@@ -173,10 +173,10 @@ class Search:
                         found, improves = other, True
 
     def _descend(self, at: Array, picks: Picks) -> Rated:
-        """Search by least squares from a camera, with rising pressure of the constraints, and return the last one.
+        """Search by least squares from a camera, with rising pressure of the constraints; return the last camera.
 
-        Where pressure does not help, the limits alone are searched for, without the merit: if no camera keeps them, no
-        pressure will.
+        If pressure does not help, search for the limits alone, without the merit: if no camera keeps them, no pressure
+        will.
         """
         self.starts += 1
         rated = self._rated(at, picks)
@@ -219,7 +219,7 @@ class Search:
 
         def pressed_by(found: Rated) -> Jet:
             residuals = problem.residuals(found)
-            # A camera that is not valid has one unknown value for each figure, of however many parts.
+            # A camera that is not valid has one unknown value per figure, even for figures with several values.
             if not problem.design.constraints or not found.finite:
                 return residuals
             return joined([residuals * pressure.merit, pressure.residuals(problem.excess(found))])
@@ -234,7 +234,7 @@ class Search:
             rated = problem.rated(Place(at, picks), slopes=True)
             open_ones = {goal.title for goal, jet in rated.figures.items() if not np.isfinite(jet.slope).all()}
             if open_ones:
-                # Around a camera of which nothing more can be told the search ends.
+                # Nothing more can be found around an unknown camera: end the search.
                 self.left_open |= open_ones
                 return np.zeros((size, len(at)))
             slope = pressed_by(rated).slope

@@ -1,1 +1,1 @@
-"""Studies: many cameras against a reference, and kinds of camera side by side."""
+"""Studies of many cameras against a reference, and comparisons of camera types."""

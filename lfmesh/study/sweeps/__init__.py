@@ -1,1 +1,1 @@
-"""Studies of many cameras: a file, its plan, its units, its table and its report."""
+"""Studies of many cameras: file, plan, units, table and report."""

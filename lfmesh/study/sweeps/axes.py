@@ -1,4 +1,4 @@
-"""Axes of a study: a field of the scene, and the values that it takes."""
+"""Axes of a study: a field of the scene and its values."""
 
 import math
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from lfmesh.scene.quantities import Count, Flag, Number, Positive, Text, Whole
 Array = NDArray[np.float64]
 
 WAYS = ("values", "range", "log_range", "uniform", "normal")
-"""Keys by which an axis gives its values."""
+"""Keys that define an axis's values."""
 
 
 class Axis(Model):
@@ -47,16 +47,16 @@ class Axis(Model):
 
     @property
     def way(self) -> str | None:
-        """The one of `WAYS` that gives the values."""
+        """Key from `WAYS` that defines the values."""
         return next((way for way in WAYS if getattr(self, way) is not None), None)
 
     @property
     def is_spread(self) -> bool:
-        """True if the axis gives a distribution that any number of values can be taken from."""
+        """True if the axis has a distribution that yields any number of values."""
         return self.way not in (None, "values")
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the values."""
+        """Yield the faults of the values."""
         given = [way for way in WAYS if getattr(self, way) is not None]
         if len(given) != 1:
             what = f"{' and '.join(given)} are given" if given else "it has no values"
@@ -77,7 +77,7 @@ class Axis(Model):
                 yield Fault(("values",), list(self.values), "must be numbers with relative = true")
 
     def listed(self) -> list[Any]:
-        """Return the values of an axis by itself, in their order."""
+        """Return the values of an axis alone, in order."""
         if self.values is not None:
             return list(self.values)
         count = self.count or 1
@@ -88,24 +88,24 @@ class Axis(Model):
         ]
 
     def quantiles(self, share: Array) -> Array:
-        """Return the values below which a share of the axis's distribution lies; a range is taken as uniform.
+        """Return quantiles of the axis's distribution; a range counts as uniform.
 
         Parameters
         ----------
         share : (n,) float64
-            From 0 to 1.
+            Probabilities, 0 to 1.
         """
         if self.normal is not None:
             from scipy.stats import norm
 
             mean, deviation = self.normal
-            # Sequences that begin at 0 would give minus infinity.
+            # A sequence that begins at 0 would give minus infinity.
             tiny = 2.0**-53
             return mean + deviation * np.asarray(norm.ppf(np.clip(share, tiny, 1.0 - tiny)))
         if self.log_range is not None:
             first, last = (math.log(end) for end in self.log_range)
             values = np.exp(first + share * (last - first))
-            # The ends are what was written, without rounding.
+            # The ends are exactly as written, without rounding error.
             return np.where(share == 0.0, self.log_range[0], np.where(share == 1.0, self.log_range[1], values))
         ends = self.uniform or self.range
         assert ends is not None
@@ -113,11 +113,11 @@ class Axis(Model):
 
 
 UNITS = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "pixels", "w": "W", "um": "µm", "k": "K"}
-"""Of fields, by the suffix of their name."""
+"""Units by the suffix of a field's name."""
 
 
 def titled(path: str, label: str | None) -> str:
-    """Return what reports call a field: its label, or its path with the unit that its name ends in.
+    """Return the title of a field in reports: its label, or its path with the unit from the suffix of its name.
 
     Parameters
     ----------
@@ -132,11 +132,11 @@ def titled(path: str, label: str | None) -> str:
 
 
 def name_and_unit(title: str) -> tuple[str, str]:
-    """Return a title without its unit, and the unit; "" where it has none."""
+    """Split a title into name and unit ("" without one)."""
     name, slash, unit = title.rpartition(" / ")
     return (name, unit) if slash else (title, "")
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether a value is a number that can be added to."""
+    """Tell whether a value is a finite number that can be added to."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,6 +1,6 @@
-"""A bench: cameras of a unit are adjusted, searched, traced and compared with the reference.
+"""Bench where a unit's cameras are adjusted, searched, traced and compared with the reference.
 
-A metric that is not known of a camera, whatever the cause, is NaN and has a reason.
+An unknown metric of a camera, whatever the cause, is NaN with a reason.
 """
 
 import math
@@ -29,9 +29,9 @@ class OnTheWay(NamedTuple):
     Attributes
     ----------
     unknown, cameras : int
-        Cameras without it, and all.
+        Cameras with the unknown metric, and all cameras.
     reason : str
-        Of the first.
+        Reason for the first one.
     """
 
     unknown: int
@@ -40,17 +40,17 @@ class OnTheWay(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Metrics of a camera beside the reference.
+    """Metrics of a camera compared with the reference.
 
     Attributes
     ----------
     columns : dict of (n,) float64
-        Pseudo-values by the columns; NaN where a metric cannot be had.
+        Pseudo-values by column; NaN: unknown.
     unknown : dict of str
-        Why, by the metric.
+        Reasons by metric.
     maps : dict of (rows, columns, 2) float64
     has_none : bool
-        No metric could be computed.
+        True if no metric could be computed.
     """
 
     columns: dict[str, Array]
@@ -61,9 +61,9 @@ class Compared(NamedTuple):
 
 @dataclass(frozen=True)
 class Traced:
-    """Films of the reference as they are kept, with the seconds that they took and the warnings of their pictures.
+    """Films of the reference, with their tracing time and warnings.
 
-    What metrics find of them alone is kept in `found` for the next unit.
+    Results of metrics for these films alone are cached in `found` for the next unit.
     """
 
     films: Taken
@@ -74,17 +74,17 @@ class Traced:
 
 @dataclass(frozen=True)
 class Bench:
-    """A place where cameras are adjusted, traced and compared with the reference of a unit.
+    """Bench for the cameras of a unit, with the unit's reference.
 
     Attributes
     ----------
     camera, reference : Camera
     reference_traced : Traced
-        Its films.
+        Films of the reference.
     metrics : tuple of str
     replicates : range
     threads : int
-        0: as the scenes say.
+        0: as in the scenes.
     compensators : tuple of Compensator
     """
 
@@ -96,25 +96,25 @@ class Bench:
     threads: int
     compensators: tuple[Compensator, ...]
     seen: dict[str, list[str]] = field(default_factory=dict)
-    """Of every camera that was judged, by the metric, why it is not known, or ""."""
+    """Reasons for an unknown metric, "" if known, for each judged camera, by metric."""
 
     def on_the_way(self) -> dict[str, OnTheWay]:
-        """Return the metrics that are not known of some of the cameras that were judged."""
+        """Return the metrics that are unknown for some of the judged cameras."""
         lacking = {name: [why for why in reasons if why] for name, reasons in self.seen.items()}
         return {name: OnTheWay(len(whys), len(self.seen[name]), whys[0]) for name, whys in lacking.items() if whys}
 
     def traced(self, camera: Camera, metrics: tuple[str, ...]) -> Taken:
-        """Trace what some metrics need."""
+        """Trace the pictures that some metrics need."""
         return taken(in_threads(camera, self.threads), pictures_of(metrics), self.replicates)
 
     def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> Compared:
-        """Compare a camera with the reference by some metrics; one that is not known leaves the others as they are.
+        """Compare a camera with the reference by some metrics; an unknown metric does not affect the others.
 
         Parameters
         ----------
         camera : Camera
         own : dict of (replicates, H, W, channels) float64, W
-            Its films.
+            Films of the camera.
         metrics : tuple of str
         """
         count = len(self.replicates)
@@ -141,7 +141,7 @@ class Bench:
         return Compared(columns, unknown, pair.maps, failed == len(metrics))
 
     def judged(self, scene: Scene, metrics: tuple[str, ...]) -> Compared:
-        """Trace a camera, and compare it with the reference by some metrics; none is known of what cannot be traced."""
+        """Trace a camera, and compare it with the reference; if it cannot be traced, all metrics are unknown."""
         camera = Camera(scene, self.camera.edge_distance_mm)
         try:
             found = self.compared(camera, self.traced(camera, metrics), metrics)
@@ -156,12 +156,12 @@ class Bench:
         return found
 
     def adjusted(self, scene: Scene) -> tuple[Scene, tuple[float, ...]]:
-        """Return a camera as its compensators leave it, and their changes.
+        """Return a camera adjusted by its compensators, and their changes.
 
         Raises
         ------
         LfmeshError
-            The metric of a compensator can be had of no camera within its range.
+            A compensator's metric is unknown for every camera in its range.
         """
         columns = {column.name: column for column in columns_of(self.metrics)}
         lacking: dict[str, str] = {}
@@ -183,12 +183,12 @@ class Bench:
         return adjusted, tuple(changes)
 
     def searched(self, search: Search) -> Allowed:
-        """Find the largest change that keeps the limits, of cameras that are adjusted.
+        """Find the largest change for which adjusted cameras keep the limits.
 
         Raises
         ------
         LfmeshError
-            A metric that has a limit is not known of the reference, or of no camera beside it.
+            A limited metric is unknown for the reference, or for every other camera.
         """
         columns = [column for column in columns_of(self.metrics) if column.name in search.limits]
         metrics = tuple(dict.fromkeys(metric_of(column.name) for column in columns))
@@ -199,7 +199,7 @@ class Bench:
             except FileError:
                 raise
             except LfmeshError as error:
-                # A camera that cannot be had, or not adjusted, neither keeps a limit nor breaks one.
+                # A camera that cannot be made or adjusted neither keeps nor breaks a limit.
                 return dict.fromkeys(search.limits, Estimate(math.nan, math.nan)), in_a_line(error)
             found = self.judged(scene, metrics)
             return _means(found), in_words(found.unknown)
@@ -220,7 +220,7 @@ class Bench:
 
 
 def in_words(unknown: Mapping[str, str]) -> str:
-    """Return which metrics are not known and why; "" where there are none."""
+    """Return the unknown metrics with their reasons, or ""."""
     return "; ".join(f"{name}: {reason}" for name, reason in unknown.items())
 
 
@@ -229,7 +229,7 @@ def _means(found: Compared) -> dict[str, Estimate]:
 
 
 def in_threads(camera: Camera, threads: int) -> Camera:
-    """Return a camera that is traced in some threads; 0: as its scene says."""
+    """Return a camera to be traced in a number of threads; 0: as in its scene."""
     scene = camera.scene
     if threads in (0, scene.transport.threads):
         return camera

@@ -1,4 +1,4 @@
-"""Units on a cluster, through the scheduler of dask.distributed."""
+"""Computation of units on a dask.distributed cluster."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -13,26 +13,26 @@ from lfmesh.study.sweeps.pool import Result, computed
 from lfmesh.study.sweeps.unit import Unit
 
 AHEAD = 2
-"""Units given to the scheduler for each thread of its workers: it need not wait for us, and memory stays flat."""
+"""Units submitted per worker thread: the scheduler never waits for this process, and memory stays constant."""
 
 
 def in_dask(units: Iterable[tuple[Unit, Path]], address: str, workers: int) -> Iterator[Result]:
-    """Compute units with dask, and yield them as they are done.
+    """Compute units with dask, and yield them as they finish.
 
-    Outcomes come back to this process, which writes them: workers need no folder in common with it.
+    Results return to this process, which writes them: workers need no shared folder.
 
     Parameters
     ----------
     units : iterable of (Unit, Path)
     address : str
-        Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
+        Address of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
     workers : int
         Number of processes of a local cluster.
 
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, there is no scheduler at the address, it has no worker, or it is gone.
+        dask.distributed is not installed, no scheduler answers at the address, it has no workers, or it is lost.
     """
     with connected(address, workers) as client:
         yield from _through(client, units)
@@ -76,12 +76,12 @@ def _through(client: Any, units: Iterable[tuple[Unit, Path]]) -> Iterator[Result
 
 @dataclass(frozen=True)
 class _Job:
-    """A unit with the file that it is computed from.
+    """A unit with its input file.
 
     Attributes
     ----------
     is_alone : bool
-        It was lost with a worker, and is tried again when nothing else runs: then it alone can be what ends a worker.
+        Retried after its worker was lost, while nothing else runs: if a worker ends again, this unit is the cause.
     """
 
     unit: Unit
@@ -92,20 +92,20 @@ class _Job:
 def _sent(client: Any, path: Path) -> Any:
     """Send the content of a file to the cluster; return its future.
 
-    It is the result of a task, not scattered: the scheduler makes it anew when the workers that had it are gone.
+    It is a task's result instead of scattered data, so that the scheduler can recreate it after workers are lost.
     """
     import dask
 
-    # The scheduler has to keep it, whatever its size.
+    # The scheduler must keep it, whatever its size.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
         return client.submit(bytes, read_bytes(path), pure=False, retries=RETRIES)
 
 
 def _outcome(future: Any) -> tuple[bytes | None, str, bool]:
-    """Return the outcome of a unit, why there is none, and whether it was lost with its worker."""
+    """Return the outcome of a unit, the reason if there is none, and whether the unit was lost with its worker."""
     try:
         return *future.result(timeout=ENDS_SECONDS), False
     except Exception as error:
-        # Whatever ends a task from outside: dask has an exception for each.
+        # Catch everything that ends a task from outside; dask has an exception for each case.
         said = f"its worker died or the unit was cancelled: {type(error).__name__}: {error}"
         return None, said, True

@@ -1,4 +1,4 @@
-"""Figures of a study's report: metrics against an axis with error bars, fields of displacements, pictures."""
+"""Figures of a study's report: metrics against axes with error bars, displacement fields, pictures."""
 
 import base64
 import io
@@ -21,38 +21,38 @@ Array = NDArray[np.float64]
 
 BLUE, ORANGE = "#1f4e8c", "#b4541a"
 PANELS = 3
-"""Side by side in a figure."""
+"""Panels side by side in a figure."""
 
 PANEL_IN = (2.45, 1.6)
-"""Of a panel without its labels."""
+"""Size of a panel without its labels."""
 
 LEFT_IN, RIGHT_IN, NUMBERS_IN = 0.72, 0.13, 0.24
-"""Room beside a panel, for numbers of eight letters on its left, and for the numbers below it."""
+"""Margins of a panel: left, for numbers of eight characters; right; and below, for numbers."""
 
 LINE_IN, GAP_IN = 0.17, 0.09
-"""Height of a line of text, and the room above and below it."""
+"""Height of a line of text, and space above and below it."""
 
 TICKS = 5
-"""Steps between the numbers below a panel: more would touch."""
+"""Largest number of steps between the numbers below a panel, so that they do not touch."""
 
 CROWDED = 4e-6
-"""Share of a value by which the numbers beside a panel have to differ to be told apart by eight letters."""
+"""Relative difference below which numbers beside a panel look alike in eight characters."""
 
 TITLE_LETTERS = 34
-"""In a line of a panel's title: no more fit above it."""
+"""Characters that fit in a line of a panel's title."""
 
 NAME_LETTERS = 14
-"""Of a name below a panel, whose values are no numbers; what is longer is numbered."""
+"""Characters of a name below a panel of non-numeric values; longer names are numbered."""
 
 ARROWS = 16
-"""Displacements are drawn of so many lenslets at most along each side."""
+"""Largest number of arrows along each side of a displacement field."""
 
 
 def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
-    """Return a figure of some columns against an axis, a panel each; one standard error to either side.
+    """Return a figure of columns against an axis, one panel each, with error bars of one standard error.
 
-    Points at which only this axis differs from the reference are joined; all others are grey dots, unless axes vary one
-    at a time: then they would only stand above the reference.
+    Points where only this axis differs from the reference are joined. All others are grey dots, except in studies of
+    one axis at a time, where they would all lie at the reference.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
 
 
 def efficiency_figure(table: Table) -> str:
-    """Return a figure of the efficiency of every point, the best on top."""
+    """Return a bar chart of the efficiency of every point, the best on top."""
     known = sorted(table.efficiency(), key=lambda each: each[1])
     names = [textwrap.fill(words_of(table, row), TITLE_LETTERS) for row, _, _ in known]
     each_in = GAP_IN + LINE_IN * max(map(_lines, names))
@@ -116,13 +116,13 @@ def efficiency_figure(table: Table) -> str:
 
 
 def field_figure(row: Row, name: str, title: str) -> str:
-    """Return a figure of the displacements of the centres over the array, as arrows, upright as on the sensor.
+    """Return a figure of the displacements of the centres over the array, as arrows, oriented as on the sensor.
 
     Parameters
     ----------
     row : Row
     name : str
-        Of the map.
+        Name of the map.
     title : str
     """
     field = row.maps[name]
@@ -134,7 +134,7 @@ def field_figure(row: Row, name: str, title: str) -> str:
     def draw(figure: Any) -> None:
         panel = figure.add_axes((0.13, 0.14, 0.66, 0.76))
         arrows = panel.quiver(x, y, some[..., 0], some[..., 1], size, cmap="viridis", angles="xy", pivot="mid")
-        # From none: of equal displacements colours would else tell rounding, and their numbers but an offset.
+        # Start the scale at zero: otherwise equal displacements get colours that show only rounding errors.
         arrows.set_clim(0.0, float(np.nanmax(size)))
         panel.set_aspect("equal", anchor="W")
         panel.set(xlabel="lenslet column", ylabel="lenslet row")
@@ -150,7 +150,7 @@ def field_figure(row: Row, name: str, title: str) -> str:
 
 
 def picture(preview: NDArray[np.uint8]) -> str:
-    """Return a preview as the address of an image that holds its own bytes."""
+    """Return a preview as a data URL."""
     import PIL.Image
 
     stream = io.BytesIO()
@@ -159,23 +159,23 @@ def picture(preview: NDArray[np.uint8]) -> str:
 
 
 def _values(rows: Sequence[Row], column: Column) -> tuple[Array, Array]:
-    """Return values and standard errors; what is infinite, such as the PSNR of equal images, is not drawn."""
+    """Return values and standard errors; infinite values, such as the PSNR of equal images, become NaN."""
     y = np.array([row.estimates[column.name].value for row in rows])
     error = np.array([row.estimates[column.name].stderr for row in rows])
     return np.where(np.isfinite(y), y, np.nan), error
 
 
 def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> str:
-    """Return a figure of panels, each with its words above it and the title below.
+    """Return a figure of panels, each with a title above and the axis's title below.
 
-    The room for all labels is known from their lines; matplotlib's own layout takes as long as drawing does.
+    The space for labels follows from their lines: matplotlib's own layout would take as long as drawing.
 
     Parameters
     ----------
     draws : sequence of (str, callable)
-        Words above each panel, and what draws it.
+        Title of each panel, and the function that draws it.
     title : str
-        Of the horizontal axis.
+        Title of the horizontal axis.
     """
     rows = -(-len(draws) // PANELS)
     columns = min(len(draws), PANELS)
@@ -202,7 +202,7 @@ def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> s
 
 
 def _is_crowded(panel: Any) -> bool:
-    """Return whether the numbers on the left have more digits than there is room for."""
+    """Tell whether the numbers on the left have more digits than fit."""
     low, high = panel.get_ylim()
     return bool(high - low < CROWDED * abs(high))
 
@@ -220,12 +220,12 @@ def _is_plain(axis: Any) -> bool:
 def _figure(
     draw: Callable[[Any], None], title: str, size: tuple[float, float], layout: Literal["constrained"] | None = None
 ) -> str:
-    """Return a figure as an SVG element that loads nothing."""
+    """Return a figure as a self-contained SVG element."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    # Labels and names are the user's, who may write $ and ^ in them.
+    # Users may write $ and ^ in labels and names.
     style: dict[Any, Any] = {"font.family": "sans-serif", "font.size": 9, "text.parse_math": False}
     with mpl.rc_context({**style, "svg.fonttype": "none", "svg.hashsalt": title}):
         figure = Figure(figsize=size, layout=layout)

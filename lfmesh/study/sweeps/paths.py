@@ -1,4 +1,4 @@
-"""Fields of a scene by their path: what stands there, and what a path that leads nowhere may have meant."""
+"""Fields of a scene by path: values, and suggestions for paths that do not exist."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,12 +9,12 @@ from lfmesh.scene.model import Model, dead_end, format_path, nearest
 
 
 def value_at(scene: Scene, path: str) -> Any:
-    """Return the value of a field, such as that of "camera.mla.pose.tilt_deg[0]".
+    """Return the value of a field, such as "camera.mla.pose.tilt_deg[0]".
 
     Raises
     ------
     KeyError
-        No field has this path; the message says where it ends, and what is valid there.
+        There is no such field; the message says where the path ends, and which fields are valid there.
     """
     place: Any = scene
     done: list[str | int] = []

@@ -1,4 +1,4 @@
-"""The plan of a study: its points and their scenes, all checked before anything is traced."""
+"""Plan of a study: its points and their scenes, all checked before anything is traced."""
 
 import hashlib
 import itertools
@@ -28,10 +28,10 @@ from lfmesh.study.tolerances.largest_change import Search
 from lfmesh.transport.collisions import refuse_impossible_camera
 
 MOST_POINTS = 1_000_000
-"""Of a study, or items of a dataset: each is checked before anything is traced, some hundreds a second."""
+"""Largest number of points in a study or items in a dataset; they are checked first, some hundreds per second."""
 
 LEAST_REPLICATES = 3
-"""Replicates of a batch: with one left out, two are left whose noise is independent."""
+"""Smallest number of replicates per batch: with one left out, two with independent noise remain."""
 
 FOCUS = "camera.focus_mm"
 DISTANCES = ("camera.mla.distance_mm", "camera.sensor.distance_mm")
@@ -42,11 +42,11 @@ USED_UP = {
     "camera.lens.epd_mm": None,
     "camera.lens.stop_semi_diameter_mm": None,
 }
-"""Fields that solving a scene replaces by others, and the optional field that then says the same."""
+"""Fields that solving a scene replaces by others, and the optional field that then has the same meaning."""
 
 
 CAMERAS_SEARCHED, CAMERAS_ADJUSTED = 10, 12
-"""Cameras that a search of the largest change traces, and an adjustment for each compensator."""
+"""Cameras traced by a search of the largest change, and by an adjustment for each compensator."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class Point:
     Attributes
     ----------
     number : int
-        0 is the reference.
+        Number of the point; 0 is the reference.
     values : tuple
-        One for each axis; None where it is what it is in the reference camera.
+        One per axis; None: as in the reference camera.
     searched : int or None
-        Number of the axis of which the largest change is searched that keeps the limits; its value is the farthest.
+        Number of the axis in a search for the largest change within the limits; its value is the end of the search.
     """
 
     number: int
@@ -70,19 +70,19 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A study whose points are known and valid. Made by `plan_of`.
+    """A study with known, valid points, made by `plan_of`.
 
     Attributes
     ----------
     study : StudyFile
     base : Scene
-        The reference camera, with nothing left to solve unless the study refocuses, and with the digests of all files
-        that any point reads: no unit takes another.
+        Reference camera, solved unless the study refocuses, with the digests of all files that any point reads, so that
+        no unit uses other files.
     axes : tuple of Axis
-        Those of a template included.
+        Axes, including a template's.
     points : list of Point
     scenes : tuple of Scene
-        Of a study of scene files, with the digests of their files; else empty.
+        For a study of scene files, with the digests of their files; otherwise empty.
     """
 
     study: StudyFile
@@ -98,7 +98,7 @@ class Plan:
 
     @property
     def searched(self) -> bool:
-        """True if the largest change of some axis is searched."""
+        """True if the largest change of any axis is searched."""
         return any(point.searched is not None for point in self.points)
 
     @cached_property
@@ -112,7 +112,7 @@ class Plan:
         Raises
         ------
         SceneError
-            It is not valid.
+            The scene is not valid.
         """
         if self.scenes:
             return self.scenes[point.number]
@@ -124,13 +124,13 @@ class Plan:
         return self.base.changed(changes) if changes else self.base
 
     def label(self, point: Point, found: Any = None) -> str:
-        """Return a point in words, with the names and units that reports use.
+        """Return a point in words, with names and units as in reports.
 
         Parameters
         ----------
         point : Point
         found : object, optional
-            Value that the search of a point has found.
+            Result of the point's search.
         """
         if point.number == 0:
             return "the reference"
@@ -149,12 +149,12 @@ class Plan:
         return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
 
     def cameras_of(self, point: Point) -> int:
-        """Return how many cameras are traced at a point, by rule of thumb: a search and adjustments take several."""
+        """Return a rough number of cameras traced at a point; searches and adjustments take several."""
         adjusted = 1 + CAMERAS_ADJUSTED * (len(self.study.compensators) if point.number else 0)
         return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
 
     def search_of(self, point: Point) -> Search | None:
-        """Return what is searched at a point; None where nothing is."""
+        """Return the search at a point, or None."""
         i = point.searched
         if i is None:
             return None
@@ -162,7 +162,7 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all that the results follow from: scene, files that it reads, points, metrics."""
+        """SHA-256 of everything that determines the results: scene, its files, points, metrics."""
         facts = {
             "scenes": [scene.digest for scene in self.scenes or (self.base,)],
             "inputs": [scene.digests for scene in self.scenes or (self.base,)],
@@ -179,7 +179,7 @@ class Plan:
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
     def camera_of(self, point: Point) -> Camera:
-        """Return the camera of a point; the edge stands where it does for the reference."""
+        """Return the camera of a point, with the edge at the reference's distance."""
         return Camera(self.scene_of(point), self._edge_mm)
 
     @cached_property
@@ -194,31 +194,31 @@ class Plan:
 
     @property
     def units(self) -> list[tuple[int, int]]:
-        """Point and batch of every unit, the reference first."""
+        """Point and batch of every unit, beginning with the reference."""
         return [(point.number, batch) for point in self.points for batch in range(self.study.batches)]
 
 
 def seed_of(seed: int, point: int) -> int:
-    """Return the seed of a point that has random numbers of its own."""
+    """Return the seed of a point with random numbers of its own."""
     words = hashlib.sha256(f"{seed} {point}".encode()).digest()
     return int.from_bytes(words[:8], "big") >> 1 if point else seed
 
 
 def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study") -> Plan:
-    """Plan a study: find its points, and check each before anything is traced.
+    """Plan a study: make its points, and check each before anything is traced.
 
     Parameters
     ----------
     study : StudyFile
     base : Scene or sequence of Scene
-        The scene of the reference camera, or the scenes that are compared.
+        Scene of the reference camera, or the scenes to compare.
     name : str
-        What messages call the study.
+        Name of the study in messages.
 
     Raises
     ------
     LfmeshError
-        With one line for each fault: paths that lead nowhere, points whose scene is not valid.
+        One line per fault: paths that do not exist, points with invalid scenes.
     """
     scenes = () if isinstance(base, Scene) else tuple(base)
     first = base if isinstance(base, Scene) else scenes[0]
@@ -237,7 +237,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
         first = first.changed(study.changes)
     ready_scene = solved_camera(first).scene
     if study.refocus:
-        # Solved again at every point: lenslets keep their radii, the rest is what the scene says.
+        # Solved again at every point: lenslets keep their radii, the rest follows the scene.
         omitted = [path for path in DISTANCES if _is_omitted(first, path)]
         ready_scene = ready_scene.changed(dict.fromkeys(omitted, None))
     paths = [*(axis.path for axis in axes), *(each.path for each in study.compensators)]
@@ -274,12 +274,12 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
 
 
 def load_scenes(study: StudyFile, folder: Path) -> Scene | tuple[Scene, ...]:
-    """Load the scene of a study, or its scenes, each with nothing left to solve.
+    """Load the scene of a study, or its scenes; a study's several scenes are solved.
 
     Raises
     ------
     LfmeshError
-        One of them cannot be loaded.
+        A scene cannot be loaded.
     """
     if study.scene is not None:
         return load(folder / study.scene)
@@ -300,7 +300,7 @@ def _focus_of(scene: Scene) -> tuple[Any, ...]:
 
 
 def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
-    """Return a solved scene that says what a study varies as the scene does: focal lengths of lenslets, the stop."""
+    """Restore in a solved scene the given fields that a study varies: focal lengths of lenslets, the stop."""
     changes: dict[str, Any] = {}
     for field, other in USED_UP.items():
         if any(steps_of(path)[: len(steps_of(field))] == steps_of(field) for path in paths):
@@ -311,7 +311,7 @@ def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
 
 
 def _of_one_number(axis: Axis, scene: Scene) -> Axis:
-    """Return an axis of numbers of a field that holds a list of one number, as one of that number."""
+    """Return an axis of numbers, for a field with a list of one number, as an axis of that number."""
     with suppress(KeyError):
         found = value_at(scene, axis.path)
         if isinstance(found, tuple) and len(found) == 1 and all(map(is_number, (*found, *(axis.values or ())))):
@@ -320,17 +320,17 @@ def _of_one_number(axis: Axis, scene: Scene) -> Axis:
 
 
 def path_faults(paths: dict[str, Any], scene: Scene, prefix: str, *, refocus: bool = True) -> Iterator[str]:
-    """Yield which paths lead nowhere.
+    """Yield the paths that do not exist.
 
     Parameters
     ----------
     paths : dict
-        By path, with any values.
+        Paths, with any values.
     scene : Scene
     prefix : str
-        What messages call a path.
+        Name of a path in messages.
     refocus : bool
-        Whether distances are solved at every point.
+        True if distances are solved at every point.
     """
     for path in paths:
         try:
@@ -361,7 +361,7 @@ def _metric_faults(study: StudyFile, scene: Scene) -> Iterator[str]:
 
 
 def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
-    """Yield what is wrong with the number of points, before they are made."""
+    """Yield faults of the number of points, before they are made."""
     each = [len(axis.values) if axis.values is not None else axis.count or 1 for axis in axes]
     if study.count is not None:
         field, points = "count", study.count
@@ -374,7 +374,7 @@ def _count_faults(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[str]:
 
 
 def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[Point]:
-    """Yield the points of a design, the reference first."""
+    """Yield the points of a design, beginning with the reference."""
     blank = (None,) * len(axes)
     yield Point(0, blank)
     added = [value_at(base, axis.path) if axis.relative else None for axis in axes]
@@ -398,7 +398,7 @@ def _points(study: StudyFile, axes: tuple[Axis, ...], base: Scene) -> Iterator[P
 
 
 def _searches(axes: tuple[Axis, ...], points: list[Point], base: Scene) -> list[Point]:
-    """Return the points at which the largest change of an axis is searched, one to each side that is studied."""
+    """Return the points that search the largest change of an axis, one for each side studied."""
     found: list[Point] = []
     for i, axis in enumerate(axes):
         start = value_at(base, axis.path)
@@ -422,7 +422,7 @@ def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ..
     kind = qmc.LatinHypercube if study.design == "latin_hypercube" else qmc.Sobol
     draw = kind(d=len(axes), rng=np.random.default_rng(study.seed))
     with warnings.catch_warnings():
-        # That a number of Sobol' points is no power of two makes them a little less even, and nothing wrong.
+        # Sobol' points are only slightly less even if their number is not a power of two.
         warnings.simplefilter("ignore", UserWarning)
         shares = draw.random(count)
     columns = [axis.quantiles(shares[:, i]).tolist() for i, axis in enumerate(axes)]
@@ -430,7 +430,7 @@ def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ..
 
 
 def _point_faults(plan: Plan) -> Iterator[str]:
-    """Yield the points whose scene is not valid, or has another sensor or array than the reference."""
+    """Yield the points with an invalid scene, or with a sensor or array size other than the reference's."""
     size = _sizes(plan.scene_of(plan.points[0]))
     distances = set()
     for point in plan.points:
@@ -466,7 +466,7 @@ def _checked(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        It is not valid, or elements, array and sensor intersect, which a build would refuse.
+        The scene is not valid, or elements, array and sensor intersect, which a build would refuse.
     """
     meshes = any(surface.refractor is not None for surface in scene.camera.lens.surfaces)
     ready = solved_camera(scene).scene if meshes else solved(scene)
@@ -481,18 +481,18 @@ def _sizes(scene: Scene) -> dict[str, tuple[int, int]]:
 
 
 def pinned_with(base: Scene, choices: Iterable[tuple[str, Iterable[Any]]]) -> Scene:
-    """Return a scene with the digests of its files, and of those that it reads where one of its values is another.
+    """Return a scene with the digests of its files, and of the files read with other values.
 
     Parameters
     ----------
     base : Scene
     choices : iterable of (str, iterable)
-        Path in the scene, and the values that may stand there.
+        Paths in the scene, and their possible values.
     """
     base = base.pinned()
     for path, values in choices:
         for value in values:
-            # A number names no file; a value that is not valid is found with its point.
+            # A number names no file; an invalid value is reported with its point.
             if not is_number(value):
                 with suppress(LfmeshError, KeyError, IndexError, TypeError, ValueError):
                     base = base.with_digests(base.changed({path: value}).pinned().digests)

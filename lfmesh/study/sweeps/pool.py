@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 TRIES = 2
-"""A unit whose process dies is tried again, up to so many times in all."""
+"""Largest number of attempts for a unit when its process dies."""
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""For libraries of linear algebra, whose last bits may depend on it, and which would start threads of their own."""
+"""Settings for linear-algebra libraries: their last bits may depend on threads, which would also add to ours."""
 
 
 class Work(Protocol):
-    """A unit of work: it can be pickled, is known by two numbers, and is computed from a file or the bytes of one."""
+    """A picklable unit of work, identified by two numbers and computed from a file or its bytes."""
 
     @property
     def point(self) -> int:
@@ -35,17 +35,17 @@ class Work(Protocol):
 
 @dataclass(frozen=True)
 class Result:
-    """A unit that is done or given up.
+    """A unit that is finished or given up.
 
     Attributes
     ----------
     unit : Work
     content : bytes or None
-        Its outcome; None if there is none.
+        Outcome; None if there is none.
     reason : str
-        Why there is none, or "".
+        Reason if there is none, or "".
     deaths : int
-        Processes that died over it.
+        Number of processes that died while computing it.
     """
 
     unit: Work
@@ -61,11 +61,11 @@ def here(units: Iterable[tuple[Work, Path]]) -> Iterator[Result]:
 
 
 def computed(unit: Work, reference: Path | bytes) -> tuple[bytes | None, str]:
-    """Return a unit's outcome, or None and why there is none."""
+    """Return a unit's outcome and "", or None and the reason."""
     try:
         return unit.compute(reference), ""
     except Exception as error:
-        # Whatever a library raises at one point, the other points go on.
+        # An exception of any library at one point must not stop the others.
         return None, f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
@@ -77,12 +77,12 @@ class _Worker:
 
 
 def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result]:
-    """Compute units in processes, and yield them as they are done.
+    """Compute units in processes, and yield them as they finish.
 
     Parameters
     ----------
     units : iterable of (Work, Path)
-        With the file that each is computed from; taken from as workers become free.
+        Units with their input files; taken as workers become free.
     workers : int
         Number of processes.
     """
@@ -97,7 +97,7 @@ def in_pool(units: Iterable[tuple[Work, Path]], workers: int) -> Iterator[Result
     def give_work(worker: _Worker) -> None:
         worker.unit = next_job()
         if worker.unit is not None:
-            # A process that died meanwhile is noticed below.
+            # If the process has died meanwhile, this is noticed below.
             with suppress(OSError):
                 worker.pipe.send(worker.unit)
 
@@ -152,7 +152,7 @@ def _started() -> _Worker:
 
 
 def _end(worker: _Worker) -> None:
-    """End a process that this one has started, whatever it is doing."""
+    """Terminate a process started by this one, whatever it is doing."""
     worker.pipe.close()
     if worker.process.is_alive():
         worker.process.terminate()
@@ -160,8 +160,8 @@ def _end(worker: _Worker) -> None:
 
 
 def _serve(pipe: Connection) -> None:
-    """Compute units until the other end is closed."""
-    # Ctrl-C in a terminal reaches all processes; the one that started this decides.
+    """Compute units until the other end of the pipe is closed."""
+    # Ctrl-C in a terminal reaches all processes; the parent decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     while True:
         try:

@@ -1,4 +1,4 @@
-"""Time and memory of a study, estimated before it is run."""
+"""Estimates of a study's time and memory before it runs."""
 
 import json
 import time
@@ -16,19 +16,18 @@ from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, run_unit, u
 
 @dataclass(frozen=True)
 class Probe:
-    """Time and memory of a study, estimated from short traces of some of its cameras.
+    """Time and memory of a study, estimated from short traces of some cameras.
 
     Attributes
     ----------
     points, units : int
     workers : int
     unit_seconds, start_seconds, seconds : float
-        Of one camera in one process, of starting the processes, and of all.
+        Time of one camera in one process, of starting the processes, and of the whole study.
     bytes : float
-        Memory, of all processes.
+        Memory of all processes.
     unknown : tuple of str
-        Metrics that cannot be had of the reference, and cameras tried that cannot be traced, with the reason, a line
-        each.
+        Unknown metrics of the reference, and tried cameras that cannot be traced, with reasons, one line each.
     """
 
     points: int
@@ -42,28 +41,29 @@ class Probe:
 
 
 MOST_TRIED = 8
-"""Cameras of a study that are tried until one can be traced, whose time is taken; then it is the reference's."""
+"""Largest number of cameras tried until one can be traced and timed; otherwise the reference is timed."""
 
 REPLICATES = (4, 2)
-"""Replicates of a camera that are traced for a probe: the difference is the time of each more."""
+"""Replicates per camera traced in a probe: the difference gives the time per replicate."""
 
 PROCESS_BYTES = 4e8
-"""Of a process that has traced something, without its films."""
+"""Memory of a process that has traced something, without its films."""
 
 
 @dataclass(frozen=True)
 class _Stopwatch:
-    """A unit of work that takes the time of another one: of the first of some that can be traced."""
+    """A unit of work that times others: the first of some that can be traced."""
 
     units: tuple[Unit, ...]
     point: int = 0
     batch: int = 0
 
     def compute(self, _: bytes | Path) -> bytes:
-        """Return seconds, why metrics of the reference are not known, and why units that were tried fail.
+        """Return times, reasons for unknown metrics of the reference, and reasons for failures of tried units.
 
-        Seconds of all, of a process's first camera, of another one, and of that with each of `REPLICATES`. A camera
-        that was traced before takes less, as its tables are there. One that fails takes hardly any, and is not timed.
+        The times are, in seconds, those of everything, of a process's first camera, of another camera, and of that
+        camera with each of `REPLICATES`. A camera traced before takes less time because its tables exist. A camera that
+        fails takes hardly any and is not timed.
         """
         began = time.perf_counter()
         films = [reference_films(replace(self.units[0], replicates=range(REPLICATES[0])))]
@@ -73,7 +73,7 @@ class _Stopwatch:
         failed: list[tuple[int, str]] = []
         for unit in self.units:
             fresh, outcome = _timed(unit, REPLICATES[0], films[0])
-            # The reference, which comes last, is traced in any case, though no metric of it may be known.
+            # The reference comes last and is timed even if all of its metrics are unknown.
             if not outcome.fault or unit is self.units[-1]:
                 break
             failed.append((unit.point, outcome.fault))
@@ -82,7 +82,7 @@ class _Stopwatch:
 
 
 def _timed(unit: Unit, replicates: int, films: bytes) -> tuple[float, Outcome]:
-    """Trace some replicates of a unit, and return the seconds that it took and its outcome."""
+    """Trace some replicates of a unit; return the time in seconds and the outcome."""
     unit = replace(unit, replicates=range(replicates))
     began = time.perf_counter()
     content = run_unit(unit, films)
@@ -90,17 +90,17 @@ def _timed(unit: Unit, replicates: int, films: bytes) -> tuple[float, Outcome]:
 
 
 def probe(plan: Plan, workers: int | None = None) -> Probe:
-    """Estimate time and memory of a study from short traces of its cameras, in a process of their own.
+    """Estimate time and memory of a study from short traces of its cameras in a separate process.
 
     Raises
     ------
     LfmeshError
-        They cannot be traced.
+        The cameras cannot be traced.
     """
     workers = default_workers(len(plan.units)) if workers is None else workers
     at_once = max(workers, 1)
     units = _first_units(plan, max(1, cores() // at_once))
-    # Kernels that have to be compiled are no part of a study: from now on they are kept.
+    # Compiling kernels is not part of a study: compile and cache them first.
     reference_films(replace(units[0], replicates=range(1)))
     began = time.perf_counter()
     (result,) = in_pool([(_Stopwatch(units), Path())], 1)
@@ -115,19 +115,19 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
     one = max(0.0, fresh + each * (replicates - REPLICATES[0]))
     columns, rows = plan.base.camera.sensor.pixels
     film = 8.0 * columns * rows * plan.base.channels * replicates * len(pictures_of(plan.metrics))
-    # The camera's own films, the reference's, and what comparing them takes.
+    # Films of the camera and of the reference, and working memory to compare them.
     memory = at_once * (PROCESS_BYTES + 4.0 * film)
     cameras = sum(plan.cameras_of(point) for point in plan.points) * plan.study.batches
-    # The process that traces the reference is started before those of the pool.
+    # The process for the reference starts before the pool's.
     starts = start * (1 if workers == 0 else 2)
     seconds = starts + one * cameras / at_once
     return Probe(len(plan.points), len(plan.units), at_once, one, starts, seconds, memory, tuple(unknown))
 
 
 def _first_units(plan: Plan, threads: int) -> tuple[Unit, ...]:
-    """Return units of the first cameras beside the reference, and of its own; they are neither searched nor adjusted.
+    """Return units of the first cameras and of the reference, without searches or adjustments.
 
-    The reference's is traced as if it was another camera.
+    The reference's unit is traced like any other camera.
     """
     reference = plan.camera_of(plan.points[0])
     some = [(point.number, plan.camera_of(point)) for point in plan.points[1 : 1 + MOST_TRIED]]

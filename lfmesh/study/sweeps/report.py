@@ -1,4 +1,4 @@
-"""The report of a study as one HTML page that loads nothing."""
+"""Report of a study as a self-contained HTML page."""
 
 import math
 from pathlib import Path
@@ -31,19 +31,19 @@ from lfmesh.templates import filled
 TEMPLATE = Path(__file__).parents[1] / "templates" / "study.html"
 
 MOST_ROWS = 300
-"""Points that the page lists; the table has all of them."""
+"""Largest number of points listed on the page; the table has all of them."""
 
 MOST_FIELDS = 4
-"""Fields of displacements that are drawn of a metric: those of the points with the largest."""
+"""Largest number of displacement fields drawn per metric: those with the largest displacements."""
 
 LEAST_PX = 1e-6
-"""Least displacement worth drawing."""
+"""Smallest displacement worth drawing."""
 
 ABREAST = 7
-"""Columns of a table that stand beside those that name its rows: no more fit on a page."""
+"""Columns of a table, beside those that name its rows, that fit on a page."""
 
 NO_FIGURE = ("_x_px", "_y_px", "_w_per_pixel")
-"""Columns, by the end of their name, that are in table.csv alone."""
+"""Suffixes of columns that appear only in table.csv."""
 
 
 def page(table: Table) -> str:
@@ -104,7 +104,7 @@ def page(table: Table) -> str:
 
 
 def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
-    """Return why no metric is drawn against a parameter."""
+    """Return the reason why no metric is drawn against a parameter."""
     if table.plan.scenes:
         return "Scenes are compared, which differ in more than a parameter."
     if len(done) < 2:
@@ -117,7 +117,7 @@ def _why_nothing(table: Table, done: list[Row], columns: list[Column]) -> str:
 
 
 def _why_no_slope(table: Table, axis: int, columns: list[Column]) -> str:
-    """Return why a parameter has no sensitivities."""
+    """Return the reason why a parameter has no sensitivities."""
     rows = [row for row in table.along(axis) if row.estimates]
     if not all(is_number(table.value_of(row, axis)) for row in rows):
         return "No sensitivity: the values are no numbers."
@@ -128,9 +128,9 @@ def _why_no_slope(table: Table, axis: int, columns: list[Column]) -> str:
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:
-    """Return the worst value of every metric along each axis by itself, the axis with the largest effect first.
+    """Return the worst value of each metric along each axis alone, beginning with the axis of the largest effect.
 
-    Empty where no camera has one error by itself, or there is one axis.
+    Empty if there is only one axis, or no camera with a single error.
     """
     judged = [column for column in columns if column.worse]
     if not judged or len(axes) < 2:
@@ -164,14 +164,14 @@ def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str,
 
 
 def _abreast(heading: list[str], rows: list[list[str]], named: int) -> list[tuple[list[str], list[list[str]]]]:
-    """Divide a table that is wider than a page into several, each with the columns that name its rows.
+    """Divide a table wider than a page into several, repeating the columns that name its rows.
 
     Parameters
     ----------
     heading : list of str
     rows : list of list of str
     named : int
-        Number of columns, the first ones, that name a row.
+        Number of leading columns that name a row.
     """
     parts = range(named, max(len(heading), named + 1), ABREAST)
     return [
@@ -184,7 +184,7 @@ def _abreast(heading: list[str], rows: list[list[str]], named: int) -> list[tupl
 
 
 def _pictures(table: Table, done: list[Row]) -> list[dict[str, str]]:
-    """Return reference, best and worst point as pictures."""
+    """Return pictures of the reference, the best and the worst point."""
     column = first_column(table)
     ranked = ranked_by(done, column) if column is not None else []
     shown = [("", table.rows[0])]

@@ -1,4 +1,4 @@
-"""A study in sentences: what a designer asked, with names and units; resolved effects before the others."""
+"""A study in sentences for the designer, with names and units; resolved effects come first."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -14,23 +14,23 @@ from lfmesh.study.tolerances.largest_change import Allowed
 NOT_KNOWN, NOT_RESOLVED = "not known", "not resolved"
 
 SMALL = 0.01
-"""Shares of a budget below this one are not named one by one."""
+"""Share of a budget below which effects are not named individually."""
 
 MOST_NAMED = 6
-"""Parameters that a sentence names."""
+"""Largest number of parameters named in a sentence."""
 
 DIGITS = 6
-"""Most digits of a value."""
+"""Largest number of digits of a value."""
 
 LEAST_PLAIN, MOST_PLAIN = 1e-4, 1e6
-"""Values between these are written without an exponent."""
+"""Range of values written without an exponent."""
 
 LEAST_ERROR = 5e-4
-"""Errors of shares below this one are not seen in tenths of a per cent."""
+"""Error of a share below which it is not visible in tenths of a per cent."""
 
 
 def in_short(table: Table) -> list[str]:
-    """Return the answers of a study, a sentence each."""
+    """Return the results of a study, one sentence each."""
     return [
         _progress(table),
         *metrics_not_known(table),
@@ -47,13 +47,13 @@ def in_short(table: Table) -> list[str]:
 
 
 def words_of(table: Table, row: Row) -> str:
-    """Return a point in words, with the names and units that reports use."""
+    """Return a point in words, with names and units as in reports."""
     searched = row.point.searched
     return table.plan.label(row.point, None if searched is None else table.value_of(row, searched))
 
 
 def column_value(row: Row, column: Column) -> str:
-    """Return the value of a column with its standard error, or in words why there is none."""
+    """Return the value of a column with its standard error, or its bound, in words."""
     value, error = row.estimates[column.name]
     if column.is_square and math.isnan(error) and math.isfinite(row.means[column.name].value):
         bound = column.bound(row.means[column.name])
@@ -64,7 +64,7 @@ def column_value(row: Row, column: Column) -> str:
 
 
 def written(value: float, error: float) -> str:
-    """Return a value with its standard error, as many digits as that allows; "± ?" where the error cannot be told."""
+    """Return a value with its standard error, to matching digits; "± ?" if the error is unknown."""
     if math.isnan(value):
         return NOT_KNOWN
     if math.isnan(error):
@@ -76,7 +76,7 @@ def written(value: float, error: float) -> str:
 
 
 def _rounded(value: float, digits: int) -> str:
-    """Return a value with so many digits, without an exponent where it is neither large nor small."""
+    """Return a value to a number of digits, without an exponent unless it is very large or small."""
     rounded = float(f"{value:.{digits}g}")
     if not LEAST_PLAIN <= abs(rounded) < MOST_PLAIN:
         return f"{rounded:.{digits}g}"
@@ -84,23 +84,23 @@ def _rounded(value: float, digits: int) -> str:
 
 
 def percent(share: float, error: float = 0.0) -> str:
-    """Return a share in per cent, with its standard error where that is seen in its digits."""
+    """Return a share in per cent, with its standard error if that is visible in the digits."""
     return f"{100.0 * share:.1f}" if error < LEAST_ERROR else written(100.0 * share, 100.0 * error)
 
 
 def first_column(table: Table) -> Column | None:
-    """Return the column by which points are called best and worst."""
+    """Return the column that ranks points from best to worst."""
     return next(iter(_judged(table)), None)
 
 
 def ranked_by(rows: list[Row], column: Column) -> list[Row]:
-    """Return the points apart from the reference and from those that are searched, the best first."""
+    """Return the points, without the reference and searched ones, from best to worst."""
     known = [row for row in rows if row.point.number and row.point.searched is None and row.knows(column)]
     return sorted(known, key=lambda row: column.harm(row.means[column.name].value))
 
 
 def _told_apart(one: Row, other: Row, column: Column) -> bool:
-    """Tell whether two points differ in a column by more than their standard errors may, taken as independent."""
+    """Tell whether two points differ in a column by more than their standard errors explain, taken as independent."""
     (a, error_a), (b, error_b) = one.means[column.name], other.means[column.name]
     errors = [error for error in (error_a, error_b) if not math.isnan(error)]
     return abs(a - b) > DOUBT * math.hypot(*errors)
@@ -122,7 +122,7 @@ def _progress(table: Table) -> str:
 
 
 def metrics_not_known(table: Table) -> Iterator[str]:
-    """Yield for every metric the points and the searched cameras at which it is not known, and why."""
+    """Yield for each metric the points and the searched cameras where it is unknown, with reasons."""
     rows = [row for row in table.rows if row.estimates]
     for name in table.plan.metrics:
         lacking = [row for row in rows if name in row.unknown]
@@ -141,26 +141,26 @@ def metrics_not_known(table: Table) -> Iterator[str]:
 
 
 def _reasons(given: Iterable[str]) -> str:
-    """Return the first of some reasons, and how many others there are."""
+    """Return the first reason, and the number of others."""
     first, *others = dict.fromkeys(given)
     return first + (f"; {counted(len(others), 'other reason')} in table.csv" if others else "")
 
 
 def _listed(table: Table, rows: list[Row]) -> str:
-    """Return points in words, but no more than fit into a sentence."""
+    """Return points in words, as many as fit into a sentence."""
     more = f" and {len(rows) - MOST_NAMED} more" if len(rows) > MOST_NAMED else ""
     return ", ".join(words_of(table, row) for row in rows[:MOST_NAMED]) + more
 
 
 def unknown_of_reference(outcome: Outcome) -> list[str]:
-    """Return in words which metrics cannot be had of the reference camera, a line each."""
+    """Return the unknown metrics of the reference camera in words, one line each."""
     if outcome.fault:
         return [f"no metric is known of the reference camera: {outcome.fault}"]
     return [f"{name} is {NOT_KNOWN} of the reference camera: {why}" for name, why in outcome.unknown.items()]
 
 
 def _limits(table: Table) -> Iterator[str]:
-    """Yield for every limit how many cameras keep it; one that nothing breaks is held."""
+    """Yield for each limit how many cameras keep it; a limit that none breaks is held."""
     rows = table.drawn
     yield from () if table.plan.scenes else beyond_limits(table)
     for column in table.limited:
@@ -182,7 +182,7 @@ def _limits(table: Table) -> Iterator[str]:
 
 
 def beyond_limits(table: Table) -> Iterator[str]:
-    """Yield the limits that the reference camera itself is beyond."""
+    """Yield the limits that the reference camera itself breaks."""
     reference = table.rows[0]
     for column in table.limited if reference.means else ():
         if reference.knows(column) and not table.keeps(reference, column):
@@ -210,7 +210,7 @@ def _yield(table: Table) -> Iterator[str]:
 
 
 def largest_changes(table: Table) -> Iterator[str]:
-    """Yield for every axis how far it may change, the tightest first, then those that reach no limit."""
+    """Yield the largest change of each axis, the tightest first; axes that reach no limit come last."""
     sides: dict[int, list[Row]] = {}
     for row in table.allowed():
         assert row.point.searched is not None
@@ -244,13 +244,13 @@ def largest_changes(table: Table) -> Iterator[str]:
 
 
 def _on_the_way(table: Table, searched: list[Row]) -> list[tuple[float, Row]]:
-    """Return the traced points of an axis that are no farther than it was found to go, each with its change.
+    """Return the traced points of an axis within its largest changes, each with its change.
 
     Parameters
     ----------
     table : Table
     searched : list of Row
-        Sides of the axis.
+        Searched rows of the axis, one per side.
     """
     axis = searched[0].point.searched
     assert axis is not None
@@ -285,13 +285,13 @@ def _known(row: Row) -> Allowed:
 
 
 def change_of(table: Table, row: Row) -> float:
-    """Return the largest change that a row has found, from the reference's value."""
+    """Return the largest change found by a row, relative to the reference's value."""
     assert row.point.searched is not None
     return _known(row).value - float(table.plan.reference_values[row.point.searched])
 
 
 def _tightness(table: Table, row: Row) -> float:
-    """Return the allowed change over what was studied."""
+    """Return the allowed change divided by the range studied."""
     i = row.point.searched
     assert i is not None
     return change_of(table, row) / (row.point.values[i] - float(table.plan.reference_values[i]))
@@ -306,14 +306,14 @@ def _span(table: Table, row: Row) -> str:
 
 
 def _ends_of(table: Table, row: Row) -> tuple[float, float]:
-    """Return the interval of the largest change that a row has found."""
+    """Return the interval of the largest change found by a row."""
     found = _known(row)
     start = found.value - change_of(table, row)
     return found.low - start, found.high - start
 
 
 def tolerance_rows(table: Table) -> list[list[str]]:
-    """Return the searched largest changes, a row each, with what sensitivities predict and the metric there."""
+    """Return the largest changes found, one row each, with the sensitivities' prediction and the metric there."""
     columns = {column.name: column for column in table.limited}
     budgets = {name: budget_of(table, column) for name, column in columns.items()}
     lines = []
@@ -345,7 +345,7 @@ def tolerance_rows(table: Table) -> list[list[str]]:
 
 
 def budget_in_words(table: Table, budget: Budget) -> str:
-    """Return who uses up the budget of a column, resolved effects first."""
+    """Return the contributions to a column's budget in words, resolved effects first."""
     column = budget.column
     if budget.reason:
         return f"No budget of {column.noun}: {budget.reason}."
@@ -373,7 +373,7 @@ def budget_in_words(table: Table, budget: Budget) -> str:
 
 
 def _what(column: Column) -> str:
-    """Return what adds up by its squares, in words."""
+    """Return the quantity that adds up in squares, in words."""
     return {"psnr": f"difference behind {column.noun}", "root": f"of {column.noun}"}.get(
         column.of, f"change of {column.noun}"
     )
@@ -386,7 +386,7 @@ def _amount(budget: Budget, square: float) -> str:
 
 
 def budget_rows(table: Table, budget: Budget) -> list[list[str]]:
-    """Return the effects of a budget, a row each."""
+    """Return the effects of a budget, one row each."""
     return [
         [
             table.plan.axes[effect.axis].title,
@@ -414,7 +414,7 @@ def _ends(table: Table) -> Iterator[str]:
     column = first_column(table)
     rows = [row for row in table.rows if row.estimates]
     ranked = ranked_by(rows, column) if column is not None else []
-    # Of a single camera neither is said.
+    # A single camera is neither best nor worst.
     if column is None or len(ranked) < 2:
         return
     for which, row in (("Best", ranked[0]), ("Worst", ranked[-1])):
@@ -426,7 +426,7 @@ def _ends(table: Table) -> Iterator[str]:
 
 
 def _steepest(table: Table) -> Iterator[str]:
-    """Yield the resolved sensitivities of the first column with the largest effect over what was studied."""
+    """Yield the resolved sensitivities of the first column with the largest effects over the ranges studied."""
     column, titles = first_column(table), {axis.path: axis.title for axis in table.plan.axes}
     known = [each for each in table.sensitivities() if each.column == column and each.slope.low * each.slope.high > 0.0]
     for each in sorted(known, key=lambda one: -abs(one.slope.value))[:3]:

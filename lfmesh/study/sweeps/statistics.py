@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-"""Of replicates."""
+"""Numbers of replicates."""
 
 
 def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Array:
-    """Return values of replicates whose mean is an estimate and whose standard error is the jackknife's.
+    """Return one value per replicate, with the estimate as mean and the jackknife's standard error.
 
-    They are Tukey's pseudo-values (1958), moved to have the estimate for a mean. Their own mean has less bias, but that
-    correction (Quenouille 1956) is the difference of two noisy numbers, (n − 1) times over: where an estimate is not
-    smooth it scatters by a quarter more than the jackknife says. Noise that adds to squares is taken off by products.
+    They are Tukey's pseudo-values (1958), shifted to the estimate. Their own mean has less bias, but that correction
+    (Quenouille 1956) is the difference of two noisy numbers, multiplied by n − 1: for an estimate that is not smooth,
+    it scatters by a quarter more than the jackknife says. The noise bias of squares is removed by products.
 
     Parameters
     ----------
     estimate : callable
-        Given the numbers of the replicates to use, (n,) int64, returns (columns,) float64.
+        Returns (columns,) float64 for the numbers of the replicates to use, (n,) int64.
     replicates : int
 
     Returns
@@ -36,20 +36,20 @@ def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Arra
 
 
 PARTS = 64
-"""Of a picture, from which it is told what of an error each pair of replicates has of its own."""
+"""Parts of a picture, used to estimate the error component specific to each pair of replicates."""
 
 
 def in_parts(image: Array) -> Array:
-    """Return an image as contiguous parts of equal size, (PARTS, n) float64; the last ones end in zeros."""
+    """Divide an image into contiguous parts of equal size, (PARTS, n) float64; the last ones end in zeros."""
     flat = image.reshape(-1)
     length = -(-flat.size // PARTS)
     return np.pad(flat, (0, PARTS * length - flat.size)).reshape(PARTS, length)
 
 
 def inner_products(images: Sequence[Array]) -> Array:
-    """Return what each part of images adds to the means of their products, symmetric matrices, (PARTS, n, n).
+    """Return the contributions of each part to the mean products of images, symmetric, (PARTS, n, n).
 
-    Without a matrix product: the bits of that may depend on the number of threads.
+    No matrix product is used: its bits may depend on the number of threads.
     """
     parts, size = [in_parts(image) for image in images], images[0].size
     products = np.empty((PARTS, len(parts), len(parts)))
@@ -60,7 +60,7 @@ def inner_products(images: Sequence[Array]) -> Array:
 
 
 def independent_product(products: Array) -> float:
-    """Return the mean product of different replicates, whose noise is independent, from the products by parts."""
+    """Return the mean product of different replicates, with independent noise, from the products by parts."""
     whole = products.sum(axis=0)
     n = len(whole)
     return float((whole.sum() - np.trace(whole)) / (n * (n - 1)))
@@ -72,21 +72,20 @@ def chosen(products: Array, use: Numbers) -> Array:
 
 
 def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
-    """Return the jackknife pseudo-values of an estimate that follows from products of pairs of replicates, (n, 1).
+    """Return the jackknife pseudo-values of an estimate from products of pairs of replicates, (n, 1).
 
-    The jackknife takes the part of the variance that each pair has of its own 2(n − 1)/(n − 2) times: of four
-    replicates three times (Efron and Stein 1981). How much of it that is, is found from what of the kernel is no sum
-    over the two replicates of a pair, and the pseudo-values are drawn together to the variance without the excess. Two
-    degrees of freedom of four replicates would not tell; those of all parts of a picture do, as the noise of different
-    parts is independent.
+    The jackknife overestimates the variance component specific to pairs by a factor of 2(n − 1)/(n − 2), or 3 for four
+    replicates (Efron and Stein 1981). This component follows from the part of the kernel that is not a sum over the two
+    replicates of a pair, and the pseudo-values are scaled to the variance without the excess. Four replicates alone
+    have too few degrees of freedom (two) for this; all parts of a picture, with independent noise, have enough.
 
     Parameters
     ----------
     estimate : callable
         As for `pseudo_values`; one column.
     kernel : (parts, n, n) float64
-        By how much each pair moves the estimate in each part of the picture, up to a factor; symmetric, the diagonals
-        do not count.
+        Effect of each pair on the estimate in each part of the picture, up to a factor; symmetric, diagonals are
+        ignored.
     """
     pseudo = pseudo_values(estimate, kernel.shape[-1])
     mean = pseudo.mean(axis=0)
@@ -94,14 +93,14 @@ def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
 
 
 def mean_square(values: Array) -> Array:
-    """Return pseudo-values of the mean square of an estimate, (n,), from its own pseudo-values; noise does not add.
+    """Return pseudo-values of the mean square of an estimate, (n,), from its own, without a bias from noise.
 
-    That of a single value has the error of the value, by first-order propagation.
+    For a single value the error follows by first-order propagation.
 
     Parameters
     ----------
     values : (n, ...) float64
-        The square is averaged over all axes but the first; with n = 1 they are exact.
+        The square is averaged over all axes but the first; values with n = 1 are exact.
     """
     n, mean = len(values), values.mean(axis=0)
     if n == 1:
@@ -114,7 +113,7 @@ def mean_square(values: Array) -> Array:
 
 
 def _share_without_excess(kernel: Array) -> float:
-    """Return the variance of a mean over pairs over the jackknife's."""
+    """Return the variance of a mean over pairs, as a fraction of the jackknife's."""
     n = kernel.shape[-1]
     if n < LEAST_PAIRED or not np.isfinite(kernel).all():
         return 1.0
@@ -125,25 +124,25 @@ def _share_without_excess(kernel: Array) -> float:
     total = float(jackknife.sum())
     if not total > 0.0:
         return 1.0
-    # Of equal weight.
+    # Effective number of parts of equal weight.
     parts = 1.0 / float(((jackknife / total) ** 2).sum())
     mean = totals[:, None, None] / ((n - 1) * (n - 2))
     rest = pairs - (sums[:, :, None] + sums[:, None, :]) / (n - 2) + mean
     first, second = np.triu_indices(n, 1)
-    # The pairs' own variance by the rest, with a degree of freedom for that it is all that the jackknife has.
+    # Variance specific to pairs, from the rest; the prior, worth one degree of freedom, is all of the jackknife's.
     excessive, degrees = 4.0 / (n * (n - 2)), 0.5 * n * (n - 3)
     own = (excessive * float((rest[:, first, second] ** 2).sum()) + total / parts) / (degrees + 1.0 / parts)
-    # No more than all of it is the pairs' own.
+    # The component cannot exceed the whole.
     least = 0.5 * (n - 2) / (n - 1)
     return max(1.0 - (1.0 - least) * own / total, least)
 
 
 LEAST_PAIRED = 4
-"""Replicates from whose pairs the part of each pair is told."""
+"""Smallest number of replicates that separates the component specific to pairs."""
 
 
 class Estimate(NamedTuple):
-    """A value and its standard error; NaN where it has none."""
+    """A value and its standard error; NaN if unknown."""
 
     value: float
     stderr: float
@@ -162,7 +161,7 @@ def combined(pseudo: Array) -> Estimate:
 
 
 class Slope(NamedTuple):
-    """The derivative of a quantity by a parameter, with its 95 % confidence interval."""
+    """Derivative of a quantity by a parameter, with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -171,14 +170,14 @@ class Slope(NamedTuple):
 
 
 LEAST_POINTS = 3
-"""Points of a line whose slope has an interval."""
+"""Smallest number of points for a slope with an interval."""
 
 
 def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
-    """Fit a straight line by least squares, and return its slope.
+    """Return the slope of a least-squares line.
 
-    The interval has Student's quantile and covers both the standard errors of the points and, where they scatter more
-    than these explain, how far they lie beside the line.
+    The interval uses Student's quantile. It covers the standard errors of the points and any larger scatter about the
+    line.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
         return None
     off = x - x.mean()
     spread = float((off**2).sum())
-    # Of equal values exactly 0.
+    # Exactly 0 for equal values.
     from_mean = y - y.mean()
     value = float((off * from_mean).sum() / spread)
     residual = from_mean - value * off
@@ -204,7 +203,7 @@ def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
 
 
 class Share(NamedTuple):
-    """A share of trials that went well, with its 95 % confidence interval (Clopper and Pearson 1934)."""
+    """Fraction of successful trials, with its 95 % confidence interval (Clopper and Pearson 1934)."""
 
     good: int
     trials: int
@@ -213,12 +212,12 @@ class Share(NamedTuple):
 
     @property
     def value(self) -> float:
-        """The share itself."""
+        """The fraction itself."""
         return self.good / self.trials if self.trials else math.nan
 
 
 def share_of(good: int, trials: int) -> Share:
-    """Return how many of some independent trials went well, with the interval of their probability."""
+    """Return the fraction of successes in independent trials, with the interval of their probability."""
     from scipy.stats import beta
 
     low = float(beta.ppf(0.025, good, trials - good + 1)) if good else 0.0

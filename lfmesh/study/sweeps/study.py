@@ -1,4 +1,4 @@
-"""A study from its file to its table: `lf.Study`."""
+"""`lf.Study`: a study from its file to its table."""
 
 import inspect
 import math
@@ -28,7 +28,7 @@ from lfmesh.study.sweeps.unit import Outcome, Unit, reference_films, unpacked
 TABLE, PAGE, TIMES, PARQUET = "table.csv", "report.html", "times.csv", "table.parquet"
 
 Shard = tuple[int, int]
-"""Number of a share of the units, from 1, and how many shares there are."""
+"""Number of a shard of the units, from 1, and the number of shards."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,17 @@ class Progress:
     Attributes
     ----------
     done, total : int
-        Units.
+        Numbers of units.
     new : int
-        Of those done, the ones of this run.
+        Units finished in this run.
     failed : int
         Points that cannot be traced.
     seconds : float
-        Of this run.
+        Duration of this run.
     best, worst : str
-        Points by the first metric, in words; "" where there are none.
+        Best and worst point by the first metric, in words, or "".
     size_left : float
-        Cameras that a unit traces which is left, over those of one that was done in this run, in the mean.
+        Mean number of cameras in the remaining units, over that in the units of this run.
     """
 
     done: int
@@ -62,7 +62,7 @@ class Progress:
 
     @property
     def seconds_left(self) -> float | None:
-        """Time left at the rate of this run."""
+        """Remaining time at the rate of this run."""
         return self.seconds / self.new * (self.total - self.done) * self.size_left if self.new else None
 
 
@@ -75,7 +75,7 @@ def lists_settings(kind: type[Model], own: set[str]) -> Callable[[Function], Fun
     Parameters
     ----------
     kind : type of Model
-        What the file holds.
+        Model of the file.
     own : set of str
         Keys that are not settings.
     """
@@ -97,21 +97,21 @@ def lists_settings(kind: type[Model], own: set[str]) -> Callable[[Function], Fun
 
 
 class Study:
-    """Many cameras, compared with a reference.
+    """Comparison of many cameras with a reference.
 
     Parameters
     ----------
     scene : Scene or sequence of Scene
-        The reference camera; or the scenes to compare, the first of which is the reference.
+        Reference camera, or the scenes to compare, beginning with the reference.
     axes : sequence of dict
-        What varies, with the keys of `[[axes]]` in a study file.
+        Axes, with the keys of `[[axes]]` in a study file.
     **settings
-        The other keys of a study file: metrics, design, paired, ...
+        Other keys of a study file: metrics, design, paired, ...
 
     Raises
     ------
     LfmeshError
-        With one line for each fault.
+        One line per fault.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class Study:
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
-        """Read a study file, its scene, and check every point.
+        """Read a study file and its scene, and check every point.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Study:
         Raises
         ------
         LfmeshError
-            With one line for each fault.
+            One line per fault.
         """
         path = Path(path)
         file = read_study(path)
@@ -167,18 +167,18 @@ class Study:
         shard: Shard | None = None,
         progress: Report | None = None,
     ) -> Table:
-        """Compute what is not yet done, and write the table; the table's bits do not depend on how it was computed.
+        """Compute the missing units, and write the table; its bits do not depend on how they were computed.
 
         Parameters
         ----------
         folder : str or Path
-            Of the study: new, or one in which this study was begun.
+            Folder of the study: new, or begun with this study.
         workers : int, optional
-            Processes; 0: in this one. As many as cores allow if omitted.
+            Number of processes; 0: only this one. Default: as many as the cores allow.
         dask : str, optional
             Address of a dask scheduler, or "local".
         shard : (int, int), optional
-            Only this share of the units, such as (1, 3); `merged` puts the shares together.
+            Share of the units to compute, such as (1, 3); `merge` combines the shares.
         progress : callable, optional
 
         Returns
@@ -188,12 +188,12 @@ class Study:
         Warns
         -----
         PictureWarning
-            Pictures of some points are or may be wrong: one warning a class, see `Table.warnings`.
+            Pictures of some points are or may be wrong: one warning per class, see `Table.warnings`.
 
         Raises
         ------
         KeyboardInterrupt
-            After Ctrl-C; what was finished is kept.
+            After Ctrl-C; finished units are kept.
         LfmeshError
             The folder holds another study or cannot be written.
         """
@@ -201,7 +201,7 @@ class Study:
         return Run(self.plan, Path(folder), progress).complete(workers, dask, shard)
 
     def table(self, folder: str | Path) -> Table:
-        """Return the table of what is done in a folder.
+        """Return the table of the finished units in a folder.
 
         Parameters
         ----------
@@ -214,12 +214,12 @@ class Study:
         return Run(self.plan, Path(folder)).table()
 
     def merge(self, folders: Sequence[str | Path], into: str | Path) -> Table:
-        """Put the units of several folders of this study together, and write the table.
+        """Combine the units in several folders of this study, and write the table.
 
         Parameters
         ----------
         folders : sequence of str or Path
-            Of shards of this study.
+            Folders of this study's shards.
         into : str or Path
             Folder to write to.
 
@@ -230,7 +230,7 @@ class Study:
         Raises
         ------
         LfmeshError
-            A folder holds another study or none; then nothing is written.
+            A folder holds another study or none; nothing is written then.
         """
         parts = [Path(folder) for folder in folders]
         for part in parts:
@@ -245,29 +245,29 @@ class Study:
 
 
 def _warned(table: Table) -> Table:
-    """Warn of what may be wrong with the pictures behind a table, a line for each class."""
+    """Warn of possible faults of the pictures behind a table, one line per class."""
     warn_caller(table.warnings)
     return table
 
 
 def check_workers(workers: int | None) -> None:
-    """Refuse a number of processes that is below 0."""
+    """Refuse a negative number of processes."""
     if workers is not None and workers < 0:
         raise LfmeshError(f"workers = {workers}: must be 0, this process alone, or more")
 
 
 def default_workers(units: int) -> int:
-    """Return how many processes share the cores of this machine: no more than there are units."""
+    """Return the number of processes that share the machine's cores, at most the number of units."""
     return max(1, min(cores(), units))
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Run:
-    """A study under way in a folder."""
+    """A study being computed in a folder."""
 
     def __init__(self, plan: Plan, folder: Path, progress: Report | None = None) -> None:
         self.plan, self.progress = plan, progress
@@ -278,16 +278,16 @@ class Run:
         self.new = self.cameras = 0
 
     def complete(self, workers: int | None, dask: str | None, shard: Shard | None) -> Table:
-        """Compute what is missing, and write the table.
+        """Compute the missing units, and write the table.
 
         Parameters
         ----------
         workers : int, optional
             Processes of the pool.
         dask : str, optional
-            Address of a scheduler, or "local", in place of the pool.
+            Address of a scheduler, or "local", instead of the pool.
         shard : (int, int), optional
-            Number of this part, from 1, and of all parts.
+            Number of this share, from 1, and of all shares.
         """
         units = self.plan.units if shard is None else self.plan.units[shard[0] - 1 :: shard[1]]
         missing = self._missing(units)
@@ -308,7 +308,7 @@ class Run:
         return _warned(self.written())
 
     def _missing(self, units: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Return the units that have no outcome yet; those that cannot be read are among them, and are named."""
+        """Return the units without an outcome, including unreadable ones, which are logged."""
         missing = []
         for point, batch in units:
             try:
@@ -329,7 +329,7 @@ class Run:
             return
         for batch in sorted({batch for _, batch in missing}):
             if not self.folder.has_reference(batch):
-                # By itself and with all cores; it also compiles what the others then find compiled.
+                # First and with all cores; it also compiles the kernels for the others.
                 content = reference_films(self._unit(0, batch, 0))
                 self.folder.keep_reference(batch, content)
         jobs = (
@@ -363,7 +363,7 @@ class Run:
         )
 
     def _take(self, result: Result) -> None:
-        """Keep a unit's outcome, or note why there is none."""
+        """Keep a unit's outcome, or log why there is none."""
         point, batch = result.unit.point, result.unit.batch
         self.new += 1
         self.cameras += self.plan.cameras_of(self.plan.points[point])
@@ -377,7 +377,7 @@ class Run:
             try:
                 self.folder.keep(point, batch, result.content)
             except OSError as error:
-                # Not lost for this run's table; a later run computes it again.
+                # This run's table still has it; a later run computes it again.
                 self.folder.log("not written", point=point, batch=batch, reason=error.strerror or str(error))
             else:
                 self.folder.log("done", point=point, batch=batch, seconds=outcome.seconds, deaths=result.deaths)
@@ -391,7 +391,7 @@ class Run:
             self.folder.log("failed", point=point, batch=batch, label=label, reason=reason)
 
     def _warn_of_reference(self, outcome: Outcome) -> None:
-        """Warn, before other cameras are traced, of metrics and limits of the reference that will not serve."""
+        """Warn of unknown metrics and broken limits of the reference before other cameras are traced."""
         if outcome.batch == 0:
             warn_caller(map(UserWarning, unknown_of_reference(outcome)))
         if not self.plan.scenes:
@@ -412,7 +412,7 @@ class Run:
         self.progress(Progress(len(self.outcomes), len(units), self.new, failed, seconds, best, worst, size))
 
     def _ends(self) -> tuple[str, str]:
-        """Return the best and the worst point so far by the first column that has a worse side, in words."""
+        """Return the best and worst point so far, in words, by the first column with a worse side."""
         column = next((column for column in columns_of(self.plan.metrics) if column.worse), None)
         if column is None:
             return "", ""
@@ -429,17 +429,17 @@ class Run:
         return labels[0], labels[1]
 
     def table(self) -> Table:
-        """Return the table of what is done."""
+        """Return the table of the finished units."""
         self._missing(self.plan.units)
         return table_of(self.plan, self.outcomes, self.faults)
 
     def written(self) -> Table:
-        """Write table and report of what is done, by this process and others.
+        """Write table and report of the units finished by this process and others.
 
         Raises
         ------
         FileError
-            They cannot be written.
+            The files cannot be written.
         """
         from lfmesh.study.sweeps.report import page
 

@@ -1,4 +1,4 @@
-"""The study file: a scene, what varies, what is measured."""
+"""Study file: a scene, its axes, and the metrics."""
 
 import tomllib
 from collections.abc import Callable, Iterator
@@ -68,7 +68,7 @@ class StudyFile(Model):
     """Quantities that vary."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong between the fields."""
+        """Yield faults between the fields."""
         if (self.scene is None) == (self.scenes is None):
             yield Fault(("scene",), self.scene, "give one of scene and scenes")
         if self.scenes is not None:
@@ -85,7 +85,7 @@ class StudyFile(Model):
         there_are = f"there are {', '.join(judged)}" if judged else f"metrics = {list(self.metrics)} have none"
         for name, limit in self.limits.items():
             if name not in judged:
-                # It may be of a metric that is misspelt, which is a fault by itself.
+                # It may belong to a misspelt metric, which is reported separately.
                 if known == self.metrics:
                     valid = f"no column that can be limited{nearest(name, judged)}; {there_are}"
                     yield Fault(("limits", name), limit, valid)
@@ -110,12 +110,12 @@ class StudyFile(Model):
 
     @property
     def is_drawn(self) -> bool:
-        """True if the design draws from the distributions of the axes, rather than taking their values."""
+        """True if the design samples the distributions of the axes, instead of taking listed values."""
         return self.design in ("latin_hypercube", "sobol")
 
     @property
     def needs_spread(self) -> str:
-        """Refusal of listed values by a design that draws."""
+        """Message that refuses listed values for a design that samples."""
         return f'design = "{self.design}" needs a range, log_range, uniform or normal'
 
     def _of_scenes(self) -> Iterator[Fault]:
@@ -143,10 +143,10 @@ class StudyFile(Model):
 
 
 def unknown_metrics(names: object) -> Iterator[str]:
-    """Yield what is wrong with the names of metrics, a line each; a value that is no list of names has its own fault.
+    """Yield the faults of metric names, one line each; a value that is not a list of names is reported elsewhere.
 
-    Apart from `StudyFile.faults`, so that a file whose fields are wrong, and a plan whose paths lead nowhere, name them
-    among their faults.
+    This is separate from `StudyFile.faults` so that these faults are reported together with wrong fields of the file or
+    wrong paths of the plan.
     """
     for i, name in enumerate(names if isinstance(names, list | tuple) else ()):
         if isinstance(name, str) and name not in METRICS:
@@ -155,12 +155,12 @@ def unknown_metrics(names: object) -> Iterator[str]:
 
 
 def read_study(path: Path) -> StudyFile:
-    """Read a study file; the names of its metrics are left to the plan.
+    """Read a study file; the plan checks the names of its metrics.
 
     Raises
     ------
     LfmeshError
-        It cannot be read, is no TOML, or no valid study: one line for each fault.
+        The file cannot be read, is not TOML, or is not a valid study: one line per fault.
     """
     return read_tables(path, StudyFile, "study", lambda data: unknown_metrics(data.get("metrics")))
 
@@ -179,12 +179,12 @@ def read_tables(
     kind : type of Model
     called : {"study", "dataset", "design"}
     beside : callable
-        Given what the file holds, yields faults that are named beside those of the model.
+        Yields further faults from the file's content.
 
     Raises
     ------
     LfmeshError
-        It cannot be read, is no TOML, or no valid model: one line for each fault.
+        The file cannot be read, is not TOML, or is not a valid model: one line per fault.
     """
     try:
         data = parse_toml(read_text(path))
@@ -201,7 +201,7 @@ def read_tables(
 
 
 def refused(name: str, faults: list[str]) -> LfmeshError:
-    """Return the error that lists what is wrong with a study."""
+    """Return the error that lists the faults of a study."""
     if len(faults) == 1:
         return LfmeshError(f"{name}: {faults[0]}")
     return LfmeshError("\n".join([f"{name}: {len(faults)} faults", *(f"  {line}" for line in listed(faults))]))

@@ -1,9 +1,9 @@
-"""A study on disk: its plan, a file for each finished unit, a log.
+"""A study on disk: its plan, one file per finished unit, a log.
 
-out/study.json         what is studied; nothing else is added to the folder
-out/units/*.npz        one file a unit, written whole or not at all
-out/reference/*.npz    films of the reference, one file a batch
-out/log.jsonl          what happened, one line an event
+out/study.json         the study; the folder accepts no other
+out/units/*.npz        one file per unit, complete or absent
+out/reference/*.npz    films of the reference, one file per batch
+out/log.jsonl          one line per event
 """
 
 import json
@@ -28,24 +28,24 @@ from lfmesh.study.sweeps.unit import Outcome, is_reference, unpacked
 FACTS, UNITS, REFERENCE, LOG = "study.json", "units", "reference", "log.jsonl"
 
 FORMAT = 2
-"""Of the folder; a reader refuses any other."""
+"""Format of the folder; a reader refuses any other."""
 
 
 class StudyFolder:
-    """The folder of a study.
+    """Folder of a study.
 
     Parameters
     ----------
     path : Path
     plan : Plan
-        Of the study that the folder is for.
+        Plan of the study.
 
     Raises
     ------
     FileError
         The folder cannot be written.
     LfmeshError
-        It holds another study, or one that another program began.
+        The folder holds another study, or one begun by another program.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
@@ -72,7 +72,7 @@ class StudyFolder:
         return self.path / REFERENCE / f"batch{batch:03d}.npz"
 
     def has_reference(self, batch: int) -> bool:
-        """Tell whether the films of a batch are there and whole."""
+        """Tell whether the films of a batch exist and are complete."""
         return is_reference(self.reference_path(batch), self.plan.digest, batch)
 
     def keep_reference(self, batch: int, content: bytes) -> None:
@@ -81,7 +81,7 @@ class StudyFolder:
         Raises
         ------
         FileError
-            They cannot be written; nothing of them is left.
+            The films cannot be written; no part of them is left.
         """
         try:
             self._write(self.path / REFERENCE, self.reference_path(batch).name, content)
@@ -103,7 +103,7 @@ class StudyFolder:
         Raises
         ------
         OSError
-            It cannot be written; nothing of it is left.
+            The outcome cannot be written; no part of it is left.
         """
         self._write(self.path / UNITS, unit_name(point, batch), content)
 
@@ -113,7 +113,7 @@ class StudyFolder:
         Raises
         ------
         FileError
-            The file is there and cannot be read.
+            The file exists and cannot be read.
         """
         path = self.unit_path(point, batch)
         try:
@@ -125,7 +125,7 @@ class StudyFolder:
         return unpacked(content, self.plan.digest, point, batch, self.plan.metrics, str(path))
 
     def log(self, event: str, **values: Any) -> None:
-        """Add a line to the log; a log that cannot be written stops nothing."""
+        """Append a line to the log; failures are ignored."""
         append_event(self.path, event, **values)
 
     @staticmethod
@@ -150,20 +150,20 @@ def _summary_of(plan: Plan) -> dict[str, Any]:
 
 
 def append_event(folder: Path, event: str, **values: Any) -> None:
-    """Add a line to the log in a folder; a log that cannot be written stops nothing.
+    """Append a line to the log in a folder; failures are ignored.
 
     Parameters
     ----------
     folder : Path
     event : str
     **values
-        What it is about.
+        Details of the event.
     """
     line = json.dumps(plain_json({"time": round(time.time(), 3), "event": event, **values}), ensure_ascii=False)
-    # A link or a pipe in its place is not written into.
+    # Never write through a link or into a pipe in its place.
     to_append = os.O_RDWR | os.O_APPEND | os.O_CREAT
     with suppress(OSError), os.fdopen(opened_here(str(folder / LOG), to_append), "a+b") as file:
-        # A process that was killed may have left half a line.
+        # A killed process may have left half a line.
         file.seek(0, os.SEEK_END)
         if file.tell():
             file.seek(-1, os.SEEK_END)
@@ -177,12 +177,12 @@ def unit_name(point: int, batch: int) -> str:
 
 
 def read_facts(path: Path) -> dict[str, Any] | None:
-    """Return what a study folder is for; None where it is new.
+    """Return the description of a study folder; None if the folder is new.
 
     Raises
     ------
     FileError
-        Its description is damaged.
+        The description is damaged.
     """
     try:
         known = dict(parse_json(read_text(path / FACTS)))
@@ -194,21 +194,21 @@ def read_facts(path: Path) -> dict[str, Any] | None:
 
 
 def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
-    """Refuse a folder that holds another study, or one that another program began.
+    """Refuse a folder that holds another study, or one begun by another program.
 
     Parameters
     ----------
     known : dict
-        What the folder says of its study.
+        Description in the folder.
     digest : str
-        Of the study that is wanted.
+        Digest of the wanted study.
     path : Path
-        The folder.
+        Folder of the study.
 
     Raises
     ------
     LfmeshError
-        Naming the folder.
+        The message names the folder.
     """
     refuse_maker(str(path), FORMAT, known.get("format"), known.get("program"))
     if known.get("digest") != digest:
@@ -219,7 +219,7 @@ def refuse_other(known: dict[str, Any], digest: str, path: Path) -> None:
 
 
 def logged(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the events of a log, without lines that were cut short."""
+    """Yield the events of a log, without truncated lines."""
     try:
         lines = read_text(path / LOG, errors="replace").splitlines()
     except OSError:

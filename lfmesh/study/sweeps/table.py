@@ -1,4 +1,4 @@
-"""The table of a study: a row for each point, and what follows from the rows."""
+"""Table of a study: one row per point, and results derived from the rows."""
 
 import csv
 import io
@@ -23,10 +23,10 @@ from lfmesh.study.tolerances.largest_change import Allowed
 Array = NDArray[np.float64]
 
 CONFIDENCE = "95 %"
-"""Of all intervals."""
+"""Level of all intervals."""
 
 DOUBT = 1.96
-"""Standard errors within which it is not known whether a camera keeps a limit."""
+"""Standard errors within which it is undecided whether a camera keeps a limit."""
 
 
 @dataclass(frozen=True)
@@ -37,26 +37,26 @@ class Row:
     ----------
     point : Point
     means : dict of Estimate
-        Means of the pseudo-values by the name of a column; empty for a point that failed or is not done.
+        Means of the pseudo-values by column; empty for a point that failed or is not done.
     estimates : dict of Estimate
-        Values, which follow from the means.
+        Values derived from the means.
     fault : str
-        Why there are none, or "".
+        Reason if there are none, or "".
     unknown : dict of str
-        Why metrics are not known, by their name.
+        Reasons for unknown metrics, by name.
     on_the_way : dict of OnTheWay
-        Metrics that are not known of cameras that a search or an adjustment traced, by their name.
+        Metrics unknown for cameras that a search or an adjustment traced, by name.
     seconds : float
-        Of tracing, all batches.
+        Tracing time of all batches.
     maps : dict of (rows, columns, 2) float64
         Mean over the batches.
     preview : (h, w) uint8, or None
     warnings : tuple of PictureWarning
-        Of all batches.
+        Warnings of all batches.
     adjusted : tuple of float
         Changes by the compensators.
     allowed : Allowed or None
-        What was searched at this point.
+        Result of the search at this point.
     """
 
     point: Point
@@ -74,7 +74,7 @@ class Row:
 
     @property
     def warned_of(self) -> str:
-        """Classes of the warnings, in words; "" where there are none."""
+        """Classes of the warnings in words, or ""."""
         return "; ".join(dict.fromkeys(type(each).__name__ for each in self.warnings))
 
     def knows(self, column: Column) -> bool:
@@ -83,7 +83,7 @@ class Row:
 
     @property
     def unknown_in_words(self) -> str:
-        """Metrics that are not known, here or on the way, and why; "" where there are none."""
+        """Unknown metrics, here or on the way, with reasons, or ""."""
         way = {f"{name} ({met.unknown} of {met.cameras} cameras on the way)": met.reason
                for name, met in self.on_the_way.items()}  # fmt: skip
         return in_words({**self.unknown, **way})
@@ -91,16 +91,16 @@ class Row:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """The derivative of a metric by an axis.
+    """Derivative of a metric by an axis.
 
     Attributes
     ----------
     path : str
     column : Column
     slope : Slope
-        Of quantities that are sizes, by the size of the error.
+        For magnitudes, by the size of the error.
     left_out : int
-        Points of the axis at which the column, or its error, is not known.
+        Points of the axis with an unknown value or error of the column.
     """
 
     path: str
@@ -128,20 +128,20 @@ class Table:
 
     @property
     def warnings(self) -> tuple[PictureWarning, ...]:
-        """One warning for each class of those of the points: how many have it, and what the first says."""
+        """Warnings of the points, one per class: how many have it, and the first one's text."""
         known = [row for row in self.rows if row.estimates]
         found = {f"point {row.point.number}": row.warnings for row in known}
         return summed_up(found, len(known), "points")
 
     def value_of(self, row: Row, axis: int) -> Any:
-        """Return what an axis is at a row's point; None where it was searched and is not known."""
+        """Return the value of an axis at a row's point; None if its search found none."""
         value = row.point.values[axis]
         if row.point.searched == axis:
             return row.allowed.value if row.allowed is not None else None
         return self.plan.reference_values[axis] if value is None else value
 
     def values(self, column: str) -> Array:
-        """Return a column, (points,); NaN where there is none."""
+        """Return the values of a column, (points,); NaN: unknown."""
         return np.array([row.estimates[column].value if column in row.estimates else math.nan for row in self.rows])
 
     def stderr(self, column: str) -> Array:
@@ -149,7 +149,7 @@ class Table:
         return np.array([row.estimates[column].stderr if column in row.estimates else math.nan for row in self.rows])
 
     def records(self) -> list[dict[str, Any]]:
-        """Return the rows as plain values by the names of their columns."""
+        """Return the rows as plain values by column name."""
         records = []
         for row in self.rows:
             record: dict[str, Any] = {"point": row.point.number}
@@ -173,7 +173,7 @@ class Table:
         return records
 
     def to_csv(self) -> str:
-        """Return the table as CSV; numbers are written so that they are read back to the same bits."""
+        """Return the table as CSV, with numbers that read back to the same bits."""
         stream = io.StringIO()
         records = self.records()
         writer = csv.DictWriter(stream, records[0].keys(), lineterminator="\n")
@@ -200,7 +200,7 @@ class Table:
             for name, value in record.items():
                 columns[name].append(value)
         for name, values in columns.items():
-            # A column holds values of one type; names beside numbers are written as text.
+            # A column holds values of one type; names mixed with numbers are written as text.
             if len({type(value) for value in values if value is not None}) > 1:
                 numeric = all(value is None or is_number(value) for value in values)
                 columns[name] = [None if v is None else float(v) if numeric else str(v) for v in values]
@@ -209,7 +209,7 @@ class Table:
         return stream.getvalue()
 
     def sensitivities(self) -> list[Sensitivity]:
-        """Return the derivatives of the metrics by every axis of numbers that varies by itself at some points."""
+        """Return the derivatives of the metrics by every numeric axis that varies alone at some points."""
         found = []
         for i, axis in enumerate(self.plan.axes):
             rows = [row for row in self.along(i) if row.estimates]
@@ -228,28 +228,28 @@ class Table:
         return found
 
     def along(self, axis: int) -> list[Row]:
-        """Return the rows at which no other axis differs from the reference, the reference among them."""
+        """Return the rows in which only this axis may differ from the reference, including the reference."""
         others = [i for i in range(len(self.plan.axes)) if i != axis]
         start = self.plan.reference_values
         return [row for row in self.rows if all(self.value_of(row, i) == start[i] for i in others)]
 
     def breaks(self, row: Row, errors: float = 0.0) -> bool:
-        """Tell whether a traced point is known to break a limit; see `keeps`."""
+        """Tell whether a traced point breaks a limit, by known columns; see `keeps`."""
         return any(not self.keeps(row, column, errors) for column in self.limited if row.knows(column))
 
     def keeps_all(self, row: Row, errors: float = 0.0) -> bool:
-        """Tell whether a point is known to keep all limits; see `keeps`."""
+        """Tell whether a point keeps all limits, with all columns known; see `keeps`."""
         return all(row.knows(column) and self.keeps(row, column, errors) for column in self.limited)
 
     def keeps(self, row: Row, column: Column, errors: float = 0.0) -> bool:
-        """Tell whether a point keeps the limit of a column, which is known there.
+        """Tell whether a point keeps the limit of a column known there.
 
         Parameters
         ----------
         row : Row
         column : Column
         errors : float
-            By so many standard errors the value is taken to be worse; one whose error is not known is taken as it is.
+            Number of standard errors by which the value is made worse; an unknown error counts as 0.
         """
         value, error = row.means[column.name]
         sign = 1.0 if column.harm(1.0) > 0.0 else -1.0
@@ -264,17 +264,17 @@ class Table:
 
     @property
     def drawn(self) -> list[Row]:
-        """Points of the design that were tried, without the reference and what is searched."""
+        """Tried points of the design, without the reference and searched points."""
         rows = (row for row in self.rows if row.point.number and row.point.searched is None)
         return [row for row in rows if row.fault != "not done"]
 
     def yield_share(self) -> Share | None:
-        """Return the share of good cameras, of those with all errors together; None where there are none or no limits.
+        """Return the fraction of good cameras among those with all errors together; None without any or without limits.
 
-        The interval is that of independent draws: of a Latin hypercube or Sobol' points, which cover the tolerances
-        more evenly, it is wider than need be. Its ends are those of the cameras that are good, and bad, beyond what
-        their standard errors leave open. Cameras of which a limited column is not known are no trials, unless they
-        break another limit. They may be good or bad, and the interval covers both.
+        The interval is that of independent draws; for a Latin hypercube or Sobol' points, which cover the tolerances
+        more evenly, it is too wide. Its ends count the cameras that are good, or bad, beyond their standard errors.
+        Cameras with an unknown limited column count as trials only if they break another limit; the interval covers
+        both of their possible outcomes.
         """
         drawn = self.drawn
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":
@@ -286,7 +286,7 @@ class Table:
         return found._replace(low=least, high=most)
 
     def breaking(self) -> list[tuple[str, Any]]:
-        """Return the axes that break a limit by themselves, with the value nearest to the reference's that does."""
+        """Return the axes that break a limit by themselves, with the nearest value to the reference's that does."""
         found: list[tuple[str, Any]] = []
         for i, axis in enumerate(self.plan.axes if self.plan.study.limits else ()):
             rows = [row for row in self.along(i) if row.point.number and row.point.searched is None]
@@ -300,7 +300,7 @@ class Table:
         return found
 
     def allowed(self) -> list[Row]:
-        """Return the points at which the largest change of an axis was searched and found."""
+        """Return the points where a search for the largest change of an axis has a result."""
         return [row for row in self.rows if row.allowed is not None]
 
     def _searched(self, row: Row) -> str | None:
@@ -309,7 +309,7 @@ class Table:
         return self.plan.axes[row.point.searched].path
 
     def efficiency(self) -> list[tuple[Row, float, float]]:
-        """Return each row with its efficiency 1/(noise² · time), 1/s, and the standard error of that."""
+        """Return each row with its efficiency 1/(noise² · time), 1/s, and the efficiency's standard error."""
         found = []
         for row in self.rows:
             noise = row.estimates.get("noise")
@@ -321,15 +321,15 @@ class Table:
 
 
 def table_of(plan: Plan, outcomes: Mapping[tuple[int, int], Outcome], faults: Mapping[int, str]) -> Table:
-    """Fold outcomes into a table, point by point and batch by batch, in whatever order they were computed.
+    """Combine outcomes into a table by point and batch, independent of the order of computation.
 
     Parameters
     ----------
     plan : Plan
     outcomes : dict of Outcome
-        By point and batch.
+        Outcomes by point and batch.
     faults : dict of str
-        Why units of a point are missing, by its number.
+        Reasons for missing units, by number of the point.
     """
     return Table(plan, tuple(_row(plan, point, outcomes, faults) for point in plan.points))
 
@@ -362,7 +362,7 @@ def _row(plan: Plan, point: Point, outcomes: Mapping[tuple[int, int], Outcome], 
 
 
 def _joined(pseudo: Sequence[Array]) -> Array:
-    """Return the pseudo-values of all batches; what is exact is the same in each."""
+    """Concatenate the pseudo-values of all batches; exact values are the same in each."""
     return pseudo[0] if all(len(values) == 1 for values in pseudo) else np.concatenate(list(pseudo))
 
 

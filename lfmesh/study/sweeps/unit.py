@@ -1,6 +1,6 @@
-"""Units of a study: one batch of replicates of one point, a pure function of what it is given.
+"""Units of a study: one batch of replicates of one point, as a pure function of its input.
 
-A unit can be pickled and computed by any process; its outcome is bytes, which are written as they are.
+A unit can be pickled and computed by any process; its outcome is bytes that are stored unchanged.
 """
 
 import io
@@ -28,18 +28,18 @@ from lfmesh.study.tolerances.largest_change import Allowed, Search
 Array = NDArray[np.float64]
 
 FORMAT = 5
-"""Of the bytes of an outcome; a reader refuses any other."""
+"""Format of an outcome's bytes; a reader refuses any other."""
 
 PREVIEW_PX = 200
 """Longest side of a preview."""
 
 FULL = 99.5
-"""Percentile of the reference's image that is shown white."""
+"""Percentile of the reference's image that is displayed as white."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Some replicates of a point.
+    """A batch of replicates of a point.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class Unit:
     metrics : tuple of str
     replicates : range
     threads : int
-        In which it is traced; does not change the outcome.
+        Threads that trace it; they do not change the outcome.
     program : dict of str
-        That planned it, see `lfmesh.provenance.program`.
+        Program that planned it, see `lfmesh.provenance.program`.
     compensators : tuple of Compensator
-        Which adjust every camera but the reference.
+        Adjust every camera but the reference.
     search : Search or None
-        What is searched; the camera is then the farthest one.
+        Search at this point; the camera is then the one at its end.
     """
 
     study: str
@@ -73,12 +73,12 @@ class Unit:
     search: Search | None = None
 
     def compute(self, given: "Reference") -> bytes:
-        """Return the unit's outcome as bytes, given the reference's films.
+        """Return the unit's outcome as bytes, from the reference's films.
 
         Raises
         ------
         LfmeshError
-            Another program computes it than the one that planned it.
+            This program is not the one that planned the unit.
         """
         refuse_other(self.program)
         return run_unit(self, given)
@@ -96,21 +96,21 @@ class Outcome:
     seconds : float
         Wall-clock time of tracing.
     fault : str or None
-        Why the point cannot be traced, or none of its metrics be had.
+        Reason why the point cannot be traced, or why all its metrics are unknown.
     unknown : dict of str
-        Why metrics are not known, by their name; some of their columns are NaN, or what no camera can have.
+        Reasons for unknown metrics, by name; some of their columns are NaN or impossible values.
     on_the_way : dict of OnTheWay
-        Metrics that are not known of cameras on the way of a search or an adjustment, by their name.
+        Metrics unknown for cameras that a search or an adjustment traced, by name.
     maps : dict of (rows, columns, 2) float64
         Displacement of each centre, pixels.
     preview : (h, w) uint8, or None
-        Upright picture of the raw image.
+        Upright, reduced raw image.
     warnings : tuple of PictureWarning
-        Of the pictures that its values are made of, those of the reference left out.
+        Warnings of the pictures behind its values, without the reference's.
     adjusted : tuple of float
         Changes by the compensators.
     allowed : Allowed or None
-        What a search has found; all else is of the camera there.
+        Result of a search; all other fields are for the camera found.
     """
 
     point: int
@@ -128,16 +128,16 @@ class Outcome:
 
 
 Reference = bytes | Path
-"""Films of the reference's replicates of the same batch: bytes of `reference_films`, or a file that holds them."""
+"""Films of the reference's replicates of the same batch: bytes from `reference_films`, or a file with them."""
 
 
 def reference_films(unit: Unit) -> bytes:
-    """Trace the reference's replicates of a unit's batch, and return their films as bytes.
+    """Trace the reference's replicates of a unit's batch; return their films as bytes.
 
     Raises
     ------
     LfmeshError
-        None of its pictures can be traced.
+        None of the reference's pictures can be traced.
     """
     began = time.perf_counter()
     with collected() as found:
@@ -163,14 +163,14 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
     Raises
     ------
     FileError
-        The reference's films, or a file of the scene, cannot be read, or it has changed since the study was planned.
+        The reference's films, or a file of the scene, cannot be read, or have changed since the study was planned.
     """
     known = opened_reference(reference)
     with collected() as found:
         try:
             outcome = _outcome(unit, known)
         except FileError:
-            # The machine's fault, not the point's: the unit is tried again when the study goes on.
+            # A fault of the machine, not of the point: the unit is tried again when the study is resumed.
             raise
         except LfmeshError as error:
             outcome = Outcome(unit.point, unit.batch, fault=in_a_line(error))
@@ -206,7 +206,7 @@ def _outcome(unit: Unit, reference: Traced) -> Outcome:
 
 
 def _preview(unit: Unit, own: Films, known: Films) -> NDArray[np.uint8]:
-    """Return the upright raw image, made smaller, as bright as the reference's is shown."""
+    """Return the upright raw image, reduced, at the reference's brightness scale."""
     reference = known["scene"].mean(axis=(0, 3))
     white = float(np.percentile(reference, FULL)) or 1.0
     picture = Upright.of(unit.reference.scene).picture(own["scene"].mean(axis=(0, 3))[:, :, None])[:, :, 0]
@@ -248,15 +248,15 @@ def unpacked(
     study : str
         Digest of the study.
     point, batch : int
-        Of the unit.
+        Numbers of the unit.
     metrics : tuple of str
     what : str
-        The file that holds them, in messages.
+        Name of the file in messages.
 
     Raises
     ------
     FileError
-        They are damaged, of another unit, or another program computed them.
+        The bytes are damaged, belong to another unit, or come from another program.
     """
     facts, arrays = unsealed(io.BytesIO(content), FORMAT, what)
     if (facts["study"], facts["point"], facts["batch"]) != (study, point, batch):
@@ -286,7 +286,7 @@ def opened_reference(reference: Reference) -> Traced:
     Raises
     ------
     FileError
-        They cannot be read, are damaged, or another program traced them.
+        The films cannot be read, are damaged, or come from another program.
     """
     if isinstance(reference, Path):
         # Another study may have begun in the folder since.
@@ -308,7 +308,7 @@ def _films_in(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> T
 
 
 def is_reference(path: Path, study: str, batch: int) -> bool:
-    """Tell whether a file holds whole films of a study's reference.
+    """Tell whether a file holds complete films of a study's reference.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Errors of cameras: ready-made studies, largest changes that keep limits, adjustments, and budgets."""
+"""Camera errors: ready-made studies, largest changes within limits, adjustments, and budgets."""

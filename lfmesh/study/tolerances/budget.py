@@ -1,8 +1,8 @@
-"""Budget of errors: what each axis adds to a metric, by linear and quadratic sensitivities.
+"""Error budget: contribution of each axis to a metric, from linear and quadratic sensitivities.
 
-A metric is taken to follow from the errors as a sum of polynomials of second degree, one for each axis: exactly so for
-small independent errors. Mean squares, such as that of a displacement, add up; other metrics change by independent
-amounts, whose squares add up.
+A metric is modelled as a sum of quadratic polynomials, one per axis, which is exact for small independent errors. Mean
+squares, such as that of a displacement, add up. Other metrics change by independent amounts, and the squares of these
+add up.
 """
 
 import math
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LEVEL = 0.975
-"""Of Student's quantile, for an interval of 95 %."""
+"""Level of Student's quantile for a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Effect:
     ----------
     axis : int
     linear, quadratic : Estimate
-        Sensitivities of the mean of the pseudo-values, per unit and per unit squared; NaN where they are not known.
+        Sensitivities of the mean of the pseudo-values, per unit and per unit squared; NaN: unknown.
     square : Estimate
-        Mean square that the axis adds, over its values: of the quantity itself, or of its change.
+        Mean square added by the axis over its values: of the quantity itself, or of its change.
     quantile : float
-        By which a standard error is multiplied for half a 95 % interval.
+        Factor from a standard error to half a 95 % interval.
     """
 
     axis: int
@@ -48,20 +48,20 @@ class Effect:
 
     @property
     def is_resolved(self) -> bool:
-        """True if the effect is told from none."""
+        """True if the effect differs significantly from zero."""
         return self.square.value > self.quantile * self.square.stderr
 
     def predicted(self, column: Column, start: Estimate, limit: float, far: float) -> float:
-        """Return the change at which the sensitivities say that a limit is reached; infinite where they say never.
+        """Return the change that reaches a limit, predicted from the sensitivities; infinite if it is never reached.
 
         Parameters
         ----------
         column : Column
         start : Estimate
-            Mean of the pseudo-values of the reference.
+            Mean of the reference's pseudo-values.
         limit : float
         far : float
-            Farthest change that was studied, with its sign.
+            Farthest change studied, signed.
         """
         offset = start.value - column.mean_at(limit)
         roots = np.roots([self.quadratic.value, self.linear.value, offset])
@@ -71,18 +71,18 @@ class Effect:
 
 @dataclass(frozen=True)
 class Budget:
-    """Effects of all axes on a column, the largest first, those that are not resolved last.
+    """Effects of all axes on a column, the largest first and unresolved ones last.
 
     Attributes
     ----------
     column : Column
     effects : tuple of Effect
     reason : str
-        Why there are none, or "".
+        Reason if there are none, or "".
     drawn : float
-        Mean square of the same quantity over the cameras with all errors together of which it is known.
+        Mean square of the same quantity over the known cameras with all errors together.
     left_out : int
-        Traced points of which it is not known.
+        Traced points with an unknown value.
     """
 
     column: Column
@@ -97,19 +97,19 @@ class Budget:
         return sum(max(each.square.value, 0.0) for each in self.effects)
 
     def share(self, effect: Effect) -> Estimate:
-        """Return how much of the sum an effect uses up."""
+        """Return the fraction of the sum due to an effect."""
         total = self.square or math.nan
         return Estimate(max(effect.square.value, 0.0) / total, effect.square.stderr / total)
 
     def written(self, square: float) -> float:
-        """Return a mean square in the unit of the column: its root, or the PSNR of it."""
+        """Return a mean square in the unit of the column: its root, or its PSNR."""
         if self.column.of == "psnr":
             return -10.0 * math.log10(square) if square > 0.0 else math.nan
         return math.sqrt(max(square, 0.0))
 
 
 def budget_of(table: "Table", column: Column) -> Budget:
-    """Return the budget of a column over all axes of numbers."""
+    """Return the budget of a column over all numeric axes."""
     axes = [i for i, start in enumerate(table.plan.reference_values) if _varies(table, i, start)]
     if not axes:
         return Budget(column, (), "no axis of numbers varies")
@@ -146,11 +146,10 @@ def _offsets(table: "Table", axis: int, rows: "list[Row]") -> Array:
 
 
 def _fitted(table: "Table", column: Column, axes: list[int], rows: "list[Row]") -> list[Effect] | None:
-    """Fit a constant and two sensitivities for each axis by least squares; None: too few points.
+    """Fit a constant and two sensitivities per axis by least squares; None: too few points.
 
-    Errors cover the standard errors of the points and, where they scatter more than these explain, how far they lie
-    beside the polynomial. An axis with a single value has one sensitivity: the quadratic one of a mean square, else
-    the linear one.
+    Errors cover the standard errors of the points and any larger scatter about the polynomial. An axis with a single
+    value has one sensitivity: quadratic for a mean square, otherwise linear.
     """
     from scipy.stats import t as student
 
@@ -165,10 +164,10 @@ def _fitted(table: "Table", column: Column, axes: list[int], rows: "list[Row]") 
         return None
     solve = np.linalg.pinv(design)
     fit = solve @ y
-    # What is so much smaller than the values is rounding, and no effect.
+    # Anything that small compared with the values is rounding error.
     rounding = ROUNDING * float(np.abs(y).max())
     fit = np.where(np.abs(fit) > rounding, fit, 0.0)
-    # Where no point is left over to show how far they lie beside it, their own errors are all that is known.
+    # Without spare points to show the scatter, only the points' own errors are known.
     scatter = float(((y - design @ fit) ** 2).sum()) / degrees if degrees else 0.0
     spread = np.maximum(scatter, noise**2)
     covariance = solve @ np.diag(np.where(spread > rounding**2, spread, 0.0)) @ solve.T
@@ -176,7 +175,7 @@ def _fitted(table: "Table", column: Column, axes: list[int], rows: "list[Row]") 
     effects = []
     for k, axis in enumerate(axes):
         own = {power: n for n, (of, power) in enumerate(terms, start=1) if of == k}
-        # Over the axis's own values: at other points of a study of one axis at a time it does not vary.
+        # Average over the axis's own values: in a study of one axis at a time it does not vary at other points.
         values = [row for row in table.drawn if row.point.values[axis] is not None]
         x = _offsets(table, axis, values) / scale[k]
         powers = np.array([[x**power for power in own]]).reshape(len(own), -1)
@@ -197,7 +196,7 @@ def _fitted(table: "Table", column: Column, axes: list[int], rows: "list[Row]") 
 
 
 def _powers(off: Array, column: Column) -> tuple[int, ...]:
-    """Return the degrees of an axis's sensitivities that its values can tell."""
+    """Return the degrees of an axis's sensitivities that its values determine."""
     values = len(set(off[off != 0.0].tolist()))
     return (1, 2) if values > 1 else ((2,) if column.is_square else (1,))
 

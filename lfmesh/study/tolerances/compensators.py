@@ -13,14 +13,14 @@ from lfmesh.study.sweeps.axes import titled
 from lfmesh.study.sweeps.paths import value_at
 
 Merit = Callable[[Scene, str], float]
-"""Returns how bad a camera is by a column of the table: the larger the worse."""
+"""Function that rates a camera by a column of the table; larger is worse."""
 
 FIRST_STEP = 0.5
 LAST_STEP = 1e-3
-"""Steps of the search, over half the range of an adjustment; the last is how finely it is adjusted."""
+"""First and last step of the search, over half an adjustment's range; the last is its resolution."""
 
 WORST = 1e300
-"""In place of a merit that is not known: a barrier, from which the search turns back."""
+"""Substitute for an unknown merit: a barrier that turns the search back."""
 
 
 class Compensator(Model):
@@ -37,7 +37,7 @@ class Compensator(Model):
     """Name of the compensator in reports."""
 
     def faults(self) -> Iterator[Fault]:
-        """Yield what is wrong with the range."""
+        """Yield the faults of the range."""
         low, high = self.range
         if not low <= 0.0 <= high or low == high:
             yield Fault(("range",), [low, high], "must reach from 0 or less to 0 or more, and must not be empty")
@@ -53,15 +53,15 @@ class Compensator(Model):
         Raises
         ------
         SceneError
-            It is not valid.
+            The scene is not valid.
         """
         return scene.changed({self.path: value_at(scene, self.path) + change})
 
 
 def compensated(scene: Scene, compensators: Sequence[Compensator], merit: Merit) -> tuple[Scene, list[float]]:
-    """Adjust a camera, and return it with the change by each compensator.
+    """Adjust a camera, and return it with the change of each compensator.
 
-    The search is COBYQA's (Ragonneau and Zhang 2024), by quadratic models within bounds, without derivatives.
+    The search is COBYQA (Ragonneau and Zhang 2024): quadratic models within bounds, without derivatives.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def compensated(scene: Scene, compensators: Sequence[Compensator], merit: Merit)
     Raises
     ------
     SceneError
-        A camera on the way is not valid.
+        A camera tried is not valid.
     """
     from scipy.optimize import minimize
 
@@ -86,7 +86,7 @@ def compensated(scene: Scene, compensators: Sequence[Compensator], merit: Merit)
                 before = each.applied(before, float(np.clip(change, *each.range)))
             return before
 
-        # A camera may have no merit, such as where no edge is to be seen.
+        # A camera may have no merit, for example if no edge is visible.
         found = minimize(
             lambda at, half=half, moved=moved, column=column: np.nan_to_num(
                 merit(moved(at * half), column), nan=WORST, posinf=WORST

@@ -1,6 +1,6 @@
-"""Ready-made studies: installation errors, manufacturing errors, the sensor's place, and the effort of the transport.
+"""Ready-made studies: installation errors, manufacturing errors, sensor position, and effort of the transport.
 
-Each is made for a scene, whose pixels and lenslets give the size of the errors, and is written as a file to edit.
+Each is made for a scene, scaled by its pixels and lenslets, and is written as a file to edit.
 """
 
 import math
@@ -20,7 +20,7 @@ from lfmesh.scene.toml import in_line
 from lfmesh.study.sweeps.axes import Axis
 
 STEPS = (-1.0, -0.5, 0.5, 1.0)
-"""Values of an error, over its largest; with the reference five."""
+"""Values of an error, as multiples of its largest; with the reference there are five."""
 
 TILT_DEG = 0.1
 ELEMENT_TILT_DEG = 0.05
@@ -33,27 +33,27 @@ RADIUS_ERROR = 0.04
 RMS_STEPS = (0.25, 0.5, 0.75, 1.0)
 
 DIGITS = 6
-"""Of the values that are written."""
+"""Digits of the values written."""
 
 AXES = "xyz"
 
 QUICK_REPLICATES = 4
 SAMPLES_TIMES_SIDE, MOST_SAMPLES = 5120, 128
-"""Samples a pixel times the root of the number of pixels: where points share their random numbers so few tell cameras
-apart. Of the first scene's camera with 320 × 320 pixels PSNR tells the errors at 6 standard errors or more."""
+"""Samples per pixel times the root of the number of pixels: with common random numbers, these few tell cameras apart.
+For the first scene's camera with 320 × 320 pixels, PSNR resolves the errors at 6 standard errors or more."""
 IMAGE_PATH = {"transport.split": "transmit"}
-"""Reflections take most of the time, and say little about where things stand."""
+"""Reflections take most of the time, and say little about positions."""
 
 
 @dataclass(frozen=True)
 class Ready:
-    """The ready-made part of a study.
+    """Ready-made part of a study.
 
     Attributes
     ----------
     axes : tuple of Axis
     changes : dict
-        Values by path that hold at every point.
+        Values at every point, by path.
     metrics : tuple of str
     """
 
@@ -86,7 +86,7 @@ def assembly(scene: Scene) -> Ready:
 
 
 def manufacturing(scene: Scene) -> Ready:
-    """Return the manufacturing errors of the array: systematic ones, and random ones from lenslet to lenslet."""
+    """Return the manufacturing errors of the array, both systematic and random between lenslets."""
     mla = scene.camera.mla
     if mla is None:
         raise LfmeshError('template = "manufacturing": the errors are those of a microlens array, and there is none')
@@ -114,7 +114,7 @@ def manufacturing(scene: Scene) -> Ready:
 
 
 def sensor(scene: Scene) -> Ready:
-    """Return the errors of the sensor's place, and its reflectance."""
+    """Return the errors of the sensor's position, and its reflectance."""
     axes = [
         *_poses("camera.sensor", scene.camera.sensor.pixel_mm),
         _rms("camera.sensor.reflectance", 0.4, "reflectance"),
@@ -124,7 +124,7 @@ def sensor(scene: Scene) -> Ready:
 
 
 def packets_and_splits(scene: Scene) -> Ready:
-    """Return the settings of the transport that decide on error and time: packets, splits, weight window, method."""
+    """Return the transport settings that determine error and time: packets, splits, weight window, method."""
     replicates = scene.transport.replicates
     axes = (
         Axis(path="transport.samples", values=tuple(replicates * n for n in (1, 2, 4, 8)), label="samples per pixel"),
@@ -144,17 +144,17 @@ TEMPLATES: dict[str, Callable[[Scene], Ready]] = {
 
 
 def template_text(name: str, scene: Scene, path: Path, folder: Path) -> str:
-    """Return a study file, to be edited, with the ready-made axes for a scene.
+    """Return a study file with the ready-made axes for a scene, to be edited.
 
     Parameters
     ----------
     name : str
-        Of `TEMPLATES`.
+        Name in `TEMPLATES`.
     scene : Scene
     path : Path
-        Of the scene's file.
+        File of the scene.
     folder : Path
-        In which the study file will stand.
+        Future folder of the study file.
 
     Raises
     ------
@@ -199,7 +199,7 @@ ABOUT = {
 
 
 def _quick(scene: Scene) -> dict[str, Any]:
-    """Return the samples that tell small errors of a camera apart: the more the fewer pixels there are to average."""
+    """Return the samples needed to resolve small errors of a camera: more for fewer pixels."""
     columns, rows = scene.camera.sensor.pixels
     each = math.ceil(SAMPLES_TIMES_SIDE / math.sqrt(columns * rows) / QUICK_REPLICATES)
     samples = min(QUICK_REPLICATES * each, MOST_SAMPLES)
@@ -207,7 +207,7 @@ def _quick(scene: Scene) -> dict[str, Any]:
 
 
 def _poses(body: str, pixel_mm: float) -> list[Axis]:
-    """Return the six errors of a rigid body's pose: tilts, rotation, decentres, distance."""
+    """Return the six pose errors of a rigid body: tilts, rotation, decentres, distance."""
     name = "array" if body.endswith("mla") else "sensor"
     tilts = [
         _axis(
@@ -238,7 +238,7 @@ def _steps(largest: float, steps: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _elements(lens: Lens) -> list[list[int]]:
-    """Return the surfaces of each element, cemented ones together; the stop by itself."""
+    """Return the surfaces of each element, cemented ones together and the stop alone."""
     groups: list[list[int]] = []
     inside = False
     for number, surface in enumerate(lens.surfaces):

@@ -1,7 +1,7 @@
-"""Inverse tolerances: the largest change of one number of a camera that keeps all limits of a study.
+"""Inverse tolerancing: the largest change of one number of a camera within all limits of a study.
 
-A camera whose limited columns are unknown neither keeps a limit nor breaks one. The search goes round it. Where it
-cannot, it states the values between which the limit lies, and why no more is known.
+A camera with unknown limited columns neither keeps nor breaks a limit; the search goes round it. If it cannot, the
+result gives the values between which the limit lies, and the reason.
 """
 
 import contextlib
@@ -13,36 +13,36 @@ from lfmesh.study.metrics.column import Column
 from lfmesh.study.sweeps.statistics import Estimate
 
 PRECISION = 1e-4
-"""Of the largest change, over the interval that is searched."""
+"""Precision of the largest change, as a fraction of the search interval."""
 
 STEP = 0.1
-"""Share of the largest change over which a metric's derivative is taken."""
+"""Difference for a metric's derivative, as a fraction of the largest change."""
 
 DETOURS = (0.5, 0.25, 0.75, 0.375, 0.625, 0.125, 0.875)
-"""Places in an interval, over its length, at which cameras are tried in turn where another one is not known."""
+"""Fractions of an interval at which cameras are tried in turn after an unknown one."""
 
 MOST_UNKNOWN = 16
-"""Cameras not known after which a search ends."""
+"""Number of unknown cameras that ends a search."""
 
 Means = Mapping[str, Estimate]
-"""Mean of the pseudo-values of each limited column, and its standard error."""
+"""Mean of the pseudo-values of each limited column, with its standard error."""
 
 Measured = Callable[[float], tuple[Means, str]]
-"""Given a value of the number, returns the means of the columns, and in words why some are not known, or ""."""
+"""Function of the number's value: returns the means of the columns, and why some are unknown, or ""."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """An interval in which a number of the camera is changed until a limit is reached.
+    """Interval in which a number of the camera is changed until it reaches a limit.
 
     Attributes
     ----------
     path : str
-        Of the number.
+        Path of the number.
     start, far : float
-        What it is in the reference camera, and the farthest value that is studied on one side.
+        Value in the reference camera, and farthest value studied on one side.
     limits : dict of float
-        By the name of the column.
+        Limits by column.
     """
 
     path: str
@@ -52,19 +52,18 @@ class Search:
 
 
 class Allowed(NamedTuple):
-    """The farthest value of a number at which all limits are kept.
+    """Farthest value of a number that keeps all limits.
 
     Attributes
     ----------
     value : float
     low, high : float
-        Its 95 % interval, from the standard error of the metric (Student) and from what is not known.
+        95 % interval, from the standard error of the metric (Student) and from unknown cameras.
     column : str
-        The column that is at its limit, or beyond it next to what is not known; "" where none is: the number may change
-        as far as was studied, or as is known.
+        Column at its limit, or beyond it after unknown cameras; "" if none is: the number may change over the whole
+        range studied, or known.
     unknown : str
-        Why it is not known whether a camera between `value` and the farther end of the interval keeps the limits; ""
-        where it is.
+        Reason why cameras between `value` and the farther end of the interval are undecided, or "".
     """
 
     value: float
@@ -77,17 +76,17 @@ class Allowed(NamedTuple):
 def largest_change(
     search: Search, columns: Sequence[Column], reference: Means, measured: Measured, replicates: int
 ) -> Allowed:
-    """Find where the first limit is reached, by Brent's method on traced cameras.
+    """Find the change that first reaches a limit, by Brent's method on traced cameras.
 
     Parameters
     ----------
     search : Search
     columns : sequence of Column
-        Those that have limits.
+        Columns with limits.
     reference : dict of Estimate
     measured : callable
     replicates : int
-        Behind each mean.
+        Number behind each mean.
     """
     from scipy.optimize import brentq
 
@@ -107,11 +106,11 @@ def largest_change(
 
 
 class _UnknownError(Exception):
-    """A camera's limited columns are not all known."""
+    """Not all limited columns of a camera are known."""
 
 
 class _Way:
-    """The cameras that a search has measured, between the reference and the farthest one."""
+    """Cameras measured by a search, between the reference and the farthest one."""
 
     def __init__(
         self, search: Search, columns: Sequence[Column], reference: Means, measured: Measured, replicates: int
@@ -123,7 +122,7 @@ class _Way:
         self.unknown: dict[float, str] = {}
 
     def is_known(self, value: float) -> bool:
-        """Measure a camera, unless it was, and tell whether its limited columns are known."""
+        """Measure a camera if necessary, and tell whether its limited columns are known."""
         if value not in self.known and value not in self.unknown:
             means, why = self.measured(value)
             if all(each.knows(means[each.name]) for each in self.columns):
@@ -133,27 +132,27 @@ class _Way:
         return value in self.known
 
     def margins(self, value: float) -> dict[str, float]:
-        """Return how much of the reference's room is left in each column."""
+        """Return the remaining fraction of the reference's room in each column."""
         if not self.is_known(value):
             raise _UnknownError
         means, limits = self.known[value], self.search.limits
         return {e.name: e.room(means[e.name].value, limits[e.name]) / self.room[e.name] for e in self.columns}
 
     def least(self, value: float) -> float:
-        """Return the smallest of the margins."""
+        """Return the smallest margin."""
         return min(self.margins(value).values())
 
     def bracket(self) -> tuple[float, float | None]:
-        """Return the nearest camera that breaks a limit, None without any, after the farthest before it that does not.
+        """Return the farthest camera that keeps the limits before the nearest that breaks one, and the latter or None.
 
-        Nearest and farthest are meant from the reference.
+        Distances are from the reference.
         """
         beyond = min((x for x in self.known if self.least(x) < 0.0), key=self._change, default=None)
         nearer = [x for x in self.known if beyond is None or self._change(x) < self._change(beyond)]
         return max(nearer, key=self._change), beyond
 
     def is_gone_round(self) -> bool:
-        """Try cameras inside the bracket, and tell whether one of them is known."""
+        """Try cameras inside the bracket; tell whether a known one was found."""
         kept, beyond = self.bracket()
         end = self.search.far if beyond is None else beyond
         for share in DETOURS:
@@ -164,14 +163,14 @@ class _Way:
         return False
 
     def at_limit(self, root: float) -> Allowed:
-        """Return what a search has found that ends at a limit."""
+        """Return the result of a search that ends at a limit."""
         value = root if self.is_known(root) else min(self.known, key=lambda x: abs(x - root))
         width = min(self._width(value) + PRECISION * abs(self.reach), abs(self.reach))
         least, most = self._span(value - width, value + width)
         return Allowed(value, least, most, self._tightest(value).name)
 
     def left_open(self) -> Allowed:
-        """Return what a search has found that ends where it cannot go round cameras that are not known."""
+        """Return the result of a search that cannot go round unknown cameras."""
         kept, beyond = self.bracket()
         end = self.search.far if beyond is None else beyond
         low, high = sorted((kept, end))
@@ -190,7 +189,7 @@ class _Way:
         return min(self.columns, key=lambda each: margins[each.name])
 
     def _width(self, value: float) -> float:
-        """Return by how much more or less change a camera may reach the limit, by the 95 % interval of its margin."""
+        """Return the uncertainty of the change at the limit, from the 95 % interval of a camera's margin."""
         from scipy.stats import t as student
 
         column = self._tightest(value)
@@ -206,6 +205,6 @@ class _Way:
         return doubt * abs(value - other) / fall if fall else abs(self.reach)
 
     def _span(self, low: float, high: float) -> tuple[float, float]:
-        """Return an interval, no nearer than no change and no farther than what was studied."""
+        """Clip an interval to the range from no change to the farthest studied."""
         least, most = sorted((self.search.start, self.search.far))
         return max(least, low), min(most, high)

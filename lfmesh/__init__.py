@@ -463,7 +463,7 @@ def __getattr__(name: str) -> Any:
         value = getattr(home, name)
         if isfunction(value):
             value = with_checked_arguments(value)
-            # By its home a function is pickled.
+            # Pickle looks functions up in their home module.
             setattr(home, name, value)
     else:
         raise AttributeError(f"module 'lfmesh' has no attribute {name!r}")

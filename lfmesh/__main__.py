@@ -1,4 +1,4 @@
-"""``python -m lfmesh``: the same as the command ``lfmesh``."""
+"""``python -m lfmesh``: same as the command ``lfmesh``."""
 
 from lfmesh.cli import main
 

@@ -1,4 +1,4 @@
-"""Arguments of public functions: what is no number, or none of lfmesh's own classes, is refused in one line."""
+"""Checks of arguments of public functions: wrong types are refused with a one-line message."""
 
 import inspect
 import reprlib
@@ -24,9 +24,9 @@ MADE_BY = {
 
 
 def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that refuses other arguments than the numbers, or lfmesh's classes, which its annotations name.
+    """Return a function that refuses arguments other than the numbers and lfmesh classes in its annotations.
 
-    Parameters whose annotation also names anything else, such as arrays or paths, are left to the function.
+    Parameters annotated with anything else, such as arrays or paths, are not checked.
     """
     try:
         hints = get_type_hints(function)
@@ -50,18 +50,18 @@ def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _classes(annotation: Any) -> tuple[type, ...]:
-    """Return the classes that an annotation allows: lfmesh's, or of a number, and None; none if there are others."""
+    """Return the classes allowed by an annotation: lfmesh's or numbers', and None; empty if it has others."""
     classes = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     own = [each for each in classes if each is not type(None)]
     if own and all(each in (float, int) for each in own):
-        # That a number is whole is for the function to say.
+        # The function itself checks for whole numbers.
         return (Real, *(each for each in classes if each is not float))
     plain = all(isinstance(each, type) and each.__module__.startswith("lfmesh.") for each in own)
     return tuple(classes) if own and plain and not any(getattr(each, "_is_protocol", False) for each in own) else ()
 
 
 def _is_number(value: Any, classes: tuple[type, ...]) -> bool:
-    """Tell whether a value is a number in an array without axes, and numbers are allowed."""
+    """Tell whether a value is a number in a zero-dimensional array, and numbers are allowed."""
     return Real in classes and getattr(value, "ndim", None) == 0 and isinstance(value.item(), Real)
 
 

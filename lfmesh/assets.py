@@ -6,12 +6,12 @@ from lfmesh.errors import FileError
 
 
 def asset_path(name: str) -> Path:
-    """Path of a file or folder that comes with lfmesh.
+    """Return the path of a file or folder that comes with lfmesh.
 
     Parameters
     ----------
     name : str
-        Relative to the assets, e.g. ``"scenes/first_light.toml"``.
+        Path relative to the assets, such as ``"scenes/first_light.toml"``.
 
     Returns
     -------
@@ -23,7 +23,7 @@ def asset_path(name: str) -> Path:
         There is no such asset; the message lists its neighbours.
     """
     package = Path(__file__).resolve().parent
-    # An installed wheel carries the assets inside the package, a checkout has them beside it.
+    # An installed wheel has the assets inside the package, a checkout beside it.
     folders = [package / "assets", package.parent / "assets"]
     for folder in folders:
         if (folder / name).exists():

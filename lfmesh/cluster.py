@@ -12,19 +12,19 @@ from lfmesh import provenance
 from lfmesh.errors import LfmeshError
 
 LOCAL = "local"
-"""In place of a scheduler's address: a cluster on this machine."""
+"""Address that stands for a cluster on this machine."""
 
 RETRIES = 1
-"""A task whose worker dies is tried again so many times."""
+"""Number of retries of a task whose worker died."""
 
 SAID_SECONDS, ENDS_SECONDS = 10.0, 300.0
-"""So long nothing is said of a cluster without a worker or a scheduler that answers; so long it is waited for."""
+"""Time before a warning about a cluster without a worker or a responding scheduler, and time before giving up."""
 
 GONE = "the scheduler is gone"
 """Message for a scheduler that no longer answers."""
 
 _ANSWER_SECONDS = 5.0
-"""Within which a scheduler that lives tells its workers."""
+"""Time within which a living scheduler reports its workers."""
 
 
 class ClusterWarning(UserWarning):
@@ -38,15 +38,15 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     Parameters
     ----------
     address : str
-        Of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
+        Address of a scheduler, such as "tcp://10.0.0.1:8786", or "local".
     workers : int
-        Number of processes of a local cluster, of one thread each.
+        Number of processes of a local cluster, with one thread each.
 
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, there is no scheduler at the address, a worker runs another program, or the
-        scheduler goes away in the midst of a message.
+        dask.distributed is not installed, no scheduler answers at the address, a worker runs another program, or the
+        scheduler is lost during a message.
     """
     try:
         from distributed import Client, LocalCluster
@@ -77,7 +77,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
 
 
 def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
-    """Return the next future of a queue of those that are done, which its futures' callbacks fill.
+    """Return the next future from a queue of finished ones, which the futures' callbacks fill.
 
     Parameters
     ----------
@@ -87,12 +87,12 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
     Raises
     ------
     LfmeshError
-        The scheduler is gone, or for `ENDS_SECONDS` it did not answer or had no worker.
+        The scheduler is lost, or it did not answer or had no worker for `ENDS_SECONDS`.
 
     Warns
     -----
     ClusterWarning
-        It is waited for a worker or the scheduler.
+        A worker or the scheduler is missing; waiting continues.
     """
     lacks = _lacks(client)
     while True:
@@ -100,7 +100,7 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
             future = done.get(timeout=1.0)
             if future.status != "cancelled" or client.status == "running":
                 return future
-            # A scheduler that is gone cancels all futures; the client looks for it a while.
+            # A lost scheduler cancels all futures; the client looks for it for a while.
             done.put(future)
             time.sleep(0.5)
         except Empty:
@@ -109,7 +109,7 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
 
 
 def wait_for_worker(client: Any) -> None:
-    """Return once a cluster has a worker.
+    """Wait until a cluster has a worker.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def wait_for_worker(client: Any) -> None:
     Raises
     ------
     LfmeshError
-        As `next_done`.
+        As for `next_done`.
 
     Warns
     -----
     ClusterWarning
-        It is waited for a worker or the scheduler.
+        A worker or the scheduler is missing; waiting continues.
     """
     for lack in _lacks(client):
         if not lack:
@@ -132,7 +132,7 @@ def wait_for_worker(client: Any) -> None:
 
 
 def _lacks(client: Any) -> Iterator[str]:
-    """Yield what keeps a cluster from computing, "" if nothing does; warn of what lasts, raise if it does not end."""
+    """Yield the reason why a cluster cannot compute, or ""; warn if it persists, raise if it does not end."""
     since, said = time.monotonic(), False
     while True:
         lack = _lack_of(client)
@@ -148,12 +148,12 @@ def _lacks(client: Any) -> Iterator[str]:
 
 
 def _ended(lack: str) -> LfmeshError:
-    """Return the error that a run ends with for what a cluster lacks."""
+    """Return the error that ends a run for lack of a worker or scheduler."""
     return LfmeshError(f"--dask: {lack}; what is finished is kept, and the same command goes on with it")
 
 
 def _lack_of(client: Any) -> str:
-    """Return in words what keeps a cluster from computing; "" if nothing does."""
+    """Return the reason why a cluster cannot compute, or ""."""
     if client.status != "running":
         return GONE
     found: SimpleQueue[dict[str, int]] = SimpleQueue()
@@ -165,12 +165,12 @@ def _lack_of(client: Any) -> str:
 
 
 def _refuse_other_programs(client: Any) -> None:
-    """Refuse workers whose lfmesh, or whose libraries that decide bits, are not those of this process."""
+    """Refuse workers with another lfmesh, or other libraries that determine bits, than this process."""
     from distributed.comm import CommClosedError
 
     for worker, theirs in client.run(_program, on_error="return").items():
         if isinstance(theirs, CommClosedError):
-            # It has gone, and the scheduler has yet to learn it.
+            # The worker has left, but the scheduler does not know it yet.
             continue
         if isinstance(theirs, Exception):
             raise theirs
@@ -179,7 +179,7 @@ def _refuse_other_programs(client: Any) -> None:
 
 
 def _program() -> dict[str, str]:
-    """Return the program of the process that this is called in: a worker calls its own."""
+    """Return the program of the process that runs this function: each worker returns its own."""
     return provenance.program()
 
 

@@ -1,7 +1,7 @@
-"""The families of exceptions and warnings.
+"""Families of exceptions and warnings.
 
-Everything a user can cause ends in an `LfmeshError` with one clear message. Everything by which a picture is or may be
-wrong is a `PictureWarning`: a warning of Python, a line on the command line and an entry in `report.json`.
+Every mistake of a user ends in an `LfmeshError` with one clear message. Everything that makes or may make a picture
+wrong is a `PictureWarning`: a Python warning, a line on the command line and an entry in `report.json`.
 """
 
 import os
@@ -17,13 +17,13 @@ _INSIDE = f"{Path(__file__).parent}{os.sep}"
 
 
 class LfmeshError(Exception):
-    """A mistake the user can mend: the message names the field or file, the value, and what is valid."""
+    """A mistake the user can mend; the message names the field or file, the value, and valid values."""
 
     longest_line: ClassVar[int] = 1500
-    """Most characters of a line of its message: a value of a broken file may be of any length."""
+    """Largest number of characters in a line of its message; a value from a broken file may have any length."""
 
     def __str__(self) -> str:
-        """Return the message, without the middle of lines that are too long to be read."""
+        """Return the message, without the middle of very long lines."""
         return "\n".join(_shortened(line, self.longest_line) for line in super().__str__().split("\n"))
 
 
@@ -32,15 +32,15 @@ def _shortened(line: str, most: int) -> str:
 
 
 class SceneError(LfmeshError):
-    """The scene file or model is wrong; the message lists every fault, one a line."""
+    """The scene file or model is wrong; the message lists every fault, one per line."""
 
 
 class MeshError(LfmeshError):
-    """A mesh file is missing, empty, broken, or not what its use needs."""
+    """A mesh file is missing, empty, broken, or unsuitable for its use."""
 
 
 class GlassError(LfmeshError):
-    """A glass or refractive index that the catalogue does not hold at the wished wavelength."""
+    """The catalogue lacks a glass, or its refractive index at a wavelength."""
 
 
 class FileError(LfmeshError):
@@ -48,7 +48,7 @@ class FileError(LfmeshError):
 
 
 class LensFileWarning(UserWarning):
-    """A lens file, mesh file or glTF scene was read with approximations, or holds what the reader does not know."""
+    """A lens file, mesh file or glTF scene was read with approximations, or has unknown content."""
 
 
 class PlainNumbaWarning(UserWarning):
@@ -56,10 +56,10 @@ class PlainNumbaWarning(UserWarning):
 
 
 class PictureWarning(UserWarning):
-    """A picture is or may be wrong. Two are equal if they are of one class and say the same.
+    """A picture is or may be wrong. Two warnings are equal if class and message are.
 
-    The message is one line in plain English: what is wrong, the value, what to do. The order of the classes below is
-    that in which they are said, most important first.
+    The message is one line in plain English: the fault, the value, the remedy. The classes below are in the order of
+    reports, most important first.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -79,7 +79,7 @@ class PictureWarning(UserWarning):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Self:
-        """Return the warning that `as_dict` was made from; of a class that this version does not know as one of `cls`.
+        """Return a warning from `as_dict`; if its class is unknown to this version, as one of `cls`.
 
         Parameters
         ----------
@@ -99,15 +99,15 @@ class BlackPictureWarning(PictureWarning):
 
 
 class BlindCheckWarning(PictureWarning):
-    """Samples that are not aimed found more or less light than the picture has: the picture is wrong."""
+    """Unaimed samples found more or less light than the picture has: the picture is wrong."""
 
 
 class LostEnergyWarning(PictureWarning):
-    """The tracer lost more of the energy than rounding explains."""
+    """The tracer lost more energy than rounding errors explain."""
 
 
 class OpenLedgerWarning(PictureWarning):
-    """The energy ledger does not close, or values of the picture are no numbers: a fault of the tracer."""
+    """The energy ledger does not close, or the picture has values that are not numbers: a fault of the tracer."""
 
 
 class CutPathsWarning(PictureWarning):
@@ -123,50 +123,50 @@ class MissedLightWarning(PictureWarning):
 
 
 class LightOutsideAimWarning(PictureWarning):
-    """Rays are not aimed, or not proven to be, at all light that comes through the lens: the rest comes as noise."""
+    """Rays are not, or not provably, aimed at all light that comes through the lens: the rest adds noise."""
 
 
 class HeavyPathsWarning(PictureWarning):
-    """Few paths bring much of the light of some pixels: their errors are too small.
+    """A few paths carry much of the light of some pixels, so that their errors are underestimated.
 
-    So are their upper bounds, where no neighbours have met such paths.
+    So are their upper bounds, unless neighbours have met such paths.
     """
 
 
 class InterruptedRenderWarning(PictureWarning):
-    """A render was cut short: the picture has fewer samples than were asked for."""
+    """A render was interrupted: the picture has fewer samples than requested."""
 
 
 class TooFewSamplesWarning(PictureWarning):
-    """Many pixels have so few samples with light that their errors are not known well."""
+    """Many pixels have so few samples with light that their errors are poorly known."""
 
 
 class ClosedGapWarning(PictureWarning):
-    """Faces of glass are so close that they are taken to touch."""
+    """Glass faces are so close that they are taken to touch."""
 
 
 class CutBodiesWarning(PictureWarning):
-    """Curved bodies of glass cut each other: rays near the cut may take one for the other."""
+    """Curved glass bodies intersect: rays near the intersection may take one for the other."""
 
 
 class FoldedPatchesWarning(PictureWarning):
-    """The normals of curved glass do not fit its facets: rays that graze it may pass it."""
+    """The normals of curved glass do not match its facets: grazing rays may miss it."""
 
 
 class ClearAirWarning(PictureWarning):
-    """A scene has media that take light away, and its projection matrix leaves them out."""
+    """A projection matrix ignores absorbing or scattering media of the scene."""
 
 
 class FineVoxelsWarning(PictureWarning):
-    """Voxels are finer than the camera resolves: a volume reconstructed with them owes its details to the method."""
+    """Voxels are finer than the camera's resolution: details of a reconstructed volume come from the method."""
 
 
 class UnknownErrorWarning(PictureWarning):
-    """Nobody can tell how far a reconstructed volume is from the truth: its image does not say enough."""
+    """The error of a reconstructed volume is unknown: its image does not determine it."""
 
 
 class OrderCheckWarning(PictureWarning):
-    """Surfaces found by their order are not those found by their meshes, which were used instead."""
+    """Surfaces found by sequence differ from those found by meshes; the meshes were used."""
 
 
 class DiffractionWarning(PictureWarning):
@@ -174,7 +174,7 @@ class DiffractionWarning(PictureWarning):
 
 
 def in_order(found: Iterable[PictureWarning]) -> tuple[PictureWarning, ...]:
-    """Return warnings once each, the most important first."""
+    """Return warnings without repetitions, most important first."""
     kinds = PictureWarning.__subclasses__()
     return tuple(sorted(dict.fromkeys(found), key=lambda each: kinds.index(type(each)) if type(each) in kinds else -1))
 
@@ -184,12 +184,12 @@ _listening: ContextVar[tuple[list[Warning], ...]] = ContextVar("listening", defa
 
 @contextmanager
 def heard() -> Iterator[list[Warning]]:
-    """Note what `warn_caller` warns of inside, which is shown as ever.
+    """Record the warnings that `warn_caller` issues inside; they are still shown.
 
     Yields
     ------
     list of Warning
-        Grows with every warning.
+        List that grows with every warning.
     """
     found: list[Warning] = []
     token = _listening.set((*_listening.get(), found))
@@ -200,7 +200,7 @@ def heard() -> Iterator[list[Warning]]:
 
 
 def warn_caller(found: Iterable[Warning]) -> None:
-    """Warn of each, at the line outside this package from which it was called."""
+    """Issue each warning at the line outside this package that called it."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_INSIDE):
         level, frame = level + 1, frame.f_back
@@ -212,12 +212,12 @@ def warn_caller(found: Iterable[Warning]) -> None:
 
 @contextmanager
 def collected() -> Iterator[list[PictureWarning]]:
-    """Collect the warnings of all pictures made inside, in place of showing them; others are shown as ever.
+    """Collect the warnings of all pictures made inside instead of showing them; other warnings are shown.
 
     Yields
     ------
     list of PictureWarning
-        Grows while pictures are made.
+        List that grows while pictures are made.
     """
     found: list[PictureWarning] = []
     usual = warnings.showwarning
@@ -235,16 +235,16 @@ def collected() -> Iterator[list[PictureWarning]]:
 
 
 def summed_up(found: Mapping[str, Iterable[PictureWarning]], total: int, things: str) -> tuple[PictureWarning, ...]:
-    """Return one warning for each class of those of many pictures: how many have it, and what the first of them says.
+    """Return one warning per class for many pictures: how many have it, and the first one's message.
 
     Parameters
     ----------
     found : mapping
-        Warnings of each, by its name.
+        Warnings of each picture, by its name.
     total : int
-        Number of all, those without warnings included.
+        Number of all pictures, including ones without warnings.
     things : str
-        Plural of their kind: "points".
+        Plural noun for the pictures: "points".
     """
     by_kind: dict[type[PictureWarning], dict[str, PictureWarning]] = {}
     for name, own in found.items():

@@ -1,6 +1,6 @@
-"""Results and progress in notebooks: key figures, pictures, bars.
+"""Display of results and progress in notebooks: key figures, pictures, bars.
 
-What makes them stands above all results, and brings matplotlib; `show_by` registers it.
+The display code imports all result classes and matplotlib; `show_by` registers it.
 """
 
 import sys
@@ -12,40 +12,40 @@ _shown_by: dict[str, Callable[[], Any]] = {}
 
 
 def show_by(results: Callable[[], Any], progress: Callable[[], Any]) -> None:
-    """Register what shows results and progress.
+    """Register the modules that display results and progress.
 
     Parameters
     ----------
     results : callable
-        Returns, when the first result is shown, the module that makes tables and pictures of results.
+        Returns the module for tables and pictures of results; called at the first display.
     progress : callable
-        Returns the module that shows the progress of a render.
+        Returns the module for the progress of a render.
     """
     _shown_by.update(results=results, progress=progress)
 
 
 def in_notebook() -> bool:
-    """Tell whether this process is a notebook's kernel, which shows pictures."""
+    """Tell whether this process is a notebook's kernel, which displays pictures."""
     shell = sys.modules.get("IPython")
     running = shell.get_ipython() if shell is not None else None
     return running is not None and "IPKernelApp" in getattr(running, "config", {})
 
 
 class Shown:
-    """A result that notebooks show as a table of its key figures, with its picture if it has one."""
+    """A result that notebooks show as a table of key figures, with its picture if it has one."""
 
     def _repr_html_(self) -> str:
         return _shown_by["results"]().html_of(self)
 
 
 class Pictured(Shown):
-    """A result that has a picture."""
+    """A result with a picture."""
 
     def _repr_png_(self) -> bytes:
         return _shown_by["results"]().png_of(self)
 
     def figure(self) -> Any:
-        """Return its picture as a figure of matplotlib, upright, with axes, unit and scale.
+        """Return the picture as a matplotlib figure, upright, with axes, unit and scale.
 
         Returns
         -------
@@ -55,18 +55,18 @@ class Pictured(Shown):
         return _shown_by["results"]().figure_of(self)
 
     def show(self) -> None:
-        """Show the picture: in a notebook below the cell, else in a window of matplotlib, until that is closed."""
+        """Show the picture: in a notebook below the cell, otherwise in a matplotlib window, until it is closed."""
         _shown_by["results"]().show(self)
 
 
 @contextmanager
 def watched(progress: Callable[[Any], None] | bool | None) -> Iterator[Callable[[Any], None] | None]:
-    """Yield what a render reports its progress to, None for nobody.
+    """Yield the function that receives a render's progress, or None.
 
     Parameters
     ----------
     progress : callable, bool or None
-        A callable is told itself; True shows a bar, False nothing, and None a bar in a notebook alone.
+        A callable is used itself. True shows a bar, False nothing, and None a bar only in a notebook.
     """
     if callable(progress):
         yield progress

@@ -1,7 +1,6 @@
-"""The program that computes a result: versions and sources that decide its bits, and the processor.
+"""Program behind a result: versions and sources that determine its bits, and the processor.
 
-Pieces of a result that come from several processes or machines, or from an earlier day, are put together only if the
-same program made them.
+Pieces of a result from several processes, machines or days are combined only if the same program made them.
 """
 
 import hashlib
@@ -20,19 +19,19 @@ _DIGITS = 12
 
 @cache
 def program() -> dict[str, str]:
-    """Return the versions of lfmesh and of the libraries that compute, and the digest of lfmesh's sources."""
+    """Return the versions of lfmesh and of the numerical libraries, and the digest of lfmesh's sources."""
     import lfmesh
 
     return {"lfmesh": lfmesh.__version__, "sources": _sources(), **{name: _version(name) for name in LIBRARIES}}
 
 
 def difference(other: object) -> str:
-    """Return in words how another program differs from this one; "" if it is the same.
+    """Return in words the differences of another program from this one, or "".
 
     Parameters
     ----------
     other : dict of str, or anything that stands in its place
-        As `program` returned it.
+        Result of `program` there.
     """
     theirs = other if isinstance(other, Mapping) else {}
     unlike = {name: own for name, own in program().items() if theirs.get(name) != own}
@@ -45,7 +44,7 @@ def refuse_other(other: object) -> None:
     Raises
     ------
     LfmeshError
-        Its versions or sources differ from this one's.
+        The other program's versions or sources differ from this one's.
     """
     if said := difference(other):
         raise LfmeshError(f"this process runs another program than the one that asks it to compute: {said}")
@@ -53,7 +52,7 @@ def refuse_other(other: object) -> None:
 
 @cache
 def processor() -> str:
-    """Return the kind of processor that kernels are compiled for: its name and the digest of its features."""
+    """Return the processor that kernels are compiled for: its name and the digest of its features."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features().flatten()

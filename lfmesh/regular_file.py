@@ -1,7 +1,7 @@
-"""Files that a user names, opened for reading only if they are regular files.
+"""Files named by a user, opened for reading only if they are regular files.
 
-A named pipe would wait for a writer that may never come, a device may never end: neither is opened at all. The refusal
-is an `OSError` whose `strerror` says what stands there, so that it ends in the same words as a file that is missing.
+A named pipe may wait forever for a writer, and a device may never end, so neither is opened. The refusal is an
+`OSError` with the kind of file in its `strerror`, so that it is reported like a missing file.
 """
 
 import errno
@@ -25,14 +25,14 @@ _KINDS = {
 }
 
 MARK = "\ufeff"
-"""Byte order mark, which some editors put before a text and which is no part of it."""
+"""Byte order mark, which some editors write before a text."""
 
 MOST_HEADER = 10_000
-"""Bytes of an array's header; numpy itself refuses longer ones, but reads them first."""
+"""Largest size of an array's header, in bytes; numpy itself refuses longer ones, but reads them first."""
 
 
 def why_no_file(path: Path) -> str:
-    """Return in words why a path is no file that can be read."""
+    """Return in words the reason why a path is not a readable file."""
     if path.is_dir():
         return "is a folder"
     if not path.exists():
@@ -46,7 +46,7 @@ def open_regular(path: Path) -> BufferedReader:
     Raises
     ------
     OSError
-        It cannot be opened, or is a folder, a pipe, a socket or a device.
+        The file cannot be opened, or is a folder, a pipe, a socket or a device.
     """
     return open(path, "rb", opener=_opened)
 
@@ -58,24 +58,24 @@ def open_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
     ----------
     path : Path
     encoding, errors, newline : str, optional
-        As `open` takes them. A byte order mark before UTF-8 is no text.
+        As for `open`. A byte order mark before UTF-8 is skipped.
 
     Raises
     ------
     OSError
-        As from `open_regular`.
+        As for `open_regular`.
     """
     return open(path, encoding=encoding, errors=errors, newline=newline, opener=_opened)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return what a regular file holds; errors as of `open_regular`."""
+    """Return the content of a regular file; errors are as for `open_regular`."""
     with open_regular(path) as file:
         return file.read()
 
 
 def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None) -> str:
-    """Return the text of a regular file; errors as of `open_regular`, and those of its decoding.
+    """Return the text of a regular file; errors are as for `open_regular`, and for decoding.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
 
 
 def without_mark(content: bytes) -> bytes:
-    """Return the bytes of a text without a byte order mark of UTF-8, for readers that parse bytes."""
+    """Remove a UTF-8 byte order mark from the bytes of a text, for parsers of bytes."""
     return content.removeprefix(MARK.encode())
 
 
 class Header(NamedTuple):
-    """Shape and kind that an array in numpy's format announces."""
+    """Shape and type announced by an array in numpy's format."""
 
     shape: tuple[int, ...]
     in_columns: bool
@@ -118,14 +118,14 @@ def open_arrays(path: Path, only: str = "") -> Iterator["Arrays"]:
     ----------
     path : Path
     only : str
-        Name of the array of a `.npy` file, which has none.
+        Name for the array of a `.npy` file, which stores none.
 
     Raises
     ------
     OSError
-        As from `open_regular`.
+        As for `open_regular`.
     BadZipFile
-        It is no archive.
+        The file is not an archive.
     """
     with open_regular(path) as file:
         if path.suffix.lower() == ".npy":
@@ -137,13 +137,13 @@ def open_arrays(path: Path, only: str = "") -> Iterator["Arrays"]:
 
 
 class Arrays:
-    """Arrays of a file, each of which is read and unpacked when it is asked for, and not before.
+    """Arrays of a file, each read and unpacked only on access.
 
     Parameters
     ----------
     names : list of str
     opened : callable
-        Opens the array with some name; it begins where that file does.
+        Opens the array of a name, at its beginning.
     """
 
     def __init__(self, names: list[str], opened: Callable[[str], AbstractContextManager[IO[bytes]]]) -> None:
@@ -151,14 +151,14 @@ class Arrays:
         self._opened = opened
 
     def header(self, name: str) -> Header:
-        """Return what the header of an array announces.
+        """Return the header of an array.
 
         Raises
         ------
         KeyError
-            There is none.
+            There is no such array.
         ValueError
-            It is no array.
+            The content is not an array.
         """
         with self._opened(name) as file:
             return _array_header(file)
@@ -169,17 +169,17 @@ class Arrays:
 
 
 def _array_header(file: IO[bytes]) -> Header:
-    """Return the header of an array in numpy's format, for which at most `MOST_HEADER` bytes are read.
+    """Return the header of an array in numpy's format, reading at most `MOST_HEADER` bytes.
 
     Parameters
     ----------
     file : binary file
-        The array begins where the file does.
+        File that begins with the array.
 
     Raises
     ------
     ValueError
-        It is no array.
+        The content is not an array.
     """
     file.seek(0)
     head = BytesIO(file.read(MOST_HEADER))
@@ -189,16 +189,16 @@ def _array_header(file: IO[bytes]) -> Header:
 
 
 def _read_array(file: IO[bytes]) -> np.ndarray[Any, Any]:
-    """Return an array in numpy's format, of anything but Python objects; file and errors as of `_array_header`."""
+    """Return an array in numpy's format, except of Python objects; file and errors are as for `_array_header`."""
     _array_header(file)
     file.seek(0)
     array = np.lib.format.read_array(file, allow_pickle=False)
-    file.read(1)  # at its end an archive compares the checksum
+    file.read(1)  # at the end an archive compares the checksum
     return np.asarray(array)
 
 
 def _opened(path: str, flags: int) -> int:
-    """Open a path; what is no regular file is not touched, nor waited for if it takes the place of one meanwhile."""
+    """Open a path only if it is a regular file; do not block if a pipe takes its place meanwhile."""
     _refuse_irregular(os.stat(path), path)  # noqa: PTH116  # what `open` passes on is text
     handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
     try:
@@ -210,7 +210,7 @@ def _opened(path: str, flags: int) -> int:
 
 
 def _refuse_irregular(state: os.stat_result, path: str) -> None:
-    """Raise if a path is a pipe, a socket or a device; of a folder `open` speaks itself."""
+    """Raise if a path is a pipe, a socket or a device; `open` itself refuses a folder."""
     if not stat.S_ISREG(state.st_mode) and not stat.S_ISDIR(state.st_mode):
         raise OSError(errno.EINVAL, f"it {_why_irregular(state.st_mode)}", path)
 

@@ -1,4 +1,4 @@
-"""Signatures that name the keywords which a function takes as ``**options``, for help and completion."""
+"""Signatures that list the keywords of ``**options``, for help and completion."""
 
 import inspect
 from collections.abc import Callable
@@ -8,12 +8,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
-    """Give a function whose last parameter is ``**options: Unpack[Options]`` a signature that lists the options.
+    """Give a function with ``**options: Unpack[Options]`` as last parameter a signature that lists the options.
 
     Parameters
     ----------
     **defaults
-        Of the options; those that are not named are None if left out.
+        Defaults of the options; None for all others.
     """
 
     def listed(function: Function) -> Function:

@@ -8,14 +8,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 
 def filled(template: Path, **values: Any) -> str:
-    """Return a template with values in it.
+    """Fill a template with values.
 
     Parameters
     ----------
     template : Path
-        A file of Jinja2, HTML.
+        HTML file of Jinja2.
     **values
-        Text is escaped; what is markup already has to be `markupsafe.Markup`.
+        Text is escaped; finished markup must be a `markupsafe.Markup`.
     """
     return _environment(template.parent).get_template(template.name).render(values)
 

@@ -1,9 +1,9 @@
-"""Lines of text of a width that terminals have."""
+"""Line wrapping at a width that suits terminals."""
 
 import textwrap
 
 COLUMNS = 80
-"""Width of what is printed or written as text, on a terminal or not."""
+"""Width of text that is printed or written, on a terminal or not."""
 
 
 def wrapped(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Diffraction image of a field: path differences, polychromatic point spread and MTF.
+"""Diffraction image of a field: path differences, polychromatic point spread, MTF.
 
 The optical transfer function is the autocorrelation of the pupil function, and the point spread is its transform (J. W.
 Goodman, Introduction to Fourier Optics, 6.3). The pupil function is sampled in direction cosines from the primary chief

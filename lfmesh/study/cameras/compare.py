@@ -52,7 +52,7 @@ LIT = 0.1
 
 
 class _Camera:
-    """One of the three cameras, and the way from its raw images to pictures."""
+    """One of the three cameras, and its conversion of raw images to pictures."""
 
     def __init__(self, name: str, scene: Scene, array_height_mm: float) -> None:
         self.name, self.scene = name, scene
@@ -89,7 +89,7 @@ class _Camera:
 
 
 def measuring(scene: Scene) -> Scene:
-    """Return a camera's scene with the transport used for measurements: one wavelength, no reflections."""
+    """Return a camera's scene with the transport for measurements: one wavelength, no reflections."""
     values = {"transport.split": "transmit", "transport.method": "adjoint"}
     return scene.camera_alone(values).at_line(scene.primary_nm)
 
@@ -100,7 +100,7 @@ def three_cameras(scene: Scene, reduction: float = 3.0) -> dict[str, Scene]:
     Raises
     ------
     LfmeshError
-        The scene's camera is conventional, or cannot be turned into a focused plenoptic camera.
+        The scene's camera is conventional, or cannot become a focused plenoptic one.
     """
     scene = solved_camera(scene).scene
     if scene.camera.mla is None:
@@ -127,7 +127,7 @@ def compare(
     Parameters
     ----------
     scene : Scene
-        Scene of a standard plenoptic camera, focused at a finite distance.
+        A standard plenoptic camera, focused at a finite distance.
     reduction : float
         Reduction a/b of the focused plenoptic camera.
     steps : int
@@ -175,7 +175,7 @@ def compare(
 
 
 def _in_front(model: RayModel, share: float) -> float:
-    """Return the distance whose points shift by a fraction of a lenslet; at most 1 km, which stands for infinity."""
+    """Return the distance for a shift by a fraction of a lenslet; at most 1 km, which stands for infinity."""
     distance = model.distance_mm(share * model.lenslet_pitch_mm)
     return distance if 0.0 < distance < 1e6 else 1e6
 
@@ -186,7 +186,7 @@ def edge_plane(report: FirstOrder, distance_mm: float, focus_mm: float | None = 
     Parameters
     ----------
     report : FirstOrder
-        First-order report of the camera; the plane fills its field.
+        First-order report; the plane fills the field.
     distance_mm : float
         Distance of the plane.
     focus_mm : float, optional
@@ -258,7 +258,7 @@ def _result(camera: _Camera, edges: list[Focus], focus_mm: float, standard: Scen
 
 
 def _points(camera: _Camera, focus_mm: float, standard: Scene) -> tuple[list[tuple[float, float]], Array, float]:
-    """Return the positions of a grid of points in the plane in focus, its picture, and the sample size there, mm."""
+    """Return a grid of points in the plane in focus, its picture, and the sample size there, mm."""
     facts = solved_camera(standard).report
     width, height = facts.field_of_view_mm
     places = [(x * width, y * height) for y in POINTS for x in POINTS]
@@ -300,7 +300,7 @@ def sharp_range(
     ends : (float, float)
         Nearest and farthest distance, mm; NaN if the sharpness at the plane in focus is unknown.
     unknown_beyond : tuple of float
-        Ends beyond which the next sharpness is unknown or was not measured: the range may extend farther.
+        Ends beyond which sharpness is unknown or was not measured: the range may extend farther.
     """
     curve = sorted(curve)
     vergence = np.array([1.0 / distance for distance, _ in curve])
@@ -323,7 +323,7 @@ def sharp_range(
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write the numbers as JSON and the figure as PNG into a folder, created if necessary; return the files.
+    """Write numbers (JSON) and figure (PNG) into a folder, created if necessary; return the files.
 
     Raises
     ------

@@ -42,19 +42,18 @@ class CameraResult:
     mtf50_lp_per_height : float
         Of a slanted edge in the plane in focus.
     point_width_mm, worst_point_width_mm : float
-        Rms width of point images in the plane in focus, on the object: mean and largest over the grid.
+        Rms width of points in the plane in focus, on the object: mean and largest over the grid.
     views_across : float
         Number of resolved directions per point, along one axis.
     depth_of_field_mm, refocus_range_mm : tuple of float
-        Range of the tried distances in which an edge is at least half as sharp as in the plane in focus, as taken and
-        refocused.
+        Range of tried distances with an edge at least half as sharp as in the plane in focus, as taken and refocused.
     light_w_per_pixel : float
         Mean over all pixels, for a white plane of 1 W/(m² sr).
     lit_share : float
-        Fraction of the pixels.
+        Fraction of lit pixels.
     edges : tuple of Focus
     unknown_beyond_mm : dict of tuple of float
-        Ends of these ranges, by name, beyond which the edge was not tried or its sharpness is unknown.
+        Ends of these ranges, by name, beyond which sharpness is unknown or was not measured.
     """
 
     name: str

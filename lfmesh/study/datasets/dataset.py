@@ -52,7 +52,7 @@ class Made:
     count : int
         Items wanted.
     failed : dict of str
-        Reasons why items of this run could not be made, by item number.
+        Reasons for items that could not be made in this run, by number.
     warnings : tuple of PictureWarning
         Warnings of items and cameras, one per class: how many have it, and the first one's text.
     noted : int
@@ -69,7 +69,7 @@ class Made:
 
 
 class Dataset:
-    """Scenes drawn from one template. An item depends only on template, seed and its number, not on the count.
+    """Scenes drawn from one template. An item depends only on template, seed and its number.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Dataset:
             yield f"relative: {draw.path} is {value_at(self.base, draw.path)!r} in the template, no number to add to"
 
     def _item_faults(self) -> Iterator[str]:
-        """Yield the items that are not valid scenes; each camera is solved, and each file read, only once."""
+        """Yield the items that are not valid scenes; cameras are solved, and files read, only once."""
         cameras: set[str] = set()
         files: set[str] = set()
         for number in range(len(self)):
@@ -246,7 +246,7 @@ class Dataset:
         Parameters
         ----------
         scene : Scene
-            Scene of an item, from `scene`.
+            From `scene`.
 
         Returns
         -------
@@ -256,7 +256,7 @@ class Dataset:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines the items: template, files, draws, seed, parts; not their count."""
+        """SHA-256 of template, files, draws, seed and parts, but not of the count."""
         facts = {
             "scene": self.base.digest,
             "inputs": self.base.digests,
@@ -314,12 +314,12 @@ class Dataset:
         Returns
         -------
         Made
-            Index of the finished items, and their warnings.
+            Finished items, with their warnings.
 
         Warns
         -----
         PictureWarning
-            Pictures of some items or cameras are or may be wrong: one warning per class, see `Made.warnings`.
+            Some pictures are or may be wrong: one warning per class, see `Made.warnings`.
 
         Raises
         ------
@@ -442,7 +442,7 @@ class _Making:
             return None
 
     def _indexed(self) -> Made:
-        """Write the index: one line, in order, for each finished item, whichever process made it."""
+        """Write the index: one line, in order, for each finished item of any process."""
         wanted = map(self.dataset.item, range(len(self.dataset)))
         known = [facts for item in wanted if (facts := self._facts(item)) is not None]
         lines = [json.dumps(facts, ensure_ascii=False, sort_keys=True) + "\n" for facts in known]

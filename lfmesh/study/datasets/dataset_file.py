@@ -122,6 +122,6 @@ def read_dataset(path: Path) -> DatasetFile:
     Raises
     ------
     LfmeshError
-        The file cannot be read, is not TOML, or is not a valid dataset: one line per fault.
+        The file cannot be read or is not valid TOML or not a valid dataset; one line per fault.
     """
     return read_tables(path, DatasetFile, "dataset")

@@ -49,12 +49,12 @@ class Item:
     camera : str
         Key of its camera, a folder name; "" if the dataset has no cameras.
     digest : str
-        Digest of everything that determines the item.
+        Digest of its input.
     parts : tuple of str
     views : int or None
         Views along each axis.
     threads : int
-        Threads that trace it; they do not change the item.
+        Threads that trace it, without effect on the result.
     """
 
     point: int
@@ -117,7 +117,7 @@ def make_camera(scene: Scene, folder: Path, digest: str, parts: tuple[str, ...],
         Camera at the origin.
     folder : Path
     digest : str
-        Digest of everything that determines the folder.
+        Digest of its input.
     parts : tuple of str
     views : int or None
         Views along each axis.
@@ -188,7 +188,7 @@ def _traced(scene: Scene, threads: int) -> Image:
 
 
 def _whole(folder: Path, digest: str, write: Callable[[Path], dict[str, Any]]) -> None:
-    """Make a folder in a temporary place, and move it into place when complete, with its warnings."""
+    """Make a folder elsewhere, and move it into place when complete, with its warnings."""
     try:
         # At the same depth as the final place, so that relative paths stay valid.
         with (

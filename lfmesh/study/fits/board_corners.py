@@ -44,13 +44,13 @@ class BoardCorners:
     Attributes
     ----------
     corner : (n,) int64
-        Number of the corner; all places of a corner share its errors.
+        Number of the corner; its places share its errors.
     board_mm : (n, 2) float64
-        Position on the board, x to the right and y up when the board stands upright.
+        Position on the upright board, x to the right and y up.
     view : (n, 2) float64
         Column u and row v of the view relative to the middle one, ordered as in `LightField`.
     sample : (n, 2) float64
-        Column s and row t of the sample in the view; the centre of the first sample is (0, 0).
+        Column s and row t in the view, from the centre of the first sample.
     """
 
     corner: NDArray[np.int64]
@@ -76,7 +76,7 @@ def find_corners(
     square_mm : float
         Side of a square.
     columns, rows : int, optional
-        Corners along x and y of the board. Default: as many as are visible.
+        Corners along x and y of the board. Default: all visible ones.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def _numbered(places: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 def _upright(places: Array, numbers: NDArray[np.int64], steps: Array) -> tuple[Array, NDArray[np.int64], Array]:
-    """Orient the numbers so that columns run as far to the right, and rows as far upwards, as possible."""
+    """Orient the numbers so that columns run to the right and rows upwards, as far as possible."""
     mean = steps.mean(axis=0)
     if abs(mean[1, 0]) * np.linalg.norm(mean[0]) > abs(mean[0, 0]) * np.linalg.norm(mean[1]):
         numbers, steps, mean = numbers[:, ::-1], steps[:, ::-1], mean[::-1]
@@ -227,7 +227,7 @@ def _stated(numbers: NDArray[np.int64], columns: int | None, rows: int | None) -
 
 
 def _ends_are_seen(numbers: NDArray[np.int64]) -> bool:
-    """Tell whether most corners of the first and last columns and rows are visible, so that none can be mistaken."""
+    """Tell whether most corners of the first and last columns and rows are visible, so that none is mistaken."""
     last = numbers.max(axis=0)
     return all(
         2 * np.count_nonzero(numbers[:, axis] == end) > last[1 - axis] + 1 for axis in (0, 1) for end in (0, last[axis])

@@ -42,14 +42,14 @@ COLUMNS = ("board_x_mm", "board_y_mm", "view_row", "view_column", "row", "column
 def read_corners(path: Path) -> BoardCorners:
     """Read a corner list: a CSV file with one line per place of a corner in a view.
 
-    The columns are `board_x_mm`, `board_y_mm` (on the board, x to the right and y up), `view_row` and `view_column` (v
-    and u of the light field relative to its middle view, so −4.5..4.5 for ten views), `row` and `column` (t and s of
-    the view, 0 at the centre of the first sample). The views are decoded with the scene fitted to the white image.
+    The columns are `board_x_mm`, `board_y_mm` (x to the right and y up), `view_row` and `view_column` (v and u from the
+    middle view, so −4.5..4.5 for ten views), `row` and `column` (t and s of the view, from the centre of the first
+    sample). The views are decoded with the scene fitted to the white image.
 
     Raises
     ------
     FileError
-        The file cannot be read, lacks a column, has a value that is not a number, or has too few corners.
+        The file cannot be read, lacks a column, has a value other than a number, or too few corners.
     """
     try:
         with open_text(path, newline="") as file:

@@ -1,7 +1,7 @@
-"""Fit of a camera to its white image and to pictures of boards: focus and poses, beside the assembly errors.
+"""Fit of a camera to its white image and to boards: focus, poses and assembly errors.
 
-Least squares on traced rays: each observation's ray should meet the board at its corner. The white image's fit enters
-as prior knowledge, with its errors and with the parameters that it left undetermined.
+Least squares on traced rays: the ray of each observed corner should meet that corner on the board. The white image's
+fit is the prior, with its errors and undetermined parameters.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -72,9 +72,9 @@ class BoardFit:
     white : Fit
         Fit to the white image alone.
     estimates : tuple of Estimate
-        The camera's parameters, from all pictures. Kept: the pictures leave more than half of the plausible range.
+        Camera parameters, from all pictures. Kept: more than half of the plausible range remains.
     covariance : (p + 6 b, p + 6 b) float64
-        Covariance of the values in their units, then of position (mm) and rotation (degrees) of each board.
+        Covariance of the values in their units, then of each board's position (mm) and rotation (degrees).
     poses : tuple of BoardPose
         Poses of the boards, world frame.
     corners : tuple of BoardCorners
@@ -102,7 +102,7 @@ class BoardFit:
 
     @property
     def used(self) -> int:
-        """Number of places of corners in views that were used."""
+        """Number of observed places used."""
         return int(sum(np.isfinite(each[:, 0]).sum() for each in self.residuals))
 
     @property
@@ -132,7 +132,7 @@ class BoardFit:
         return (*self.white.notes, *more)
 
     def traded(self, board: int) -> tuple[float, float]:
-        """Return the change of a board's distance with the focus, and its standard error at a known focus.
+        """Return the change of a board's distance with the focus, and its error at a known focus.
 
         Parameters
         ----------
@@ -167,9 +167,9 @@ def fit_boards(
     scene : Scene
         Camera as designed.
     boards : sequence of Board
-        Pictures of checkerboards, or corner lists, all from the same camera.
+        Pictures or corner lists, all from the same camera.
     also, orientation, samples, progress
-        As for `lf.fit`; the boards' pictures have the white image's orientation.
+        As for `lf.fit`; the orientation is also the boards'.
 
     Returns
     -------
@@ -178,8 +178,7 @@ def fit_boards(
     Raises
     ------
     LfmeshError
-        As for `lf.fit`; or a board is not found, has another number of corners than stated, or cannot be seen by such a
-        camera.
+        As for `lf.fit`; or a board is not found, has another number of corners than stated, or does not fit the camera.
     """
     if not boards:
         raise LfmeshError("boards is empty: give one picture of a board or more, or use lf.fit")
@@ -200,7 +199,7 @@ def with_boards(
     Parameters
     ----------
     by_white : Fit
-        Fit of the white image, with the focus among its parameters.
+        Fit of the white image, including the focus.
     start : Scene
         Start of that fit, solved.
     light : (H, W) float64
@@ -223,7 +222,7 @@ def with_boards(
 
 
 class _Adjustment:
-    """Rounds of a board fit; each traces the rays of the camera fitted in the round before."""
+    """Rounds of a board fit; each traces the camera fitted in the round before."""
 
     def __init__(
         self, by_white: Fit, model: FitModel, seen: Sequence[BoardCorners], say: Callable[[str], None]
@@ -250,7 +249,7 @@ class _Adjustment:
         Raises
         ------
         LfmeshError
-            The fit does not converge, or such a camera cannot see the boards.
+            The fit does not converge, or does not fit the boards.
         """
         steps = self.expected
         rays = self._map(steps)
@@ -330,7 +329,7 @@ class _Adjustment:
     def _best_turned(self, rays: RayMap, slopes: Array, base: Array, solution: "_Solution") -> "_Solution":
         """Return the best of a solution and its variants with one board's tilts reversed.
 
-        From far away, opposite tilts of a plane look alike: both are minima of the sum of squares.
+        From afar, opposite tilts look alike: both are minima of the sum of squares.
         """
         for board in range(len(self.seen)):
             used, sigma = self.used, self.sigma
@@ -370,7 +369,7 @@ class _Adjustment:
         return beside if per_sample is None else np.einsum("nij,nj->ni", per_sample, beside)
 
     def _scores(self, jacobian: Array, left: Array, inverse: Array) -> Array:
-        """Return the corners' scores from residuals as if each corner had been left out (CR3).
+        """Return the corners' scores, each as if the corner had been left out (CR3).
 
         R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage
         samples", Survey Methodology 28 (2002) 169.
@@ -387,8 +386,8 @@ class _Adjustment:
     def _model_pulls(self, steps: Array, solution: "_Solution") -> Array:
         """Return the pulls of model errors on the values, (k, p + 6 b), each for one standard deviation.
 
-        A corner's place follows rays between the apex rays and the mean rays of the bundles: the first error is their
-        difference. The others are `MODEL_ERROR`, smooth over field and views.
+        A corner's place lies between the apex ray's and the bundle's mean ray's: the first error is their difference.
+        The others are `MODEL_ERROR`, smooth over field and views.
         """
         camera = self.model.at(steps)
         rays = [RayMap.of(camera, self.decoded, self.reach, of_bundles=whole) for whole in (False, True)]
@@ -477,7 +476,7 @@ def _estimate(by_white: Fit, number: int, step: float, error: float) -> Estimate
 def precision_of(found: Fit) -> Array:
     """Return the inverse covariance, (p, p), of a white image's fit, in units of the plausible ranges.
 
-    Kept parameters are uniform over their ranges; the fitted ones follow them, as the combinations say.
+    Kept parameters are uniform over their ranges; fitted ones follow them by the combinations.
     """
     paths = [each.parameter.path for each in found.estimates]
     reach = np.array([each.parameter.reach for each in found.estimates])

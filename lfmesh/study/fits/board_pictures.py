@@ -43,8 +43,7 @@ class Board:
     square_mm : float, optional
         Side of a square; needed with a picture.
     columns, rows : int, optional
-        Corners between four squares, along x and y of the board; most of those in the outer columns and rows must be
-        visible. Default: as many as are visible.
+        Inner corners along x and y of the board; most of the outermost must be visible. Default: all visible ones.
     corners : BoardCorners, optional
         In place of a picture.
     """
@@ -69,7 +68,7 @@ class Board:
 def fully_lit(by_white: Array) -> NDArray[np.bool_]:
     """Return the samples that the lens does not vignette, (v, u, t, s).
 
-    The others see through a part of the pupil other than their central rays.
+    The others use another part of the pupil than their central rays.
 
     Parameters
     ----------
@@ -85,7 +84,7 @@ def fully_lit(by_white: Array) -> NDArray[np.bool_]:
 def of_own_lenslets(calibration: Calibration, sampling: Sampling, upright: Upright, count: int) -> NDArray[np.bool_]:
     """Return the samples whose pixels get no light of neighbouring lenslets, (v, u, t, s).
 
-    If micro-images touch or overlap, the white image cannot show this: a neighbour's light makes up for vignetting.
+    The white image of touching micro-images cannot show this: a neighbour's light makes up for vignetting.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ def of_own_lenslets(calibration: Calibration, sampling: Sampling, upright: Uprig
 
 
 def _overlap(radius: float, away: Array) -> Array:
-    """Return approximately the fraction of pixels of width 1 inside a disk; exactly 0 only for pixels outside.
+    """Return the approximate fraction of unit pixels inside a disk; exactly 0 only outside.
 
     Parameters
     ----------
@@ -149,7 +148,7 @@ def corners_of(
     Raises
     ------
     LfmeshError
-        A picture was not taken by this camera, or the board is not found on it.
+        A picture is not this camera's, or shows no board.
     """
     calibration, upright = calibrate(scene), Upright.of(scene)
     sampling, count = sampling_of(calibration, upright), view_count(calibration, None)

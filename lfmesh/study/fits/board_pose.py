@@ -1,4 +1,4 @@
-"""Pose of a board in front of a camera: intersection with rays, first guess, and pose in the world."""
+"""Pose of a board: intersection with rays, first guess, and world pose."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -60,7 +60,7 @@ def pose_of(pose: Array) -> Plane:
 
 
 def first_pose(rays: Array, board_mm: Array, near_mm: float) -> Array:
-    """Return a (6,) pose facing the camera, at the distance where the rays are as far apart as the corners.
+    """Return a (6,) pose facing the camera, where the rays are as far apart as the corners.
 
     Parameters
     ----------

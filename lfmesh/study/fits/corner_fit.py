@@ -1,7 +1,7 @@
 """Least-squares positions of checkerboard corners, where four squares meet.
 
-The image of a corner is modelled as the product of two edges. Each edge is a step blurred by the area of a sample and
-by a Gaussian, so that the position does not depend on the sampling phase.
+A corner's image is the product of two edges. Each is a step blurred by the area of a sample and by a Gaussian, so that
+the position does not depend on the sampling phase.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """Fit of a camera to its white image: assembly errors, their uncertainties, and undetermined combinations.
 
-Least squares on the positions of the micro-images. The singular values of the derivative show the directions that the
-picture determines worse than the plausible range. Along these the scene's values are kept, and the known combinations
-are reported.
+Least squares on the positions of the micro-images. Directions that the picture determines worse than the plausible
+range, found by singular values, keep the scene's values; the known combinations are reported.
 """
 
 import math
@@ -61,7 +60,7 @@ class Estimate:
         One standard deviation; NaN if the scene's value was kept.
     together : tuple of str
         Paths of parameters known only in combination with it; the standard error then assumes that the kept ones are
-        right. Empty: known by itself.
+        right.
     """
 
     parameter: Parameter
@@ -77,7 +76,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Combination:
-    """Weighted sum of parameters that is known although the parameters themselves are not.
+    """Known weighted sum of unknown parameters.
 
     Attributes
     ----------
@@ -102,16 +101,15 @@ class Fit:
         Scene with the fitted values; distances solved from `focus_mm` are given as numbers.
     estimates : tuple of Estimate
     covariance : (p, p) float64
-        Covariance of the values, in their units; NaN for kept ones. It contains the noise and the effect of kept
-        values, anywhere in their ranges, on the light within micro-images.
+        Covariance of the values, in their units; NaN for kept ones. It covers noise, and the effect of kept values on
+        the light within micro-images.
     combinations : tuple of Combination
     pitch_px, pitch_error_px : float
         Mean distance of neighbouring fitted micro-images, and its standard error.
     residuals_px : (rows, columns, 2) float64
-        Measured minus simulated positions of the micro-images, by lenslet as on the sensor; NaN: not used.
+        Measured minus simulated positions, by lenslet as on the sensor; NaN: not used.
     sigma_px : float
-        Standard deviation of a coordinate of a micro-image, from the residuals: noise of both images, and deviations of
-        single lenslets.
+        Standard deviation of a coordinate, from the residuals: noise of both images, and lenslet deviations.
     left_out : int
         Number of rejected micro-images.
     warnings : tuple of PictureWarning
@@ -164,19 +162,19 @@ def fit(
 ) -> Fit:  # fmt: skip
     """Estimate the assembly errors of a camera from its white image.
 
-    The parameters are rotation, tilts, shifts and distance of the array relative to the sensor, and its pitch error.
-    Shifts are known up to whole lenslets. As in a scene, each error is relative to the camera with solved distances.
+    The parameters are rotation, tilts, shifts (up to whole lenslets) and distance of the array relative to the sensor,
+    and its pitch error. As in a scene, they are relative to the camera with solved distances.
 
     Parameters
     ----------
     white : Image, Exposed or (H, W) or (H, W, channels) array
-        White image, linear in light; a constant black level does no harm. An array counts as a picture.
+        White image, linear in light; a constant black level is harmless.
     scene : Scene
         Camera as designed.
     also : mapping, optional
         Further fields to fit, with their largest plausible change: {"camera.sensor.distance_mm": 0.05}.
     orientation : {"upright", "upside_down", "sensor"}
-        Orientation of an array: as displayed, rotated by 180°, or with row 0 at the sensor's −y and column 0 at its −x.
+        Orientation of an array: as displayed, rotated by 180°, or with row 0 at −y and column 0 at −x of the sensor.
     samples : int
         Samples per pixel of the simulated white images.
     progress : callable, optional
@@ -194,7 +192,7 @@ def fit(
     Raises
     ------
     LfmeshError
-        The picture has another size, is black or saturated, shows too few micro-images, or does not fit such a camera.
+        The picture has another size, is black or saturated, has too few micro-images, or does not fit the camera.
     """
     if samples < 2:
         raise LfmeshError(f"samples = {samples}: must be 2 or more, one for each of two replicates")
@@ -212,7 +210,7 @@ def _warnings(model: FitModel) -> tuple[PictureWarning, ...]:
 
 
 class _Search:
-    """Rounds of a fit; each simulates the white image of the camera fitted in the round before."""
+    """Rounds of a fit; each simulates the camera fitted in the round before."""
 
     def __init__(self, model: FitModel, light: Array, say: Callable[[str], None]) -> None:
         self.model, self.light, self.say = model, light, say
@@ -290,8 +288,7 @@ class _Search:
     def _covariance(self, slopes: Array, used: NDArray[np.bool_], split: Split) -> Array:
         """Return the covariance of the fitted parameters: from noise, and from kept ones anywhere in their ranges.
 
-        Kept values do not move the chief rays, but they change the size of micro-images and the distribution of light
-        in them, and so the sampling by pixels.
+        Kept values do not move the chief rays, but change the size of micro-images and the light in them.
         """
         slopes = np.where(used[..., None, None], slopes, 0.0)
         free = slopes[..., split.free]

@@ -19,9 +19,9 @@ NEIGHBOURS = [(rows, columns) for rows in (-1, 0, 1) for columns in (-1, 0, 1)]
 def neighbours_meat(residuals: Array, slopes: Array, used: NDArray[np.bool_]) -> Array:
     """Return the covariance of the product of derivative and position errors, (p, p).
 
-    Micro-images share pixels with their neighbours, and a pixel shifts both in the same direction, so that errors of
-    neighbours have positive correlations. The products of residuals are averaged over the array by offset in columns
-    and rows; the part that the fit has absorbed, computed for independent errors, is added.
+    Neighbouring micro-images share pixels, which shift both alike: their errors are correlated, never negatively.
+    Products of residuals are averaged over the array by offset; the part absorbed by the fit, computed for independent
+    errors, is added.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Parameters of a camera fit, and the positions of its micro-images as a function of them.
+"""Parameters of a camera fit, and the micro-images' positions as a function of them.
 
-Micro-images on a white image are offset from the chief rays: pixels sample their borders, and light falls off over
-them. The model adds the offsets that the same search finds on a simulated white image.
+Micro-images are offset from the chief rays: pixels sample their borders, and light falls off over them. The model adds
+the offsets found on a simulated white image.
 """
 
 from collections.abc import Mapping
@@ -57,7 +57,7 @@ class Parameter:
     start : float
         Value in the scene.
     reach : float
-        Largest plausible difference from it. A direction that the picture determines worse than this is not determined.
+        Largest plausible difference from it; anything known less well counts as undetermined.
     """
 
     name: str
@@ -171,7 +171,7 @@ class FitModel:
         ----------
         steps : (p,) float64
         number : int
-            From 1. Each image has its own random numbers, different from those of a render of the scene.
+            From 1. Each image has its own random numbers, other than a render's.
         """
         camera = self.at(steps)
         settings = {
@@ -201,7 +201,7 @@ class FitModel:
     def beside_slopes(self, steps: Array, derivative: Array) -> Array:
         """Return the derivative of the offsets from chief rays by the parameters, (rows, columns, 2, p) pixels.
 
-        It is computed only along directions that hardly move chief rays; elsewhere it is negligible. It has the
+        It is computed only along directions that hardly move chief rays (elsewhere it is negligible), and has the
         simulated images' noise.
 
         Parameters
@@ -221,7 +221,7 @@ class FitModel:
 
 
 def smooth(values: Array) -> Array:
-    """Return the least-squares polynomials in columns and rows for values over the array, (rows, columns, ...).
+    """Return least-squares polynomials in columns and rows for values over the array, (rows, columns, ...).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Positions of micro-images from the phase of the white image at the lattice's spatial frequencies.
 
-The window fades to zero at the neighbours' centres. It makes the sums insensitive to a constant background and to the
-sampling of a micro-image's border by pixels, both of which bias a centroid.
+The window fades to zero at the neighbours' centres. This removes the bias that background and border sampling give a
+centroid.
 """
 
 import numpy as np
@@ -28,8 +28,8 @@ def micro_image_places(light: Array, scene: Scene, near: Array | None = None) ->
     scene : Scene
         Solved.
     near : (rows, columns, 2) float64, optional
-        Approximate positions. If micro-images overlap, the light is brightest between them; a search from the pitch
-        alone would lock on to these places.
+        Approximate positions. Overlapping micro-images are brightest between them, where a search from the pitch alone
+        would lock on.
 
     Raises
     ------
@@ -56,8 +56,8 @@ def micro_image_places(light: Array, scene: Scene, near: Array | None = None) ->
 def _waves(hexagonal: bool) -> Array:
     """Return reciprocal vectors of the lattice of pitch 1, (n, 2), without their opposites.
 
-    A square lattice has two; a hexagonal one gets the three shortest and the next three, as nearly touching disks leave
-    little modulation along the shortest.
+    A square lattice has two; a hexagonal one gets the six shortest, as nearly touching disks leave little modulation
+    along the first three.
     """
     if not hexagonal:
         return np.eye(2)
@@ -76,8 +76,8 @@ def _shifts(sums: Array, waves: Array) -> Array:
 
     Notes
     -----
-    Phases are weighted by the square of the wave's mean amplitude. This is negative, half a period away, where
-    micro-images are dark at the middle of a wave: if they overlap, or are small compared with the pitch.
+    Phases are weighted by the square of the wave's mean amplitude, which is negative if micro-images are dark at the
+    middle of a wave: if they overlap, or are much smaller than the pitch.
     """
     mean = np.nanmean(sums.reshape(-1, len(waves)), axis=0)
     phases = np.angle(sums * np.where(mean.real < 0.0, -1.0, 1.0)) / (2.0 * np.pi)
@@ -101,7 +101,7 @@ def _fill_sums(
     waves : (waves, 2) float64
         Reciprocal vectors of that lattice.
     fades : (2,) float64
-        End of the window in those coordinates; it makes constants and the lattice's other waves cancel in each sum.
+        End of the window in those coordinates, so that constants and other waves cancel.
     sums : (rows, columns, waves) complex128
     """
     height, width = light.shape

@@ -1,7 +1,7 @@
 """Object-space rays of a camera's samples, fitted by a polynomial in sample and view.
 
-Views and samples are counted on the sensor, by the calibration that decoded the picture. A sample's ray passes through
-the apex of its lenslet; the mean of all rays that it gathers is slightly different.
+Views and samples are counted by the calibration that decoded the picture. A sample's ray passes through the apex of its
+lenslet; the mean of all its rays is slightly different.
 """
 
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class RayMap:
         reach : float
             Views from the middle one, along each axis.
         of_bundles : bool
-            Trace the mean ray of a pixel's bundle instead of the ray through the lenslet's apex.
+            Trace the mean ray of a pixel's bundle instead of the apex ray.
 
         Raises
         ------
@@ -102,8 +102,8 @@ class RayMap:
     def terms(self, place: Array, spread: Array) -> Array:
         """Return the (n, terms) monomials for the mean ray of each sample, to be multiplied by the coefficients.
 
-        The mean over the pixels that form a sample is taken as the mean of two views, one standard deviation to either
-        side. This is exact for cubic terms in u and v, such as the lens's aberrations.
+        A sample's mean over pixels is taken as that of two views, one standard deviation to either side: exact for
+        cubic terms in u and v, such as the lens's aberrations.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class RayMap:
 def view_spread(decoded: Calibration, scene: Scene, place: Array) -> Array:
     """Return the standard deviation of u and v within samples, (n, 2), in views.
 
-    A sample averages over the area of pixels and interpolates between them.
+    A sample averages over pixels and interpolates between them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Light of a camera's white image, in sensor orientation, with checks for faults."""
+"""Light of a camera's white image, checked and in sensor orientation."""
 
 from typing import Any, Literal, get_args
 
@@ -40,7 +40,7 @@ def light_of(
     Raises
     ------
     LfmeshError
-        The picture has another size than the sensor, is a mosaic, black or saturated, or has values that are not light.
+        The picture has another size than the sensor, is a mosaic, black or saturated, or has invalid values.
     """
     if orientation not in get_args(Orientation):
         raise LfmeshError(f"orientation = {orientation!r}: must be one of {', '.join(get_args(Orientation))}")

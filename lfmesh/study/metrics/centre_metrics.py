@@ -39,7 +39,7 @@ def centres(pair: Comparison) -> Array:
 
 
 def chief_rays(pair: Comparison) -> Array:
-    """Return the movement of the chief rays' points on the sensor between both cameras; nothing here is random.
+    """Return the movement of the chief rays on the sensor between both cameras, which is not random.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def _displacements(values: Array, centres: Calibration) -> Array:
 
 
 def _movements(values: Array) -> Array:
-    """Return a metric's columns from pseudo-values of `_moved`; noise of single centres does not bias the square."""
+    """Return a metric's columns from pseudo-values of `_moved`, without a noise bias of the square."""
     moved = values[:, :-2].reshape(len(values), -1, 2)
     moved = moved[:, np.isfinite(moved).all(axis=(0, 2))]
     if not moved.size:

@@ -28,10 +28,10 @@ class Column(NamedTuple):
     title : str
         Title in words, with the unit.
     of : str
-        Relation to the mean of its pseudo-values: "itself", "root", "psnr", or "chance" (itself, but a zero only means
-        that no event has occurred by chance).
+        Function of the mean of its pseudo-values: "itself", "root", "psnr", or "chance" (itself, but zero may be by
+        chance).
     magnitude : bool
-        True for the size of a quantity that may have a sign; its derivative is by the size of an error.
+        True for the size of a signed quantity; its derivative is by the size of an error.
     worse : str
         "low" or "high"; "" if neither.
     possible : (float, float)
@@ -66,14 +66,14 @@ class Column(NamedTuple):
         return self.of in ("root", "psnr")
 
     def knows(self, mean: Estimate) -> bool:
-        """Tell whether the column has a value at a mean of pseudo-values, which may be a mean square of zero."""
+        """Tell whether the column has a value at a mean of pseudo-values; a mean square of zero counts."""
         return not math.isnan(mean.value if self.is_square else self.estimate(mean).value)
 
     def estimate(self, mean: Estimate) -> Estimate:
         """Return the value and its standard error from the mean of the pseudo-values, by first-order propagation.
 
-        An unknown value is NaN, such as the PSNR of identical pictures. An unknown error is NaN: that of a root or
-        logarithm of a mean square hardly above zero, and of a value close to the border of the possible range.
+        An unknown value is NaN, such as the PSNR of identical pictures. An error is NaN for a root or logarithm of a
+        mean square hardly above zero, and close to the border of the possible range.
         """
         value, error = mean
         if self.is_square:
@@ -120,7 +120,7 @@ class Column(NamedTuple):
     def room(self, mean: float, limit: float) -> float:
         """Return the distance of a mean of pseudo-values from a limit; negative beyond it.
 
-        Mean squares are compared by their roots, which are proportional to small errors.
+        Mean squares are compared by their roots, proportional to small errors.
 
         Parameters
         ----------

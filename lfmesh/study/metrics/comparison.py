@@ -43,7 +43,7 @@ class Comparison:
     maps : dict of (rows, columns, 2) float64
         Fields over the array, stored by metrics.
     found : dict
-        Results of the reference alone, by name and replicates; shared by comparisons with the same films.
+        Results of the reference alone, by name and replicates, shared by comparisons.
     """
 
     camera: Camera
@@ -55,7 +55,7 @@ class Comparison:
     found: Found = field(default_factory=dict)
 
     def of_reference(self, name: str, use: Numbers, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a result of some replicates of the reference alone; it is computed once for all cameras.
+        """Return a result of some replicates of the reference alone, computed once for all cameras.
 
         Parameters
         ----------
@@ -101,8 +101,7 @@ class Comparison:
     def peak(self, use: Numbers) -> float:
         """Return the brightness of white in the reference's picture, W: its mean square over its mean.
 
-        This is exact for black-and-white pictures and too low for others. The brightest pixel would be the noisiest
-        one.
+        This is exact for black-and-white pictures and too low for others. The brightest pixel would be the noisiest.
         """
         light = float(self.reference_light[:, use].sum(axis=0).mean())
         square = independent_product(chosen(self.reference_products, use))

@@ -1,8 +1,7 @@
 """Cross-talk: light in the cell of one lenslet's micro-image that came through another lenslet.
 
-A cell consists of the points on the sensor nearest to its lenslet's chief ray. Rays start at random points of pixels,
-as in the adjoint method, and pass the array and the lens to a uniform surround. Vertices are recorded; the one on the
-curved face identifies the lenslet.
+A cell is the part of the sensor nearest to its lenslet's chief ray. Rays start at random points of pixels, as in the
+adjoint method, and pass array and lens to a uniform surround. The vertex on the curved face identifies the lenslet.
 """
 
 from collections.abc import Sequence
@@ -43,8 +42,8 @@ take ten times as long as others."""
 def lenslet_light(scene: Scene, replicates: Sequence[int]) -> Array:
     """Return the light of a uniform surround in the cell of each lenslet, split by its path.
 
-    Only refracted light counts, at the primary wavelength, from a radiance of 1 W/(m² sr). On sensors with more than
-    `MOST_PIXELS` it is estimated from a sample of the pixels.
+    It is refracted light at the primary wavelength, from a radiance of 1 W/(m² sr), estimated from a sample of the
+    pixels if there are more than `MOST_PIXELS`.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ def _spread(pixels: int, key: np.uint64) -> Whole:
 def _sums(world: World, ended: NDArray[np.void], nodes: NDArray[np.void], cells: KDTree) -> Array:
     """Return the weights of the rays that left the camera, by starting cell, (2, cells).
 
-    The first row is for rays through the cell's own lenslet, the second for others.
+    First row: through the cell's own lenslet; second: others.
     """
     out = ended[ended["status"] == Status.ESCAPED]
     start, lenslet = _followed_back(nodes, out["node"])

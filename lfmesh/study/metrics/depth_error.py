@@ -35,8 +35,8 @@ def true_depth_mm(scene: Scene) -> Array:
 def depth_errors_mm(field: LightField, truth_mm: Array, where: NDArray[np.bool_]) -> Array:
     """Return the depth errors, estimate minus truth, at samples where both are known, (n,) mm.
 
-    A single NaN is returned if depth is unknown at half or more of the samples with a known truth, as the rest would be
-    the easy samples. Samples with depth estimated beyond infinity have an infinite error.
+    The result is a single NaN if depth is unknown at half or more of the samples with a known truth: the rest would be
+    the easy ones. Depth estimated beyond infinity has an infinite error.
 
     Parameters
     ----------

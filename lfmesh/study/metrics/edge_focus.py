@@ -41,9 +41,9 @@ LEAST_WIDTH_PX = 5.2
 def edge_shift_mm(edge: LightField, white: LightField) -> float:
     """Return the shift on the array, from view to view, of a nearly upright edge that is bright on its right.
 
-    It is positive nearer than the focus, as in `RayModel.shift_mm`. NaN if too few views show the edge, or it leaves
-    the middle of the picture. Whole columns are divided by the white image's: single samples hold too little light, and
-    noise would decide which of them are dark.
+    It is positive nearer than the focus, as in `RayModel.shift_mm`; NaN if too few views show the edge in the middle of
+    the picture. Whole columns are divided by the white image's: single samples are so noisy that chance would decide
+    which are dark.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def why_unknown(rows: int, columns: int, model: RayModel) -> str:
 
 
 def _inner_views(v_rad: Array, u_rad: Array, f_number: float) -> NDArray[np.bool_]:
-    """Tell which views lie inside the pupil's border; the light of a border view does not come from its middle."""
+    """Tell which views lie inside the pupil's border, so that their light comes from their middle."""
     if len(u_rad) < LEAST_VIEWS:
         return np.zeros((len(v_rad), len(u_rad)), dtype=bool)
     return np.asarray(np.hypot(v_rad[:, None], u_rad[None, :]) <= 0.5 / f_number - abs(u_rad[1] - u_rad[0]))
@@ -117,11 +117,11 @@ def _columns(field: LightField) -> Array:
 
 
 def _row_weights(count: int) -> Array:
-    """Return weights of rows that give every position of the edge within a sample the same weight.
+    """Return row weights that weight all positions of the edge within a sample equally.
 
-    Lenslets not focused on the pupil have overlapping footprints, so that the light of one row is not proportional to
-    the edge's position. A component periodic in samples drops out of a mean weighted by a box of one crossing,
-    convolved with a box of the remaining rows.
+    Lenslets not focused on the pupil have overlapping footprints, so that the light of one row is not linear in the
+    edge's position. A component periodic in samples drops out of a mean weighted by a box of one crossing, convolved
+    with a box of the other rows.
     """
     from_border = 0.5 + np.minimum(np.arange(count), np.arange(count)[::-1])
     ramp = min(CROSSING_ROWS, count - CROSSING_ROWS)
@@ -130,7 +130,7 @@ def _row_weights(count: int) -> Array:
 
 
 def _bright_samples(rows: Array) -> tuple[Array, bool]:
-    """Return the number of bright samples in the mean row of each view, and whether it is known.
+    """Return the number of bright samples in each view's mean row, and whether it is known.
 
     Parameters
     ----------

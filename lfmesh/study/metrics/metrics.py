@@ -1,7 +1,7 @@
 """Metrics of a camera against the reference, each as jackknife pseudo-values over replicates.
 
-A metric gets the films of both cameras, replicate by replicate. In a paired study, replicates of the same number share
-random numbers, and the common noise of both cameras cancels in differences.
+In a paired study, replicates of the same number share random numbers, and the common noise of both cameras cancels in
+differences.
 """
 
 import math
@@ -33,7 +33,7 @@ class Metric(NamedTuple):
     unknown : callable
         Returns the reason why a scene's camera has no value, or "".
     unseen : str
-        Reason why a picture may give no value although the camera could have one.
+        Reason why pictures may give no value.
     """
 
     columns: tuple[Column, ...]

@@ -45,11 +45,10 @@ class Camera:
 def films(camera: Camera, names: Sequence[str], replicates: Sequence[int]) -> dict[str, Array]:
     """Trace replicates of pictures; each of `PICTURES` is bitwise equal to `lf.render` of the same scene.
 
-    An exception is a scene with bands and more than eight replicates: `lf.render` makes its replicates depend on each
-    other, and metrics need independent ones.
+    An exception is a scene with bands and more than eight replicates, which depend on each other in `lf.render`;
+    metrics need independent ones.
 
-    The warnings are also those of `lf.render`, except for checks that need a whole image: the blind check, and errors
-    of single pixels.
+    Warnings are as from `lf.render`, without the checks of a whole image: the blind check, and errors of single pixels.
 
     Parameters
     ----------

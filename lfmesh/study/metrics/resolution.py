@@ -32,11 +32,11 @@ FINE = 16
 def edge_mtf50(picture: Array) -> float:
     """Return the MTF50 of a slanted, nearly upright edge, in cycles per sample.
 
-    A straight line and a cubic-spline profile across it are fitted to all samples by least squares. Unlike bins, this
-    has no borders that shift the result. The MTF is the Fourier transform of the profile's slope within a window about
-    the edge. Frequencies are measured across the edge. The MTF includes the sampling; above 0.5 cycles per sample, only
-    the slant resolves it (ISO 12233:2017, edge-based spatial frequency response). NaN if no edge is visible, or the MTF
-    does not fall to one half.
+    A straight line and a cubic-spline profile across it are fitted to all samples by least squares; bins would have
+    borders that shift the result. The MTF is the Fourier transform of the profile's slope in a window about the edge.
+    Frequencies are across the edge. The MTF includes the sampling; above 0.5 cycles per sample, only the slant resolves
+    it (ISO 12233:2017, edge-based spatial frequency response). NaN if no edge is visible, or the MTF does not fall to
+    one half.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def edge_mtf50(picture: Array) -> float:
 
 
 def _edge_line(picture: Array) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Return the edge's slope and its column in row 0, and a mask of the rows that show it; None without an edge.
+    """Return the edge's slope and column in row 0, and a mask of the rows that show it; None without an edge.
 
     Its position in each row is the centroid of the row's differences.
     """
@@ -98,7 +98,7 @@ def _edge_line(picture: Array) -> tuple[Array, NDArray[np.bool_]] | None:
 
 
 def _edge_profile(picture: Array, line: Array, seen: NDArray[np.bool_]) -> BSpline | None:
-    """Fit brightness as a spline of the distance from the edge, in samples, and the edge's line; None: too few data."""
+    """Fit a spline of brightness by distance from the edge, in samples, and the edge's line; None: too few data."""
     width = picture.shape[1]
     rows, values = np.flatnonzero(seen), picture[seen]
     lean, start = line

@@ -1,4 +1,4 @@
-"""Figures for merits and constraints, and the values of figures that depend only on the solved scene."""
+"""Figures for merits and constraints, with values of those from the solved scene."""
 
 import math
 from collections.abc import Callable
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
     ideal : float or None
         Best possible value; None if the user must state it.
     shown : str
-        Reduction of several values to the one in reports: "rms", "mean" or "least".
+        Reduction of several values to one in reports: "rms", "mean" or "least".
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""Variables of a design that affect none of its terms and constraints; a search leaves them unchanged."""
+"""Variables that affect no term or constraint of a design; a search leaves them unchanged."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class Idle(NamedTuple):
 
 
 def idle_variables(problem: Problem) -> Idle:
-    """Move each variable alone, in the initial and in other cameras, and find those that change no figure.
+    """Find the variables that change no figure when moved alone, in the initial and in other cameras.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _chosen(problem: Problem, place: Place, number: int) -> Iterator[Place]:
 
 
 def _matters(problem: Problem, here: Array, others: Iterator[Place], untold: bool) -> bool:
-    """Tell whether any camera has other figures; return `untold` if none of them has figures at all."""
+    """Tell whether any camera has other figures; `untold` if none has figures at all."""
     for other in others:
         there = problem.beside(other)
         if there.shape != here.shape or not np.isfinite(there).all():

@@ -70,7 +70,7 @@ class Jet:
         return Jet(lower * self.value, (exponent * lower)[..., None] * self.slope)
 
     def root(self) -> "Jet":
-        """Return the square root; the derivative at 0, where it does not exist, is set to 0."""
+        """Return the square root, with derivative 0 at 0."""
         root = np.sqrt(self.value)
         half = np.divide(0.5, root, out=np.zeros_like(root), where=root != 0.0)
         return Jet(root, half[..., None] * self.slope)

@@ -1,4 +1,4 @@
-"""Variables of a design as numbers from 0 to 1, and the corresponding values in the scene."""
+"""Variables of a design as numbers from 0 to 1, and their values in the scene."""
 
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,7 @@
 """Numbers of a solved lens that determine its rays, as one vector for differentiation.
 
-Rays depend on the variables of a design only through these numbers: shapes, positions and indices of the surfaces, the
-stop, the object and the image plane.
+Rays depend on a design's variables only through these numbers: shapes, positions and indices of the surfaces, the stop,
+the object and the image plane.
 """
 
 import math
@@ -81,13 +81,13 @@ class RayLayout:
     pure_stop : bool
         True if the stop is not an interface.
     waves_nm : tuple of float
-        Wavelengths, with the primary one in the middle.
+        The primary one in the middle.
     fields : tuple of float
         Fractions of the largest image height.
     object_mm : float or None
         Distance of the object plane; None: as focused.
     height_mm : float or None
-        Largest image height; None: half the diagonal of the used part of sensor and array.
+        None: half the diagonal of the used part of sensor and array.
     """
 
     powers: tuple[tuple[int, ...], ...]

@@ -35,7 +35,7 @@ class TermResult:
     before, after : float
         The figure, reduced to one number as in reports.
     share_before, share_after : float
-        Contribution of a term to the merit; of a constraint, the largest relative excess over its limit, 0 if kept.
+        Contribution of a term to the merit; largest relative excess over a constraint's limit, 0 if kept.
     """
 
     goal: Term | Constraint
@@ -73,7 +73,7 @@ class VariableResult:
     before, after : object
         Values of the scene.
     note : str
-        Tells if it is at an end of its range, or unchanged because no term depends on it.
+        At which end of its range it is, if any, or that no term depends on it.
     """
 
     variable: Variable
@@ -143,7 +143,7 @@ class Optimum:
 
     @property
     def merit_left(self) -> float:
-        """Merit after the search, without terms that are only rounding error."""
+        """Merit after the search, without rounding errors."""
         return sum(each.share_left for each in self.terms)
 
     def lines(self) -> list[str]:
@@ -216,7 +216,7 @@ def optimise(
 ) -> Optimum:
     """Vary numbers of a camera for the best merit.
 
-    The tables have the keys of a design file, described in `lfmesh/study/README.md`.
+    The keys are those of a design file, see `lfmesh/study/README.md`.
 
     Parameters
     ----------
@@ -386,7 +386,7 @@ def _not_searched(problem: Problem, search: Search) -> Iterator[str]:
 
 
 def _differences(problem: Problem, best: Rated) -> Iterator[str]:
-    """Yield ray figures that differ for a denser grid of rays chosen to pass the best camera."""
+    """Yield ray figures that differ with a denser grid of rays through the best camera."""
     try:
         again = problem.looked_at_again(best.place)
     except LfmeshError as error:

@@ -1,4 +1,4 @@
-"""Least-squares problem of a design: residuals of its merit and their derivatives by the positions of its knobs."""
+"""Least-squares problem of a design: residuals of its merit, with derivatives by its knobs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -198,9 +198,8 @@ class Problem:
     def rated(self, place: Place, *, slopes: bool = False) -> Rated:
         """Return a camera's figures, NaN if it is not valid, and optionally their derivatives by the knobs.
 
-        Rays are differentiated by the numbers of the lens while traced. These numbers, and figures of the solved scene,
-        are differentiated by central differences of their closed forms, and pictures by differences with common random
-        numbers.
+        Rays are differentiated by the numbers of the lens while traced; these numbers and figures of the solved scene
+        by central differences; pictures by differences with common random numbers.
 
         Parameters
         ----------
@@ -219,7 +218,7 @@ class Problem:
         return rated
 
     def beside(self, place: Place) -> Array:
-        """Return all values of all figures of a camera outside the search, without effect on its counts or caches.
+        """Return all figures' values of a camera, without effect on the search's counts or caches.
 
         Parameters
         ----------
@@ -255,7 +254,7 @@ class Problem:
         return 0.0 if excess <= KEPT else excess
 
     def is_exact(self, rated: Rated, first: Rated) -> bool:
-        """Tell whether a camera keeps all limits and has only rounding error left in each term of the merit.
+        """Tell whether a camera keeps all limits, with only rounding error in each term of the merit.
 
         Parameters
         ----------
@@ -266,7 +265,7 @@ class Problem:
         return not self.violation(rated) and all(left)
 
     def looked_at_again(self, place: Place) -> dict[Goal, float]:
-        """Return ray figures from more than twice as many rays across, traced where they pass this camera.
+        """Return ray figures from more than twice as many rays across that pass this camera.
 
         Exactly twice as many would have the same moiré.
 
@@ -310,7 +309,7 @@ class Problem:
 
     @cached_property
     def _sizes(self) -> tuple[int, list[int]]:
-        """Number of the lens's numbers, and of the values of each figure of the solved scene."""
+        """Numbers of lens numbers, and of values of each figure of the solved scene."""
         scene = self._solved(self.scene)
         facts = facts_of_solved(scene)
         lens = len(self.rays.layout.numbers_of(scene)) if self.rays is not None else 0
@@ -358,7 +357,7 @@ class Problem:
         return "not known in the camera to begin with" + (f": {why}" if why else "")
 
     def _value_faults(self) -> Iterator[str]:
-        """Yield the candidate values that are not valid in the initial camera, in the scene's words."""
+        """Yield candidate values that are not valid in the initial camera, in the scene's words."""
         size = len(self._numbers(self.start))
         for number, choice in enumerate(self.choices):
             path, variable = choice.variable.path, self.design.variables.index(choice.variable)
@@ -419,7 +418,7 @@ def joined(parts: Sequence[Jet]) -> Jet:
 
 
 def _with_slopes(function: Callable[[Place], Array], place: Place, share: float) -> Jet | None:
-    """Return values with their derivatives by central differences, or by one-sided ones next to unknown values.
+    """Return values with derivatives by central differences, one-sided next to unknown values.
 
     Parameters
     ----------

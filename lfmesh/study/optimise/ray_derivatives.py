@@ -1,8 +1,8 @@
 """Rays of a lens with their derivatives by the variables, for all rays at once.
 
-Rays run from object points through given points of the stop to the image plane. Their sequence of surfaces is fixed,
-and no aperture blocks them. Newton's iterations to a surface or a point of the stop run on plain numbers. By the
-implicit function theorem, one further step with jets gives the derivatives of the solution.
+Rays run from object points through given points of the stop to the image plane, along a fixed sequence of surfaces, and
+no aperture blocks them. Newton's iterations to surfaces and stop use plain numbers. By the implicit function theorem,
+one further step with jets gives the derivatives.
 """
 
 from typing import NamedTuple
@@ -189,8 +189,8 @@ def _turned(pose: Jet, vector: Vector, *, back: bool) -> Vector:
 def _met(surface: SurfaceNumbers, powers: tuple[int, ...], p: Vector, d: Vector) -> Vector:
     """Return the intersections of rays, given at the plane of the vertex, with a surface.
 
-    The conic is intersected in closed form; other terms follow by Newton's method on plain values. A last step with
-    jets gives the derivatives, -(∂F/∂variables)/(∂F/∂t) of F = z - sag.
+    The conic is intersected in closed form; other terms follow by Newton's method. A last step with jets gives the
+    derivatives, -(∂F/∂variables)/(∂F/∂t) of F = z - sag.
     """
     values, ahead = [_value(each) for each in p], (_value(d[0]), _value(d[1]), _value(d[2]))
     plain = SurfaceNumbers(*(constant(each.value, 0) for each in surface))

@@ -1,8 +1,8 @@
 """Search for the best camera of a design: bounded least squares, starts, choices, differential evolution.
 
 The algorithms are scipy's `least_squares` (trust region reflective) with the problem's derivatives, Latin hypercubes
-and `differential_evolution`. A camera that is not valid, or that loses a ray, has no residuals; steps to one are
-shortened. The search ends early if only rounding error is left of the merit.
+and `differential_evolution`. A camera that is not valid, or loses a ray, has no residuals; steps to one are shortened.
+The search ends early if only rounding error is left of the merit.
 """
 
 import contextlib
@@ -81,8 +81,8 @@ class Search:
     idle : Idle
         Variables without effect, which stay unchanged.
     searched, lost : set of Picks
-        Values of choices that least-squares searches started with, and values that they could not start with because
-        the camera is not valid or loses a ray.
+        Values of choices that least-squares searches started with, or could not start with because the camera is not
+        valid or loses a ray.
     cut : bool
         A search ended at its limit of cameras before it converged.
     left_open : set of str
@@ -175,8 +175,7 @@ class Search:
     def _descend(self, at: Array, picks: Picks) -> Rated:
         """Search by least squares from a camera, with rising pressure of the constraints; return the last camera.
 
-        If pressure does not help, search for the limits alone, without the merit: if no camera keeps them, no pressure
-        will.
+        If pressure does not help, search for the limits alone, without the merit.
         """
         self.starts += 1
         rated = self._rated(at, picks)

@@ -117,7 +117,7 @@ UNITS = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "pixels", "w": "W", "um": "
 
 
 def titled(path: str, label: str | None) -> str:
-    """Return the title of a field in reports: its label, or its path with the unit from the suffix of its name.
+    """Return the title of a field in reports: its label, or its path with the unit of its suffix.
 
     Parameters
     ----------

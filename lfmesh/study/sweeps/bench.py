@@ -63,7 +63,7 @@ class Compared(NamedTuple):
 class Traced:
     """Films of the reference, with their tracing time and warnings.
 
-    Results of metrics for these films alone are cached in `found` for the next unit.
+    Metrics' results for these films alone are cached in `found`.
     """
 
     films: Taken
@@ -74,7 +74,7 @@ class Traced:
 
 @dataclass(frozen=True)
 class Bench:
-    """Bench for the cameras of a unit, with the unit's reference.
+    """Bench for a unit's cameras and reference.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Bench:
         return taken(in_threads(camera, self.threads), pictures_of(metrics), self.replicates)
 
     def compared(self, camera: Camera, own: Films, metrics: tuple[str, ...]) -> Compared:
-        """Compare a camera with the reference by some metrics; an unknown metric does not affect the others.
+        """Compare a camera with the reference by some metrics; unknown ones do not affect the others.
 
         Parameters
         ----------

@@ -81,7 +81,7 @@ class _Job:
     Attributes
     ----------
     is_alone : bool
-        Retried after its worker was lost, while nothing else runs: if a worker ends again, this unit is the cause.
+        Retried alone after its worker was lost: if a worker ends again, this unit is the cause.
     """
 
     unit: Unit
@@ -92,7 +92,7 @@ class _Job:
 def _sent(client: Any, path: Path) -> Any:
     """Send the content of a file to the cluster; return its future.
 
-    It is a task's result instead of scattered data, so that the scheduler can recreate it after workers are lost.
+    It is a task's result, which the scheduler can recreate after workers are lost, unlike scattered data.
     """
     import dask
 

@@ -51,8 +51,8 @@ ARROWS = 16
 def axis_figure(table: Table, axis: int, columns: Sequence[Column]) -> str:
     """Return a figure of columns against an axis, one panel each, with error bars of one standard error.
 
-    Points where only this axis differs from the reference are joined. All others are grey dots, except in studies of
-    one axis at a time, where they would all lie at the reference.
+    Points where only this axis differs from the reference are joined. Others are grey dots, except in studies of one
+    axis at a time, where all would lie at the reference.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def efficiency_figure(table: Table) -> str:
 
 
 def field_figure(row: Row, name: str, title: str) -> str:
-    """Return a figure of the displacements of the centres over the array, as arrows, oriented as on the sensor.
+    """Return a figure of the centres' displacements over the array, as arrows, oriented as on the sensor.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def _values(rows: Sequence[Row], column: Column) -> tuple[Array, Array]:
 def _panels(draws: Sequence[tuple[str, Callable[[Any], None]]], title: str) -> str:
     """Return a figure of panels, each with a title above and the axis's title below.
 
-    The space for labels follows from their lines: matplotlib's own layout would take as long as drawing.
+    The space for labels follows from their lines: matplotlib's layout would take as long as drawing.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ def value_at(scene: Scene, path: str) -> Any:
     Raises
     ------
     KeyError
-        There is no such field; the message says where the path ends, and which fields are valid there.
+        No such field; the message says where the path ends, and what is valid there.
     """
     place: Any = scene
     done: list[str | int] = []

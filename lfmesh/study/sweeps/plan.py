@@ -60,7 +60,7 @@ class Point:
     values : tuple
         One per axis; None: as in the reference camera.
     searched : int or None
-        Number of the axis in a search for the largest change within the limits; its value is the end of the search.
+        Axis of a search for the largest change within the limits; its value is the end of the search.
     """
 
     number: int
@@ -76,8 +76,7 @@ class Plan:
     ----------
     study : StudyFile
     base : Scene
-        Reference camera, solved unless the study refocuses, with the digests of all files that any point reads, so that
-        no unit uses other files.
+        Reference camera, solved unless the study refocuses, with the digests of all files that any point reads.
     axes : tuple of Axis
         Axes, including a template's.
     points : list of Point
@@ -149,7 +148,7 @@ class Plan:
         return ("largest change, " if point.searched is not None else "") + (", ".join(words) or "the reference again")
 
     def cameras_of(self, point: Point) -> int:
-        """Return a rough number of cameras traced at a point; searches and adjustments take several."""
+        """Return a rough number of cameras traced at a point, several for searches and adjustments."""
         adjusted = 1 + CAMERAS_ADJUSTED * (len(self.study.compensators) if point.number else 0)
         return adjusted * (1 if point.searched is None else 1 + CAMERAS_SEARCHED)
 
@@ -162,7 +161,7 @@ class Plan:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that determines the results: scene, its files, points, metrics."""
+        """SHA-256 of all inputs of the results: scene, its files, points, metrics."""
         facts = {
             "scenes": [scene.digest for scene in self.scenes or (self.base,)],
             "inputs": [scene.digests for scene in self.scenes or (self.base,)],
@@ -218,7 +217,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
     Raises
     ------
     LfmeshError
-        One line per fault: paths that do not exist, points with invalid scenes.
+        One line per fault.
     """
     scenes = () if isinstance(base, Scene) else tuple(base)
     first = base if isinstance(base, Scene) else scenes[0]
@@ -274,7 +273,7 @@ def plan_of(study: StudyFile, base: Scene | Sequence[Scene], name: str = "study"
 
 
 def load_scenes(study: StudyFile, folder: Path) -> Scene | tuple[Scene, ...]:
-    """Load the scene of a study, or its scenes; a study's several scenes are solved.
+    """Load the scene of a study, or its several scenes, solved.
 
     Raises
     ------
@@ -311,7 +310,7 @@ def _with_named(ready: Scene, given: Scene, paths: Iterable[str]) -> Scene:
 
 
 def _of_one_number(axis: Axis, scene: Scene) -> Axis:
-    """Return an axis of numbers, for a field with a list of one number, as an axis of that number."""
+    """Turn an axis of numbers, for a field with a list of one number, into one of that number."""
     with suppress(KeyError):
         found = value_at(scene, axis.path)
         if isinstance(found, tuple) and len(found) == 1 and all(map(is_number, (*found, *(axis.values or ())))):
@@ -430,7 +429,7 @@ def _filling(study: StudyFile, axes: tuple[Axis, ...]) -> Iterator[tuple[Any, ..
 
 
 def _point_faults(plan: Plan) -> Iterator[str]:
-    """Yield the points with an invalid scene, or with a sensor or array size other than the reference's."""
+    """Yield the points with an invalid scene, or another sensor or array size than the reference."""
     size = _sizes(plan.scene_of(plan.points[0]))
     distances = set()
     for point in plan.points:

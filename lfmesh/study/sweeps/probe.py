@@ -27,7 +27,7 @@ class Probe:
     bytes : float
         Memory of all processes.
     unknown : tuple of str
-        Unknown metrics of the reference, and tried cameras that cannot be traced, with reasons, one line each.
+        Unknown metrics of the reference, and cameras that cannot be traced, with reasons, one line each.
     """
 
     points: int
@@ -61,9 +61,8 @@ class _Stopwatch:
     def compute(self, _: bytes | Path) -> bytes:
         """Return times, reasons for unknown metrics of the reference, and reasons for failures of tried units.
 
-        The times are, in seconds, those of everything, of a process's first camera, of another camera, and of that
-        camera with each of `REPLICATES`. A camera traced before takes less time because its tables exist. A camera that
-        fails takes hardly any and is not timed.
+        Times, in seconds: total, a process's first camera, another camera, and that camera with each of `REPLICATES`. A
+        camera traced before takes less time because its tables exist. A camera that fails is not timed.
         """
         began = time.perf_counter()
         films = [reference_films(replace(self.units[0], replicates=range(REPLICATES[0])))]
@@ -127,7 +126,7 @@ def probe(plan: Plan, workers: int | None = None) -> Probe:
 def _first_units(plan: Plan, threads: int) -> tuple[Unit, ...]:
     """Return units of the first cameras and of the reference, without searches or adjustments.
 
-    The reference's unit is traced like any other camera.
+    The reference is traced like any other camera.
     """
     reference = plan.camera_of(plan.points[0])
     some = [(point.number, plan.camera_of(point)) for point in plan.points[1 : 1 + MOST_TRIED]]

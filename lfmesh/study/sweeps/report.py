@@ -128,7 +128,7 @@ def _why_no_slope(table: Table, axis: int, columns: list[Column]) -> str:
 
 
 def _overview(table: Table, columns: list[Column], axes: list[int]) -> dict[str, Any]:
-    """Return the worst value of each metric along each axis alone, beginning with the axis of the largest effect.
+    """Return the worst value of each metric along each axis alone, the axis of the largest effect first.
 
     Empty if there is only one axis, or no camera with a single error.
     """

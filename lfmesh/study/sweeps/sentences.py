@@ -100,7 +100,7 @@ def ranked_by(rows: list[Row], column: Column) -> list[Row]:
 
 
 def _told_apart(one: Row, other: Row, column: Column) -> bool:
-    """Tell whether two points differ in a column by more than their standard errors explain, taken as independent."""
+    """Tell whether two points differ in a column by more than their standard errors, taken as independent."""
     (a, error_a), (b, error_b) = one.means[column.name], other.means[column.name]
     errors = [error for error in (error_a, error_b) if not math.isnan(error)]
     return abs(a - b) > DOUBT * math.hypot(*errors)
@@ -426,7 +426,7 @@ def _ends(table: Table) -> Iterator[str]:
 
 
 def _steepest(table: Table) -> Iterator[str]:
-    """Yield the resolved sensitivities of the first column with the largest effects over the ranges studied."""
+    """Yield the steepest resolved sensitivities of the first column."""
     column, titles = first_column(table), {axis.path: axis.title for axis in table.plan.axes}
     known = [each for each in table.sensitivities() if each.column == column and each.slope.low * each.slope.high > 0.0]
     for each in sorted(known, key=lambda one: -abs(one.slope.value))[:3]:

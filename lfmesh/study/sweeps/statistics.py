@@ -15,9 +15,9 @@ Numbers = NDArray[np.int64]
 def pseudo_values(estimate: Callable[[Numbers], Array], replicates: int) -> Array:
     """Return one value per replicate, with the estimate as mean and the jackknife's standard error.
 
-    They are Tukey's pseudo-values (1958), shifted to the estimate. Their own mean has less bias, but that correction
-    (Quenouille 1956) is the difference of two noisy numbers, multiplied by n − 1: for an estimate that is not smooth,
-    it scatters by a quarter more than the jackknife says. The noise bias of squares is removed by products.
+    They are Tukey's pseudo-values (1958), shifted to the estimate. Their own mean has less bias, but the correction
+    (Quenouille 1956) is the difference of two noisy numbers times n − 1: an estimate that is not smooth would scatter
+    by a quarter more than the jackknife says. The noise bias of squares is removed by products.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def inner_products(images: Sequence[Array]) -> Array:
 
 
 def independent_product(products: Array) -> float:
-    """Return the mean product of different replicates, with independent noise, from the products by parts."""
+    """Return the mean product of different (independent) replicates from the products by parts."""
     whole = products.sum(axis=0)
     n = len(whole)
     return float((whole.sum() - np.trace(whole)) / (n * (n - 1)))
@@ -75,9 +75,9 @@ def of_products(estimate: Callable[[Numbers], Array], kernel: Array) -> Array:
     """Return the jackknife pseudo-values of an estimate from products of pairs of replicates, (n, 1).
 
     The jackknife overestimates the variance component specific to pairs by a factor of 2(n − 1)/(n − 2), or 3 for four
-    replicates (Efron and Stein 1981). This component follows from the part of the kernel that is not a sum over the two
-    replicates of a pair, and the pseudo-values are scaled to the variance without the excess. Four replicates alone
-    have too few degrees of freedom (two) for this; all parts of a picture, with independent noise, have enough.
+    replicates (Efron and Stein 1981). The component follows from the part of the kernel that is not a sum over the two
+    replicates of a pair, and the pseudo-values are scaled accordingly. Four replicates alone have too few degrees of
+    freedom (two); the parts of a picture, with independent noise, provide enough.
 
     Parameters
     ----------
@@ -176,8 +176,7 @@ LEAST_POINTS = 3
 def slope(x: Array, y: Array, stderr: Array) -> Slope | None:
     """Return the slope of a least-squares line.
 
-    The interval uses Student's quantile. It covers the standard errors of the points and any larger scatter about the
-    line.
+    The interval uses Student's quantile and covers the points' standard errors and any larger scatter about the line.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ class Study:
     Parameters
     ----------
     scene : Scene or sequence of Scene
-        Reference camera, or the scenes to compare, beginning with the reference.
+        Reference camera, or the scenes to compare, the reference first.
     axes : sequence of dict
         Axes, with the keys of `[[axes]]` in a study file.
     **settings
@@ -167,7 +167,7 @@ class Study:
         shard: Shard | None = None,
         progress: Report | None = None,
     ) -> Table:
-        """Compute the missing units, and write the table; its bits do not depend on how they were computed.
+        """Compute the missing units, and write the table; its bits do not depend on the way of computing.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class Study:
         Warns
         -----
         PictureWarning
-            Pictures of some points are or may be wrong: one warning per class, see `Table.warnings`.
+            Some pictures are or may be wrong: one warning per class, see `Table.warnings`.
 
         Raises
         ------
@@ -257,7 +257,7 @@ def check_workers(workers: int | None) -> None:
 
 
 def default_workers(units: int) -> int:
-    """Return the number of processes that share the machine's cores, at most the number of units."""
+    """Return the number of processes for the machine's cores, at most one per unit."""
     return max(1, min(cores(), units))
 
 

@@ -145,8 +145,7 @@ class StudyFile(Model):
 def unknown_metrics(names: object) -> Iterator[str]:
     """Yield the faults of metric names, one line each; a value that is not a list of names is reported elsewhere.
 
-    This is separate from `StudyFile.faults` so that these faults are reported together with wrong fields of the file or
-    wrong paths of the plan.
+    It is separate from `StudyFile.faults`, so that they are reported along with wrong fields or paths.
     """
     for i, name in enumerate(names if isinstance(names, list | tuple) else ()):
         if isinstance(name, str) and name not in METRICS:

@@ -249,7 +249,7 @@ class Table:
         row : Row
         column : Column
         errors : float
-            Number of standard errors by which the value is made worse; an unknown error counts as 0.
+            Standard errors by which the value is made worse; an unknown error counts as 0.
         """
         value, error = row.means[column.name]
         sign = 1.0 if column.harm(1.0) > 0.0 else -1.0
@@ -271,10 +271,9 @@ class Table:
     def yield_share(self) -> Share | None:
         """Return the fraction of good cameras among those with all errors together; None without any or without limits.
 
-        The interval is that of independent draws; for a Latin hypercube or Sobol' points, which cover the tolerances
-        more evenly, it is too wide. Its ends count the cameras that are good, or bad, beyond their standard errors.
-        Cameras with an unknown limited column count as trials only if they break another limit; the interval covers
-        both of their possible outcomes.
+        The interval is for independent draws, and too wide for a Latin hypercube or Sobol' points. Its ends count
+        cameras that are good, or bad, beyond their standard errors. Cameras with an unknown limited column count as
+        trials only if they break another limit; the interval covers both outcomes.
         """
         drawn = self.drawn
         if not self.plan.study.limits or not drawn or self.plan.study.design == "one_at_a_time":

@@ -163,7 +163,7 @@ def run_unit(unit: Unit, reference: Reference) -> bytes:
     Raises
     ------
     FileError
-        The reference's films, or a file of the scene, cannot be read, or have changed since the study was planned.
+        The reference's films or a file of the scene cannot be read, or have changed since planning.
     """
     known = opened_reference(reference)
     with collected() as found:

@@ -1,8 +1,7 @@
 """Error budget: contribution of each axis to a metric, from linear and quadratic sensitivities.
 
 A metric is modelled as a sum of quadratic polynomials, one per axis, which is exact for small independent errors. Mean
-squares, such as that of a displacement, add up. Other metrics change by independent amounts, and the squares of these
-add up.
+squares, such as of displacements, add up; so do the squares of other metrics' changes.
 """
 
 import math

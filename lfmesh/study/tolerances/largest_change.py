@@ -60,8 +60,7 @@ class Allowed(NamedTuple):
     low, high : float
         95 % interval, from the standard error of the metric (Student) and from unknown cameras.
     column : str
-        Column at its limit, or beyond it after unknown cameras; "" if none is: the number may change over the whole
-        range studied, or known.
+        Column at its limit, or beyond it after unknown cameras; "" if the whole range studied, or known, is allowed.
     unknown : str
         Reason why cameras between `value` and the farther end of the interval are undecided, or "".
     """

@@ -1,4 +1,4 @@
-"""Checks of arguments of public functions: wrong types are refused with a one-line message."""
+"""Checks of public functions' arguments: wrong types are refused in one line."""
 
 import inspect
 import reprlib
@@ -24,7 +24,7 @@ MADE_BY = {
 
 
 def with_checked_arguments(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that refuses arguments other than the numbers and lfmesh classes in its annotations.
+    """Make a function refuse arguments other than the numbers and lfmesh classes in its annotations.
 
     Parameters annotated with anything else, such as arrays or paths, are not checked.
     """
@@ -61,7 +61,7 @@ def _classes(annotation: Any) -> tuple[type, ...]:
 
 
 def _is_number(value: Any, classes: tuple[type, ...]) -> bool:
-    """Tell whether a value is a number in a zero-dimensional array, and numbers are allowed."""
+    """Tell whether a value is an allowed number in a zero-dimensional array."""
     return Real in classes and getattr(value, "ndim", None) == 0 and isinstance(value.item(), Real)
 
 

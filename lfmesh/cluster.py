@@ -45,8 +45,8 @@ def connected(address: str, workers: int) -> Iterator[Any]:
     Raises
     ------
     LfmeshError
-        dask.distributed is not installed, no scheduler answers at the address, a worker runs another program, or the
-        scheduler is lost during a message.
+        dask.distributed is not installed, no scheduler answers, a worker runs another program, or the scheduler is lost
+        during a message.
     """
     try:
         from distributed import Client, LocalCluster
@@ -77,7 +77,7 @@ def connected(address: str, workers: int) -> Iterator[Any]:
 
 
 def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
-    """Return the next future from a queue of finished ones, which the futures' callbacks fill.
+    """Return the next future from a queue filled by the callbacks of finished ones.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def next_done(client: Any, done: "SimpleQueue[Any]") -> Any:
     Raises
     ------
     LfmeshError
-        The scheduler is lost, or it did not answer or had no worker for `ENDS_SECONDS`.
+        The scheduler is lost, or for `ENDS_SECONDS` did not answer or had no worker.
 
     Warns
     -----
@@ -165,7 +165,7 @@ def _lack_of(client: Any) -> str:
 
 
 def _refuse_other_programs(client: Any) -> None:
-    """Refuse workers with another lfmesh, or other libraries that determine bits, than this process."""
+    """Refuse workers with another lfmesh or other bit-determining libraries than this process."""
     from distributed.comm import CommClosedError
 
     for worker, theirs in client.run(_program, on_error="return").items():
@@ -179,7 +179,7 @@ def _refuse_other_programs(client: Any) -> None:
 
 
 def _program() -> dict[str, str]:
-    """Return the program of the process that runs this function: each worker returns its own."""
+    """Return the program of the process that runs this function."""
     return provenance.program()
 
 

@@ -1,7 +1,7 @@
 """Families of exceptions and warnings.
 
-Every mistake of a user ends in an `LfmeshError` with one clear message. Everything that makes or may make a picture
-wrong is a `PictureWarning`: a Python warning, a line on the command line and an entry in `report.json`.
+Every mistake of a user ends in an `LfmeshError` with one clear message. Every possible fault of a picture is a
+`PictureWarning`: a Python warning, a line on the command line and an entry in `report.json`.
 """
 
 import os
@@ -58,8 +58,8 @@ class PlainNumbaWarning(UserWarning):
 class PictureWarning(UserWarning):
     """A picture is or may be wrong. Two warnings are equal if class and message are.
 
-    The message is one line in plain English: the fault, the value, the remedy. The classes below are in the order of
-    reports, most important first.
+    The message is one line in plain English: fault, value, remedy. The classes below are in the order of reports, most
+    important first.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -79,7 +79,7 @@ class PictureWarning(UserWarning):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Self:
-        """Return a warning from `as_dict`; if its class is unknown to this version, as one of `cls`.
+        """Return a warning from `as_dict`; a class unknown to this version becomes `cls`.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class LostEnergyWarning(PictureWarning):
 
 
 class OpenLedgerWarning(PictureWarning):
-    """The energy ledger does not close, or the picture has values that are not numbers: a fault of the tracer."""
+    """The energy ledger does not close, or pixels are not numbers: a fault of the tracer."""
 
 
 class CutPathsWarning(PictureWarning):
@@ -138,7 +138,7 @@ class InterruptedRenderWarning(PictureWarning):
 
 
 class TooFewSamplesWarning(PictureWarning):
-    """Many pixels have so few samples with light that their errors are poorly known."""
+    """Many pixels have too few samples with light for a good error estimate."""
 
 
 class ClosedGapWarning(PictureWarning):
@@ -158,7 +158,7 @@ class ClearAirWarning(PictureWarning):
 
 
 class FineVoxelsWarning(PictureWarning):
-    """Voxels are finer than the camera's resolution: details of a reconstructed volume come from the method."""
+    """Voxels are finer than the camera's resolution: a volume's details come from the method."""
 
 
 class UnknownErrorWarning(PictureWarning):
@@ -212,7 +212,7 @@ def warn_caller(found: Iterable[Warning]) -> None:
 
 @contextmanager
 def collected() -> Iterator[list[PictureWarning]]:
-    """Collect the warnings of all pictures made inside instead of showing them; other warnings are shown.
+    """Collect the warnings of pictures made inside instead of showing them; others are shown.
 
     Yields
     ------
@@ -235,14 +235,14 @@ def collected() -> Iterator[list[PictureWarning]]:
 
 
 def summed_up(found: Mapping[str, Iterable[PictureWarning]], total: int, things: str) -> tuple[PictureWarning, ...]:
-    """Return one warning per class for many pictures: how many have it, and the first one's message.
+    """Return one warning per class for many pictures: their number, and the first one's message.
 
     Parameters
     ----------
     found : mapping
         Warnings of each picture, by its name.
     total : int
-        Number of all pictures, including ones without warnings.
+        Number of all pictures, warned of or not.
     things : str
         Plural noun for the pictures: "points".
     """

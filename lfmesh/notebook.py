@@ -17,7 +17,7 @@ def show_by(results: Callable[[], Any], progress: Callable[[], Any]) -> None:
     Parameters
     ----------
     results : callable
-        Returns the module for tables and pictures of results; called at the first display.
+        Returns the module for tables and pictures, when first needed.
     progress : callable
         Returns the module for the progress of a render.
     """
@@ -25,14 +25,14 @@ def show_by(results: Callable[[], Any], progress: Callable[[], Any]) -> None:
 
 
 def in_notebook() -> bool:
-    """Tell whether this process is a notebook's kernel, which displays pictures."""
+    """Tell whether this process is a notebook's kernel."""
     shell = sys.modules.get("IPython")
     running = shell.get_ipython() if shell is not None else None
     return running is not None and "IPKernelApp" in getattr(running, "config", {})
 
 
 class Shown:
-    """A result that notebooks show as a table of key figures, with its picture if it has one."""
+    """A result that notebooks show as a table of key figures, with its picture if any."""
 
     def _repr_html_(self) -> str:
         return _shown_by["results"]().html_of(self)

@@ -1,6 +1,6 @@
 """Program behind a result: versions and sources that determine its bits, and the processor.
 
-Pieces of a result from several processes, machines or days are combined only if the same program made them.
+Pieces of a result from different processes, machines or days must come from the same program.
 """
 
 import hashlib
@@ -52,7 +52,7 @@ def refuse_other(other: object) -> None:
 
 @cache
 def processor() -> str:
-    """Return the processor that kernels are compiled for: its name and the digest of its features."""
+    """Return the name and the digest of features of the processor that kernels are compiled for."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features().flatten()

@@ -1,7 +1,7 @@
 """Files named by a user, opened for reading only if they are regular files.
 
-A named pipe may wait forever for a writer, and a device may never end, so neither is opened. The refusal is an
-`OSError` with the kind of file in its `strerror`, so that it is reported like a missing file.
+A named pipe may wait forever for a writer, and a device may never end: neither is opened. The refusal is an `OSError`
+with the kind of file in its `strerror`, reported like a missing file.
 """
 
 import errno
@@ -32,7 +32,7 @@ MOST_HEADER = 10_000
 
 
 def why_no_file(path: Path) -> str:
-    """Return in words the reason why a path is not a readable file."""
+    """Return the reason why a path is not a readable file."""
     if path.is_dir():
         return "is a folder"
     if not path.exists():
@@ -69,13 +69,13 @@ def open_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a regular file; errors are as for `open_regular`."""
+    """Return the content of a regular file; errors as for `open_regular`."""
     with open_regular(path) as file:
         return file.read()
 
 
 def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None) -> str:
-    """Return the text of a regular file; errors are as for `open_regular`, and for decoding.
+    """Return the text of a regular file; errors as for `open_regular`, and of decoding.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def read_text(path: Path, encoding: str = "utf-8-sig", errors: str | None = None
 
 
 def without_mark(content: bytes) -> bytes:
-    """Remove a UTF-8 byte order mark from the bytes of a text, for parsers of bytes."""
+    """Remove a UTF-8 byte order mark from the bytes of a text."""
     return content.removeprefix(MARK.encode())
 
 
@@ -189,7 +189,7 @@ def _array_header(file: IO[bytes]) -> Header:
 
 
 def _read_array(file: IO[bytes]) -> np.ndarray[Any, Any]:
-    """Return an array in numpy's format, except of Python objects; file and errors are as for `_array_header`."""
+    """Return an array in numpy's format, except of Python objects; otherwise as `_array_header`."""
     _array_header(file)
     file.seek(0)
     array = np.lib.format.read_array(file, allow_pickle=False)

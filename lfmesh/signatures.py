@@ -8,7 +8,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def with_keywords(**defaults: Any) -> Callable[[Function], Function]:
-    """Give a function with ``**options: Unpack[Options]`` as last parameter a signature that lists the options.
+    """Give a function with ``**options: Unpack[Options]`` a signature that lists the options.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class FieldCurves:
         (y − y₀) / y₀ of the primary chief ray, with y₀ the paraxial height; 0 on the axis.
     illumination : (m,) float64
         Relative illumination of a Lambertian plane at the primary wavelength, with Fresnel losses, vignetting and the
-        local image scale. 0 where no light passes or there is no chief ray.
+        local image scale. 0 where no light passes, even without a chief ray.
     """
 
     height_mm: Array

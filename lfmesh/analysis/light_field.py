@@ -137,7 +137,7 @@ class LightFieldAnalysis:
     Attributes
     ----------
     wavelength_nm : float
-        Primary wavelength, used for all figures here.
+        Primary wavelength, for all figures here.
     crosstalk : list of CrossTalk
         One per field.
     frequencies_per_mm : (f,) float64
@@ -246,7 +246,7 @@ def _held_px(model: RayModel) -> float:
 
 
 def _crosstalk(rays: ArrayRays, model: RayModel, object_mm: float, height_mm: float) -> CrossTalk:
-    """Compute the cross-talk of the lenslet nearest to an image height towards a corner of the array."""
+    """Compute the cross-talk of the lenslet nearest to an image height towards a corner."""
     pitch, calibration = model.lenslet_pitch_mm, rays.calibration
     reach = 0.5 * model.lenslet_to_sensor_mm / model.f_number + 0.5 * pitch
     # The cells of a ring begin half a pitch nearer, and the rows of hexagonal arrays are closer together.

@@ -1,4 +1,4 @@
-"""Kinds of camera side by side: `lfmesh compare`."""
+"""Comparison of camera types: `lfmesh compare`."""
 
 import warnings
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Many scenes from one template: `lfmesh dataset`."""
+"""Datasets from one template: `lfmesh dataset`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -1,4 +1,4 @@
-"""Runs for other people's tools: `lfmesh export`."""
+"""Export to other tools: `lfmesh export`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -57,7 +57,7 @@ def export(
 
 
 def _found(depth: Path, folder: Path) -> Path:
-    """Return the path of a depth file: the path as given, or else the file of that name in the run."""
+    """Return the path of a depth file, as given or else in the run."""
     from lfmesh.files.folder import saved
 
     if depth.exists() and depth.resolve().parent != folder.resolve():

@@ -1,4 +1,4 @@
-"""The camera behind a picture: `lfmesh fit`."""
+"""Camera fits: `lfmesh fit`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: deferred while libraries are imported, and alike in letting a render keep its work."""
+"""Ctrl-C, SIGTERM and SIGHUP: deferred during imports, and handled alike, so that a render keeps its work."""
 
 import _thread
 import signal
@@ -30,8 +30,8 @@ def code_of_last() -> int:
 def terminate_as_interrupt() -> Iterator[None]:
     """Let the signals of `ENDING` end the body as Ctrl-C does, unless they have other handlers already.
 
-    Python drops an exception raised in a destructor or in a callback of the garbage collector, and a signal's handler
-    may run in either. The signal is then sent again.
+    Python drops the handler's exception if it happens to run in a destructor or a callback of the garbage collector;
+    the signal is then sent again.
     """
     _last[0] = signal.SIGINT
     if threading.current_thread() is not threading.main_thread():
@@ -65,7 +65,7 @@ def terminate_as_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupt() -> Iterator[None]:
-    """Defer interrupts until the body is done: a library that catches every exception on import would swallow them."""
+    """Defer interrupts until the body is done: libraries that catch every exception on import swallow them."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDING)}
     ours = {
         number: handler for number, handler in before.items() if handler in (signal.default_int_handler, _terminate)

@@ -1,4 +1,4 @@
-"""The lens sheet: `lfmesh lens sheet`."""
+"""Lens sheet: `lfmesh lens sheet`."""
 
 from pathlib import Path
 from typing import Annotated

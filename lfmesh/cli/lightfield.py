@@ -1,4 +1,4 @@
-"""The light field of a run: `lfmesh decode`, `refocus`, `depth`; and `expose`, the detector."""
+"""Light field of a run: `lfmesh decode`, `refocus`, `depth`; and `expose`, the detector."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal

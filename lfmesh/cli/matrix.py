@@ -1,4 +1,4 @@
-"""The projection matrix of a camera: `lfmesh matrix`."""
+"""Projection matrix: `lfmesh matrix`."""
 
 from dataclasses import dataclass
 from pathlib import Path

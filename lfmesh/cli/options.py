@@ -1,4 +1,4 @@
-"""Parameters shared by several commands: the scene file, the run folder, settings that replace the scene's."""
+"""Parameters shared by commands: scene file, run folder, settings that replace the scene's."""
 
 import re
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The point spread of a camera: `lfmesh psf`."""
+"""Point spread: `lfmesh psf`."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""From a scene file to a run folder: `lfmesh demo`, `check`, `render`, `white`."""
+"""Rendering of scene files into run folders: `lfmesh demo`, `check`, `render`, `white`."""
 
 import tempfile
 from contextlib import suppress
@@ -247,7 +247,7 @@ def _refuse_undecodable(scene: "Scene") -> None:
 
 
 def _say_beforehand(scene: "Scene") -> None:
-    """Print the warnings and first-order notes of a scene before importing the tracer, which takes seconds."""
+    """Print a scene's warnings and first-order notes before importing the tracer, which takes seconds."""
     from lfmesh.geometry.lens.solved_camera import solved_camera
     from lfmesh.scene.advice import doubtful
 

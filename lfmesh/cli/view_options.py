@@ -1,4 +1,4 @@
-"""The options of `lfmesh view`, by what they decide."""
+"""Options of `lfmesh view`, in groups."""
 
 from dataclasses import dataclass
 from pathlib import Path

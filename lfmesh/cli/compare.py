@@ -44,7 +44,7 @@ def compare(
 
     prepare(out)
     with status() as say, warnings.catch_warnings():
-        # Planes beyond the refocus range are blurred on purpose here.
+        # The blur of planes beyond the refocus range is measured here.
         warnings.filterwarnings("ignore", ".*beyond the range of sharp refocusing", UserWarning)
         comparison = comparing.compare(loaded, reduction=reduction, steps=steps, progress=say)
     # Write first: the comparison is not lost if printing fails.

@@ -30,7 +30,7 @@ def code_of_last() -> int:
 def terminate_as_interrupt() -> Iterator[None]:
     """Let the signals of `ENDING` end the body as Ctrl-C does, unless they have other handlers already.
 
-    Python drops the handler's exception if it happens to run in a destructor or a callback of the garbage collector;
+    If the handler happens to run in a destructor or a callback of the garbage collector, Python drops its exception;
     the signal is then sent again.
     """
     _last[0] = signal.SIGINT

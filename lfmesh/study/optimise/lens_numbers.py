@@ -87,7 +87,7 @@ class RayLayout:
     object_mm : float or None
         Distance of the object plane; None: as focused.
     height_mm : float or None
-        None: half the diagonal of the used part of sensor and array.
+        Largest image height; None: half the diagonal of the used part of sensor and array.
     """
 
     powers: tuple[tuple[int, ...], ...]

@@ -40,7 +40,7 @@ NO_GRADIENT = float(np.finfo(np.float64).eps)
 """Gradient at which a search ends at once, as for variables without effect."""
 
 COARSE = 1e-3
-"""The same in the first of several rounds; later ones are finer by `STIFFER`."""
+"""Like `SETTLED`, for the first of several rounds; later ones are finer by `STIFFER`."""
 
 MOST_COMBINATIONS = 24
 """Largest number of combinations of choices that are all searched; otherwise one choice is changed at a time."""

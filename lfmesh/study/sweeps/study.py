@@ -329,7 +329,7 @@ class Run:
             return
         for batch in sorted({batch for _, batch in missing}):
             if not self.folder.has_reference(batch):
-                # First and with all cores; it also compiles the kernels for the others.
+                # Alone and with all cores; it also compiles the kernels for the others.
                 content = reference_films(self._unit(0, batch, 0))
                 self.folder.keep_reference(batch, content)
         jobs = (

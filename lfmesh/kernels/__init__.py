@@ -1,1 +1,1 @@
-"""Compiling and nothing else: decorators of kernels, their cache, tables passed by address, operations and search."""
+"""Compilation of kernels: decorators, their cache on disk, tables passed by address, vector operations and search."""

@@ -1,9 +1,9 @@
-"""Numba's private classes as an accelerator of compiling: used while they are as expected, else numba alone compiles.
+"""Faster compilation by numba's private classes, with numba alone as the fallback.
 
-The modules of `private/` build on classes that a release of numba may change. When one is first used, its `probe` tells
-whether numba is as it expects. Where it is not, or where numba alone compiles a kernel that cannot be compiled with
-them, they are left alone for the rest of the process, with one warning. Kernels give the same bits either way. The
-environment variable LFMESH_PLAIN_NUMBA, set to anything but 0, leaves them alone without a warning.
+The modules of `private/` build on classes that any release of numba may change. Each is probed at its first use. If a
+probe fails, or a kernel fails to compile that numba alone compiles, the private classes are left unused for the rest of
+the process, with one warning. Kernels give the same bits either way. Set the environment variable LFMESH_PLAIN_NUMBA to
+anything but 0 to leave them unused without a warning.
 """
 
 import os
@@ -19,11 +19,11 @@ import numba
 PLAIN = "LFMESH_PLAIN_NUMBA"
 
 _faults: list[str] = []
-"""Reasons to leave the private classes alone."""
+"""Reasons to leave the private classes unused."""
 
 
 def private(part: str) -> ModuleType | None:
-    """Return a module of `private/`; None where numba's private classes are left alone.
+    """Return a module of `private/`, or None if these are unused.
 
     Parameters
     ----------
@@ -47,14 +47,14 @@ def _probed(part: str) -> ModuleType | None:
 
 
 def leave_alone(error: Exception) -> None:
-    """Use numba alone from now on, and warn of it once.
+    """Use numba alone from now on, with one warning.
 
     Parameters
     ----------
     error : Exception
-        By which numba was found not to be as expected.
+        Error that showed that numba is not as expected.
     """
-    # At the top it would be a source of every kernel, and a new exception would compile all of them again.
+    # Imported here, as an import at the top would recompile all kernels whenever an exception is added.
     from lfmesh.errors import PlainNumbaWarning
 
     if not _faults:
@@ -68,12 +68,12 @@ def leave_alone(error: Exception) -> None:
 
 
 class KernelCompiler:
-    """The compiler that `njit` gets as its `pipeline_class`: numba's private classes, or numba's own where they fail.
+    """The `pipeline_class` of `njit`: the compiler of `private/`, or numba's own if that fails.
 
     Parameters
     ----------
     *state
-        What numba gives to a compiler.
+        Arguments that numba gives to a compiler.
     """
 
     def __init__(self, *state: Any) -> None:
@@ -81,7 +81,7 @@ class KernelCompiler:
 
     def compile_extra(self, function: Callable[..., Any]) -> Any:
         """Compile a function and the functions that it calls."""
-        from numba.core.compiler import Compiler  # which plain numba compiles by without being given it
+        from numba.core.compiler import Compiler  # numba's default compiler
 
         pipeline = private("pipeline")
         if pipeline is None:
@@ -89,7 +89,7 @@ class KernelCompiler:
         try:
             return pipeline.KernelCompiler(*self._state).compile_extra(function)
         except Exception as error:
-            # A kernel with a mistake of its own fails here as well.
+            # A kernel that is itself wrong raises here too.
             compiled = Compiler(*self._state).compile_extra(function)
             leave_alone(error)
             return compiled

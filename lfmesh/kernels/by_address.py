@@ -1,8 +1,7 @@
 """Named tuples that kernels receive as the address of a block of memory.
 
-By itself numba passes every field of a named tuple as arguments of their own: a kernel that takes the tables of a scene
-has hundreds, which are packed and unpacked at every call within it, and each use of a field begins with all of them.
-Where numba's private classes are not as expected, that is what happens.
+Numba alone passes every field of a named tuple as a separate argument. A kernel that takes the tables of a scene then
+has hundreds of arguments, packed and unpacked at every call. This happens if numba's private classes are unused.
 """
 
 from typing import Any, TypeVar
@@ -15,7 +14,7 @@ Class = TypeVar("Class", bound=type)
 
 
 def by_address(made_from: Class) -> Class:
-    """Let kernels receive the named tuples of a class by their address, with those that are among their fields."""
+    """Let kernels receive the named tuples of a class, and those among their fields, by address."""
 
     @typeof_impl.register(made_from)  # type: ignore[untyped-decorator]
     def type_of(value: Any, context: Any) -> Any:

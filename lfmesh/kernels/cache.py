@@ -1,11 +1,11 @@
-"""The cache of compiled kernels: file names that change with every source that a kernel was compiled from.
+"""Cache of compiled kernels, with file names that change with every source of a kernel.
 
-Numba caches a kernel beside its module, or in NUMBA_CACHE_DIR, and takes it as valid while that module's file stays the
-same. But the functions that a kernel calls and the constants that it reads are compiled into it and stand in other
-files. So the cache's file names carry a digest of the kernel's module and of all modules that it imports, directly or
-not, from its own package and from lfmesh. Of the scene's models, which define no kernels, only the constants count: a
-new key of a scene file would otherwise compile everything again. The places of all classes count too: numba's index of
-a kernel names those of its arguments, and cannot be read once one of them has moved.
+Numba caches a kernel beside its module, or in NUMBA_CACHE_DIR, and checks only that module's file. But a kernel also
+contains the functions that it calls and the constants that it reads, from other files. So the file names carry a digest
+of the kernel's module and of all that it imports, directly or indirectly, from its package and lfmesh. Of the scene's
+models only the constants count, or a new key of a scene file would recompile everything. The modules that define
+classes count too: numba's index of a kernel names the classes of its arguments by module and cannot be read once one
+has moved.
 """
 
 import glob
@@ -24,12 +24,12 @@ from typing import Any
 HERE = f"{Path(__file__).parents[1]}{os.sep}"
 
 KEPT = 3
-"""Number of older versions of a kernel that stay on disk, for checkouts that switch between branches."""
+"""Number of older versions of a kernel kept on disk, for checkouts that switch between branches."""
 
 _DIGITS = 12
 _WITHOUT_KERNELS = ("lfmesh.scene",)
 _COMPILES = f"{__package__}.accelerator"
-"""The module that imports the compilers, when they are first used."""
+"""Module that imports the compilers at their first use."""
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE)
 _WORD = re.compile(rb"\w+")
 _CLASS = re.compile(rb"^class (\w+)", re.MULTILINE)
@@ -40,7 +40,7 @@ _FILE = re.compile(rf"(\w+)\.(?:([0-9a-f]{{{_DIGITS}}})\.)?([\w.]+)-\d+\.py\w+(?
 
 @contextmanager
 def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
-    """Name the cache files of a kernel made within this context by its digest, by way of the qualified name."""
+    """Add the digest to the cache file names of a kernel made within this context, through its qualified name."""
     name = function.__qualname__
     function.__qualname__ = f"{digest(sys.modules[function.__module__])}.{name}"
     try:
@@ -53,8 +53,8 @@ def named_by_sources(function: Callable[..., Any]) -> Iterator[None]:
 def digest(module: ModuleType) -> str:
     """Return the digest of a module's file and of the files that it imports.
 
-    Imports inside functions and for type checking do not count: kernels use nothing from them. The compilers count,
-    whether they are in use or not: code from either kind is the same.
+    Imports inside functions and for type checking are ignored, as kernels use nothing from them. The compilers count
+    whether used or not, as both give the same code.
     """
     source = _source(module)
     found = hashlib.sha256(_constants(module) if module.__name__.startswith(_WITHOUT_KERNELS) else source)
@@ -71,7 +71,7 @@ def digest(module: ModuleType) -> str:
 
 @cache
 def _places_of_classes(folder: str) -> bytes:
-    """Return the names of the classes that may be arguments of kernels, by file, below a folder."""
+    """Return the names of the classes below a folder that may be arguments of kernels, by file."""
     files = sorted(file for part in _WITH_CLASSES for file in Path(folder, part).rglob("*.py"))
     held = [(str(file.relative_to(folder)), sorted(_CLASS.findall(file.read_bytes()))) for file in files]
     return repr([each for each in held if each[1]]).encode()
@@ -85,7 +85,7 @@ def _source(module: ModuleType) -> bytes:
 
 
 def _constants(module: ModuleType) -> bytes:
-    """Return what a kernel can read from a module without kernels: numbers, texts, tuples of these, tuples' fields."""
+    """Return the values that kernels can read from a module without kernels: numbers, texts, tuples and field names."""
     held = {name: getattr(value, "_fields", value) for name, value in vars(module).items() if not name.startswith("__")}
     return repr(sorted(item for item in held.items() if _is_constant(item[1]))).encode()
 
@@ -95,7 +95,7 @@ def _is_constant(value: object) -> bool:
 
 
 def _imported(source: bytes) -> set[str]:
-    """Return the possible names of modules that a file imports at its top."""
+    """Return the possible names of the modules that a file imports at its top."""
     names = set()
     for origin, parts, alone in _IMPORT.findall(source):
         names.add((origin or alone).decode())
@@ -104,7 +104,7 @@ def _imported(source: bytes) -> set[str]:
 
 
 def _is_followed(other: ModuleType, module: ModuleType) -> bool:
-    """Tell whether a module belongs to lfmesh, or lies in or below the folder of the module that imports it."""
+    """Tell whether a module belongs to lfmesh, or lies in or below the folder of its importer."""
     file, own = getattr(other, "__file__", None), module.__file__
     if file is None or own is None or other is module:
         return False
@@ -112,7 +112,7 @@ def _is_followed(other: ModuleType, module: ModuleType) -> bool:
 
 
 def remove_older_versions(folder: str | None, function: Callable[..., Any]) -> None:
-    """Remove all but a few of the cache files of a kernel's earlier versions.
+    """Remove all but the newest `KEPT` older versions of a kernel from the cache.
 
     Parameters
     ----------
@@ -126,21 +126,21 @@ def remove_older_versions(folder: str | None, function: Callable[..., Any]) -> N
     module = sys.modules[function.__module__]
     versions = _versions(folder).get((Path(module.__file__ or "").stem, function.__qualname__), {})
     old = {name: files for name, files in versions.items() if name != digest(module)}
-    # Files without a digest were written by releases that had none.
+    # Early releases wrote files without a digest.
     stay = sorted(filter(None, old), key=lambda name: max(map(_written, old[name])))[-KEPT:]
     for name in old.keys() - stay:
         for file in old[name]:
             try:
                 file.unlink()
             except OSError:
-                # Another process removed it first, or is reading it.
+                # Another process has removed or is reading it.
                 continue
 
 
 def is_cached(kernel: Any) -> bool:
-    """Tell whether a kernel is compiled already, in this process or on disk.
+    """Tell whether a kernel is already compiled, in this process or on disk.
 
-    What is on disk may still be of another processor; numba itself decides that.
+    A file on disk may be for another processor; numba decides that.
     """
     source, folder = kernel.py_func, kernel.stats.cache_path
     if kernel.signatures or folder is None:
@@ -152,7 +152,7 @@ def is_cached(kernel: Any) -> bool:
 
 @cache
 def _versions(folder: str) -> dict[tuple[str, str], dict[str, list[Path]]]:
-    """Return the cache files in a folder by kernel (module and name) and by digest."""
+    """Return the cache files of a folder, by kernel (module and name) and digest."""
     versions: dict[tuple[str, str], dict[str, list[Path]]] = defaultdict(lambda: defaultdict(list))
     try:
         names = [file.name for file in Path(folder).iterdir()]

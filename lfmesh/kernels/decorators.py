@@ -1,4 +1,4 @@
-"""The decorators of every compiled kernel, so that all of them share one set of numba options."""
+"""Decorators of all compiled kernels, with one set of numba options."""
 
 from collections.abc import Callable, Set
 from functools import cache
@@ -14,23 +14,23 @@ F = TypeVar("F", bound=Callable[..., Any])
 _OPTIONS = {
     "cache": True,
     "nogil": True,
-    # IEEE division, no exception. Fast-math stays off, contraction too: the tracer promises float64 rounding, and what
-    # LLVM contracts depends on what it inlined, so that a kernel from the cache would differ from one just compiled.
+    # IEEE division without exceptions. Neither fast-math nor contraction: the tracer promises float64 rounding, and
+    # LLVM's contractions depend on inlining, so cached and newly compiled kernels would differ.
     "error_model": "numpy",
 }
 
 _UNDOCUMENTED = {
-    # No reference counting: kernels allocate nothing, and counting the references of every array in every table at
-    # every call took three quarters of the time.
+    # No reference counting: kernels allocate nothing, and counting array references at every call took three quarters
+    # of the time.
     "_nrt": False,
-    # No C code calls a kernel, so the wrapper that numba would compile with each of them is left out.
+    # No wrapper for calls from C code, as there are none.
     "no_cfunc_wrapper": True,
-    # Set explicitly: numba would otherwise take the flag of whichever caller is compiled first.
+    # Set explicitly; numba otherwise takes the flag of the first caller compiled.
     "forceinline": False,
 }
-"""Options that change no result, and that numba may drop."""
+"""Options that change no result; left out if numba does not have them."""
 
-# The code becomes part of the caller's, and that is cached.
+# The code becomes part of its caller, which is cached.
 _CALLED_BY_KERNELS = {"cache": False, "no_cpython_wrapper": True}
 
 
@@ -40,26 +40,26 @@ def kernel(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile as `kernel` does, and let LLVM copy the code into every caller: for steps that every event takes.
+    """Compile like `kernel`, and let LLVM copy the code into every caller, for the steps that every event takes.
 
-    A real call would put every array of every table among its arguments on the stack.
+    A real call would put every array of every table on the stack.
     """
     return _compiled(function, forceinline=True)
 
 
 def pasted(function: F) -> F:
-    """Copy the source into every caller before the caller is compiled; compile time grows with the number of callers.
+    """Copy the source into every caller before compilation; compile time grows with their number.
 
-    For functions that return a record, which a call would copy, and for the bodies of loops that must stay tight.
+    For functions that return a record, which a call would copy, and for the bodies of tight loops.
     """
     return cast(F, cached_njit(function, inline="always"))
 
 
 def _compiled(function: F, **called: Any) -> F:
-    """Compile a kernel twice: for Python, cached on disk, and, with the options `called`, for other kernels.
+    """Compile a kernel for Python, cached on disk, and with the options `called` for other kernels.
 
-    The version for kernels is compiled once for all integer arguments, constants included. Numba by itself compiles a
-    called function again for every constant it is called with: each station, each slot of the book. LLVM propagates
+    The version for other kernels is compiled once for all integer arguments, constants included. Numba alone recompiles
+    a called function for every constant argument, such as each station or each slot of the book. LLVM propagates
     constants into inlined code anyway, and a fresh install starts in half the time.
     """
     pipeline = private("pipeline")
@@ -77,7 +77,7 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Any:
     ----------
     function : callable
     **options
-        Of `numba.njit`, beside those that all kernels share.
+        Further options of `numba.njit`.
     """
     if private("pipeline") is not None:
         options["pipeline_class"] = KernelCompiler
@@ -89,7 +89,7 @@ def cached_njit(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def _known(options: dict[str, Any]) -> dict[str, Any]:
-    """Leave out the undocumented options that this numba does not have."""
+    """Drop the undocumented options that the installed numba lacks."""
     return {name: each for name, each in options.items() if name not in _UNDOCUMENTED or name in _names_of_options()}
 
 

@@ -1,8 +1,8 @@
-"""Operations that let a loop over a block of rays compile to vector code without branches.
+"""Operations that let loops over blocks of rays compile to branch-free vector code.
 
 Numba compiles `a if c else b` to a branch, which LLVM turns back into masks and masked stores: half as many
-instructions again. Numba also has no function for the fused multiply-add. Allowing LLVM to contract products by itself
-would make the last digit depend on what was inlined, so the products to be fused are named.
+instructions again. Numba also lacks a fused multiply-add. If LLVM were free to contract products, the last digit would
+depend on inlining, so the code names the products to fuse.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ def _select(context: Any, condition: Any, a: Any, b: Any) -> Any:
 
 
 def _select_frozen(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    """Emit a selection whose second number LLVM does not recognise as what stands where the result is stored.
+    """Emit a selection that LLVM cannot turn into a masked store.
 
-    LLVM turns `a[i] = b if c else a[i]` into a masked store, which takes AMD's processors without AVX-512 a dozen
-    cycles: more than half of the time of a block of rays. "freeze" makes an undefined value a defined one, and no
-    code.
+    LLVM turns `a[i] = b if c else a[i]` into a masked store, which takes a dozen cycles on AMD processors without
+    AVX-512: more than half of the time of a block of rays. "freeze" hides that the second number is `a[i]`, and emits
+    no code.
     """
     condition, a, b = given
     frozen = Instruction(builder.block, b.type, "freeze", [b])
@@ -44,7 +44,7 @@ fused: Callable[[float, float, float], float] = intrinsic(_fused)
 """Return a b + c, rounded once."""
 
 select: Callable[[bool, float, float], float] = intrinsic(_select)
-"""Return the first number where the condition holds, else the second; both are evaluated."""
+"""Return the first number if the condition holds, else the second; both are evaluated."""
 
 both: Callable[[bool, bool], bool] = intrinsic(_both)
-"""Return whether two conditions hold; both are evaluated."""
+"""Tell whether two conditions hold; both are evaluated."""

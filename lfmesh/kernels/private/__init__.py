@@ -1,1 +1,1 @@
-"""Numba's private classes, which shorten the first render of a fresh install, behind the probe of `accelerator`."""
+"""Code on numba's private classes that shortens the first render of a fresh install; see `accelerator`."""

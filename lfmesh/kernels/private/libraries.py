@@ -1,4 +1,4 @@
-"""LLVM code of kernels: what only kernels call stays intermediate code, and the whole is optimised once."""
+"""LLVM code of kernels: functions that only kernels call stay intermediate code, optimised once with the whole."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from lfmesh.kernels.private.tables import promise_unchanged
 
 
 class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
-    """Code of a function that only kernels call: neither optimised nor translated to machine code."""
+    """Code of a function that only kernels call, neither optimised nor translated to machine code."""
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -22,7 +22,7 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
         """Libraries that its code calls, in order."""
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Add a module of intermediate code, with linkage that lets LLVM drop functions that are no longer called."""
+        """Add a module of intermediate code, with linkage that lets LLVM drop unused functions."""
         prefer_wide_registers(ir_module)
         module = llvm.parse_assembly(normalize_ir_text(str(ir_module)))
         module.verify()
@@ -36,7 +36,7 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
         self.linked[library] = None
 
     def finalize(self) -> None:
-        """Do nothing: the code is finished in the kernels that link it in."""
+        """Do nothing: the code is finished in the kernels that link it."""
 
     def get_function(self, name: str) -> Any:
         """Return a function by name."""
@@ -51,7 +51,7 @@ class IntermediateLibrary(CodeLibrary):  # type: ignore[misc]
         raise NotImplementedError(f"{self.name} is compiled in its callers only")
 
     def _get_module_for_linking(self) -> Any:
-        """Return the code, a copy of it for every caller, by numba's name for that."""
+        """Return a copy of the code for a caller (numba's name)."""
         first, *others = map(llvm.parse_bitcode, self.modules)
         for other in others:
             first.link_in(other)
@@ -64,7 +64,7 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self.linked: dict[CodeLibrary, None] = {}
-        """Libraries that its code calls, each before those that it calls itself."""
+        """Libraries that its code calls, callers first."""
 
     def add_ir_module(self, ir_module: Any) -> None:
         """Add a module."""
@@ -72,24 +72,24 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
         super().add_ir_module(ir_module)
 
     def add_linking_library(self, library: CodeLibrary) -> None:
-        """Note a library that the kernel calls, and the libraries that this one calls."""
+        """Note a library that the kernel calls, and the libraries called by it."""
         if library not in self.linked:
             self.linked[library] = None
             for called in library.linked if isinstance(library, IntermediateLibrary) else ():
                 self.add_linking_library(called)
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Leave functions as they are, by numba's name for optimising them one by one: that is done with the whole."""
+        """Skip the optimisation of single functions (numba's name), as the whole is optimised."""
         ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        """Link all of it, and optimise it once, by numba's name for that.
+        """Link all libraries and optimise the result once (numba's name).
 
-        By itself numba optimises twice, the first time to bring reference counts together, and kernels count none.
+        Numba alone optimises twice, the first time to merge reference counts, which kernels do not have.
         """
         for library in self.linked:
             self._reload_init.update(library._reload_init)
-            # Intermediate code is read anew for every kernel, so that there is none to preserve.
+            # Intermediate code is parsed anew for every kernel, so linking may consume it.
             preserve = not isinstance(library, IntermediateLibrary)
             self._final_module.link_in(library._get_module_for_linking(), preserve=preserve)
         passes, settings = self._codegen._module_pass_manager()
@@ -97,25 +97,25 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def prefer_wide_registers(ir_module: Any) -> None:
-    """Let LLVM use 512-bit registers where the processor has them: by default it uses 256 bits on many processors.
+    """Let LLVM use 512-bit registers if the processor has them; its default is 256 bits on many processors.
 
-    The blocks of the sequential engine run a third faster with it. NUMBA_CPU_FEATURES, if set, takes precedence.
+    The blocks of the sequential engine then run a third faster. NUMBA_CPU_FEATURES, if set, takes precedence.
     """
     if config.CPU_FEATURES is None:
         for function in ir_module.functions:
             if not function.is_declaration:
-                # `set.add`, as llvmlite's own `add` refuses attributes that have a value.
+                # `set.add`, as llvmlite's own `add` rejects attributes with a value.
                 set.add(function.attributes, '"prefer-vector-width"="512"')
     for function in ir_module.functions:
         promise_unchanged(function)
 
 
 def probe() -> None:
-    """Raise AttributeError where numba's libraries do not have, or no longer call, what is overridden here."""
+    """Raise AttributeError if numba's libraries lack, or no longer call, the methods overridden here."""
     names = ("_optimize_functions", "_optimize_final_module", "_get_module_for_linking", "enable_object_caching")
     require(JITCodeLibrary, "add_ir_module", "add_linking_library", *names)
     require(JITCPUCodegen, "_module_pass_manager")
-    # Where numba does not call this, code is neither linked nor optimised, and LLVM ends the process.
+    # Without this call, code is neither linked nor optimised, and LLVM ends the process.
     require_call(JITCodeLibrary.finalize, "_optimize_final_module")
     require_call(JITCodeLibrary.add_llvm_module, "_optimize_functions")
     if IntermediateLibrary.__abstractmethods__:

@@ -1,4 +1,4 @@
-"""Word of what is compiled while it is, by numba's events."""
+"""Notification of compilations, from numba's events."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ from lfmesh.kernels.private.expected import require
 
 @contextmanager
 def told_of_kernels(tell: Callable[[], None]) -> Iterator[None]:
-    """Call a function whenever numba begins or ends to compile a kernel, within the block.
+    """Call a function whenever numba starts or ends compiling a kernel within the block.
 
     Parameters
     ----------
@@ -29,5 +29,5 @@ def told_of_kernels(tell: Callable[[], None]) -> Iterator[None]:
 
 
 def probe() -> None:
-    """Raise an error where numba has no such events."""
+    """Raise an error if numba has no such events."""
     require(event, "install_listener", "Listener")

@@ -1,15 +1,14 @@
 """Compilers of kernels that shorten the first render of a fresh install.
 
-By itself numba makes machine code of every function that a kernel calls, and optimises it again in every caller. The
-compilers of this file keep functions that only kernels call as LLVM's intermediate code. A kernel that Python calls
-links all of that in, and only the whole is optimised and translated, once. The result type of an operator is looked up
-once for each combination of operand types, and passes for what kernels do not contain are left out. None of that
-changes what a kernel computes.
+Numba alone makes machine code of every function that a kernel calls and optimises it again in every caller. These
+compilers keep functions that only kernels call as LLVM's intermediate code. A kernel that Python calls links all of
+them in, and only the whole is optimised and translated, once. The result type of an operator is looked up once per
+combination of operand types, and passes that kernels do not need are left out. None of this changes the results of a
+kernel.
 
-These compilers are given to `njit` as its `pipeline_class` and act on nothing but the functions compiled with them; no
-part of numba is replaced. With an upstream option of `njit` that says "called by compiled code only", `CalleeCompiler`
-would not be needed; nor would `_CachedFunction`, if `BaseContext.resolve_function_type`, which caches failures, cached
-successful results as well.
+The compilers act only on functions that `njit` compiles with them as its `pipeline_class`; no part of numba is
+replaced. `CalleeCompiler` would be unnecessary if `njit` had an option "called by compiled code only", and
+`_CachedFunction` if `BaseContext.resolve_function_type`, which caches failures, also cached successes.
 """
 
 import gc
@@ -35,13 +34,13 @@ from lfmesh.kernels.private.typing_context import callee_of, kernel_context
 
 @cache
 def _sizes_by(target: Any) -> Callable[[ir.Type], int]:
-    """Return the function that gives the size of a type of LLVM, cached: LLVM compiles a module to answer."""
+    """Return a function that gives the size of an LLVM type, cached because LLVM compiles a module to answer."""
     return cache(target.get_abi_sizeof)
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _MakeCallable(LoweringPass):  # type: ignore[misc]
-    """Register code that has no address yet, so that kernels can call it."""
+    """Registration of code without an address, so that kernels can call it."""
 
     _name = "make_callable"
 
@@ -49,8 +48,8 @@ class _MakeCallable(LoweringPass):  # type: ignore[misc]
         LoweringPass.__init__(self)
 
     def run_pass(self, state: Any) -> bool:
-        """Register the code under a unique key by which the callers' compiler finds it; Python never calls it."""
-        # Dispatchers accept built-in functions only, and the bound methods of two objects are never equal.
+        """Register the code under a unique key for the callers' compiler; Python never calls it."""
+        # Dispatchers accept only built-in functions, and bound methods of different objects are never equal.
         key = list[None]().append
         state.targetctx.insert_user_function(key, state.cr.fndesc, [state.library])
         state.cr = state.cr._replace(cfunc=key)
@@ -74,8 +73,10 @@ PASSES = (
     typed_passes.NativeLowering,
     typed_passes.NoPythonBackend,
 )
-"""Numba's passes that kernels need, which have no closures, `with`, `raise`, `literally` or arithmetic of whole arrays;
-each pass left out saves its time for every function."""
+"""Numba's passes for code without closures, `with`, `raise`, `literally` and arithmetic on whole arrays.
+
+Each pass left out saves its time for every function.
+"""
 
 
 PASSES_LEFT_OUT = {
@@ -93,7 +94,7 @@ PASSES_LEFT_OUT = {
 
 
 class KernelCompiler(CompilerBase):  # type: ignore[misc]
-    """The compiler of kernels that Python calls."""
+    """Compiler of kernels that Python calls."""
 
     library: type[CodeLibrary] = KernelLibrary
 
@@ -121,12 +122,12 @@ class KernelCompiler(CompilerBase):  # type: ignore[misc]
 
 
 class CalleeCompiler(KernelCompiler):
-    """The compiler of functions that only kernels call."""
+    """Compiler of functions that only kernels call."""
 
     library = IntermediateLibrary
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes, stopped after the intermediate code."""
+        """Return numba's passes up to the intermediate code."""
         (manager,) = super().define_pipelines()
         self.state.flags.no_compile = True
         manager.add_pass_after(_MakeCallable, typed_passes.NativeLowering)
@@ -135,24 +136,24 @@ class CalleeCompiler(KernelCompiler):
 
 
 def add_callee(dispatcher: Dispatcher, function: Callable[..., Any], **options: Any) -> None:
-    """Let other kernels call a version of a kernel that is compiled for them, and made when it is first called.
+    """Let other kernels call a version of a kernel compiled for them, at its first call.
 
     Parameters
     ----------
     dispatcher : Dispatcher
-        The kernel as Python calls it.
+        The kernel for calls from Python.
     function : callable
     **options
-        Of `numba.njit`.
+        Options of `numba.njit`.
     """
     callee_of[dispatcher] = cache(lambda: numba.njit(pipeline_class=CalleeCompiler, **options)(function))
 
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
-    """Pause the garbage collector, if it was on.
+    """Pause the garbage collector if it is on.
 
-    Numba makes millions of objects and few reference cycles; collecting again and again took a sixth of the time.
+    Numba makes millions of objects and few reference cycles; repeated collections took a sixth of the time.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -164,7 +165,7 @@ def gc_paused() -> Iterator[None]:
 
 
 def probe() -> None:
-    """Raise an error where numba is not as the compilers of this file expect it."""
+    """Raise an error if numba is not as these compilers expect."""
     libraries.probe()
     typing_context.probe()
     require(CompilerBase, "compile_extra", "define_pipelines")
@@ -179,6 +180,6 @@ def probe() -> None:
 
 
 def _numbas_passes() -> set[type]:
-    """Return the passes that numba itself compiles by: what a new one does, kernels may need."""
+    """Return numba's own passes, to find new ones that kernels may need."""
     state = StateDict(func_ir=None, flags=Flags())
     return {each for each, _ in DefaultPassBuilder.define_nopython_pipeline(state).passes}

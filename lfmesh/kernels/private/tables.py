@@ -1,8 +1,8 @@
-"""Tables: named tuples of a class marked with `by_address`, as numba's types, and their memory.
+"""Numba types and memory layout of tables, the named tuples of classes marked with `by_address`.
 
-The fields are written to memory once, where Python calls the kernel; all that it calls receives the address, and reads
-what it uses. No kernel changes that memory, which LLVM is told, so that nothing is read more often than it has to be.
-What a kernel itself makes of the class is a tuple as any other.
+The fields are written to memory once, when Python calls the kernel. All functions that it calls receive the address and
+read the fields that they use. Kernels never change this memory; LLVM is told so and avoids repeated reads. A tuple that
+a kernel itself makes is an ordinary tuple.
 """
 
 import hashlib
@@ -29,11 +29,11 @@ from lfmesh.kernels.private.expected import require
 _ARGUMENT = Purpose.argument
 
 _WORD = 8
-# Of memory, in bytes; as a structure, so that LLVM's type of an address tells that it is a table's.
+# Unit of memory, in bytes; a structure, so that LLVM's type of an address identifies a table.
 _UNIT = ir.LiteralStructType([ir.IntType(8 * _WORD)])
 _INDEX = ir.IntType(32)
 _OF_ARRAY = ["meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides"]
-"""Of an array in memory; a word each, the last two one for each dimension."""
+"""Parts of an array in memory, one word each; the last two have one word per dimension."""
 
 
 class Table(types.Type):  # type: ignore[misc]
@@ -48,9 +48,9 @@ class Table(types.Type):  # type: ignore[misc]
             self.offsets[name] = offset
             offset += _size(member)
         self.size = offset
-        # Numba compares and hashes types all the time, so a digest stands for the many types of the fields.
+        # A digest represents the many types of the fields, as numba compares and hashes types all the time.
         self.digest = hashlib.sha256(repr(self.members).encode()).hexdigest()
-        # Short, as it is part of the names of all functions that take the table, and telling these apart.
+        # Short but unique, as it is part of the names of all functions that take the table.
         super().__init__(f"{made_from.__qualname__}({self.digest[:16]})")
 
     @property
@@ -60,14 +60,14 @@ class Table(types.Type):  # type: ignore[misc]
 
 
 def type_of(value: Any, context: Any) -> "Table | None":
-    """Return the type of a named tuple that is passed by its address; None where it is a tuple as any other.
+    """Return the type of a named tuple that is passed by its address, or None for an ordinary tuple.
 
     Parameters
     ----------
     value : tuple
     context : numba.core.typing.typeof._TypeofContext
     """
-    # A constant of a module has no address that is the same in every process.
+    # A module's constant has a different address in every process.
     return _table(value, context) if context.purpose is _ARGUMENT else None
 
 
@@ -78,7 +78,7 @@ def _table(value: Any, context: Any) -> Table | None:
 
 
 def _size(member: types.Type) -> int:
-    """Return the number of bytes that a field takes, a multiple of a word."""
+    """Return the number of bytes of a field, a multiple of a word."""
     if isinstance(member, types.NoneType):
         return 0
     if isinstance(member, Table):
@@ -92,7 +92,7 @@ def _size(member: types.Type) -> int:
 
 @register_model(Table)
 class _TableModel(models.PrimitiveModel):  # type: ignore[misc]
-    """A table in a kernel: an address."""
+    """Table in a kernel: an address."""
 
     def __init__(self, manager: Any, table: Table) -> None:
         super().__init__(manager, table, _block(table).as_pointer())
@@ -117,13 +117,13 @@ def _read(context: Any, builder: Any, table: Table, address: Any, name: str) -> 
     if isinstance(member, Table):
         return place
     value = builder.load(place, align=_WORD)
-    # By itself numba makes a truth value of a byte with two branches.
+    # Numba alone makes a truth value of a byte with two branches.
     return builder.icmp_unsigned("!=", value, value.type(0)) if isinstance(member, types.Boolean) else value
 
 
 @unbox(Table)  # type: ignore[untyped-decorator]
 def _write(table: Table, tuple_: Any, c: Any) -> NativeValue:
-    """Write a named tuple of Python to memory."""
+    """Write a Python named tuple to memory."""
     address = cgutils.alloca_once(c.builder, _block(table))
     failed = _write_fields(table, tuple_, c, address)
     with c.builder.if_then(failed, likely=False):
@@ -132,7 +132,7 @@ def _write(table: Table, tuple_: Any, c: Any) -> NativeValue:
 
 
 def _write_fields(table: Table, tuple_: Any, c: Any, address: Any) -> Any:
-    """Write the fields of a named tuple to an address; return whether any of them was not of its type."""
+    """Write the fields of a named tuple to an address; return whether any has the wrong type."""
     failed = cgutils.false_bit
     for i, (name, member) in enumerate(table.members.items()):
         if isinstance(member, types.NoneType):
@@ -142,7 +142,7 @@ def _write_fields(table: Table, tuple_: Any, c: Any, address: Any) -> Any:
         if isinstance(member, Table):
             wrong = _write_fields(member, value, c, place)
         elif isinstance(member, types.Array):
-            # The tuple holds its arrays for as long as the call takes: no references are counted, whoever is called.
+            # No reference counts: the tuple holds its arrays for the whole call.
             kind = ir.FunctionType(ir.IntType(32), [c.pyapi.pyobj, c.pyapi.voidptr])
             adapt = cgutils.get_or_insert_function(c.builder.module, kind, "numba_adapt_ndarray")
             code = c.builder.call(adapt, (value, c.builder.bitcast(place, c.pyapi.voidptr)))
@@ -169,22 +169,22 @@ def _block(table: Table) -> ir.ArrayType:
 
 
 def promise_unchanged(function: Any) -> None:
-    """Tell LLVM of the arguments of a function that are tables that no kernel changes them, nor keeps the address."""
+    """Tell LLVM that kernels neither change the tables among a function's arguments nor keep their addresses."""
     for argument in function.args:
         if argument.name.startswith("arg.") and _is_address(argument.type):
-            # `set.update`, as llvmlite refuses some of the attributes that LLVM knows.
+            # `set.update`, as llvmlite rejects some attributes that LLVM knows.
             set.update(argument.attributes, ("noalias", "readonly", "captures(none)"))
             argument.attributes.dereferenceable = argument.type.pointee.count * _WORD
             argument.attributes.align = _WORD
 
 
 def _is_address(kind: ir.Type) -> bool:
-    """Tell whether a type of LLVM is that of a table's address, which no other argument has."""
+    """Tell whether an LLVM type is the address of a table."""
     return isinstance(kind, ir.PointerType) and isinstance(kind.pointee, ir.ArrayType) and kind.pointee.element == _UNIT
 
 
 def probe() -> None:
-    """Raise AttributeError where numba's arrays do not lie in memory as expected, or what writes tables is missing."""
+    """Raise AttributeError if numba's arrays have another memory layout, or functions that write tables are missing."""
     require(cgutils, "alloca_once", "get_or_insert_function", "is_not_null", "false_bit")
     require(PythonAPI, "tuple_getitem", "err_set_string")
     fields = [*models.ArrayModel(default_manager, types.Array(types.float64, 1, "C"))._fields]

@@ -1,4 +1,4 @@
-"""Typing of calls in kernels: signatures of built-in functions are cached, and kernels call kernels' own versions."""
+"""Typing of calls in kernels, with cached signatures of built-ins and separate kernel versions for other kernels."""
 
 from collections.abc import Callable, Hashable
 from operator import getitem, setitem
@@ -12,15 +12,15 @@ from numba.extending import models, register_model
 from lfmesh.kernels.private.expected import require
 
 callee_of: dict[Dispatcher, Callable[[], Dispatcher]] = {}
-"""For each kernel that Python calls, what gives the version of it that other kernels call."""
+"""For each kernel that Python calls, a function that returns the version that other kernels call."""
 
 
 class _CachedFunction(types.Function):  # type: ignore[misc]
     """Type of a built-in function (+, [], <, abs, ...) that caches the signatures found for it.
 
-    By itself numba tries every meaning of `+`, those for strings and sets included, at each of a kernel's thousands of
-    sums. Only signatures that numba implements itself are cached; those of functions that it would compile for the
-    purpose depend on the options of the caller.
+    Numba alone tries every meaning of `+`, strings and sets included, at each of a kernel's thousands of sums. Only
+    signatures that numba implements itself are cached. Numba may compile others for the purpose, and these depend on
+    the caller's options.
     """
 
     def __init__(self, templates: Any) -> None:
@@ -32,7 +32,7 @@ class _CachedFunction(types.Function):  # type: ignore[misc]
         key = tuple(args)
         if key in self.known and not kws:
             return self.known[key]
-        # Signatures that numba looks up on the way, such as `[]` within `+`, are cached as well.
+        # This context also caches signatures that numba looks up on the way, such as `[]` within `+`.
         signature = super().get_call_type(_contexts.get(context, context), args, kws)
         if signature is not None and not kws and self.get_impl_key(signature) == self.typing_key:
             self.known[key] = signature
@@ -44,7 +44,7 @@ register_model(_CachedFunction)(models.OpaqueModel)
 
 
 class KernelContext:
-    """Numba's typing context, with cached signatures of built-ins, and with calls of kernels sent to `callee_of`."""
+    """Numba's typing context, with cached signatures of built-ins and calls of kernels redirected to `callee_of`."""
 
     def __init__(self, context: Any) -> None:
         self.context = context
@@ -54,7 +54,7 @@ class KernelContext:
         return getattr(self.context, name)
 
     def resolve_value_type(self, value: Any) -> types.Type:
-        """Return the type of a constant; a function's type changes when numba registers further overloads of it."""
+        """Return the type of a constant; that of a function changes when numba registers further overloads."""
         if isinstance(value, Dispatcher) and value in callee_of:
             value = callee_of[value]()
         found = self.context.resolve_value_type(value)
@@ -72,10 +72,10 @@ class KernelContext:
         function : numba type
         args : tuple of numba types
         kws : dict
-            The same by keyword.
+            By keyword.
         """
         if function is getitem:
-            # Of all functions, a[i] alone is looked up by numba as it stands, not by its type.
+            # Of all functions, numba looks up only a[i] by the function itself rather than by its type.
             function = self.resolve_value_type(getitem)
         if isinstance(function, _CachedFunction) and not kws and tuple(args) in function.known:
             return function.known[tuple(args)]
@@ -94,7 +94,7 @@ class KernelContext:
 
 
 def passed_as(argument: types.Type) -> types.Type:
-    """Return the type that an argument is passed as: signed integers of any size as 64 bits, all others as they are."""
+    """Return the type used to pass an argument: 64 bits for signed integers of any size, else unchanged."""
     argument = types.unliteral(argument)
     return types.int64 if argument in types.signed_domain else argument
 
@@ -103,12 +103,12 @@ _contexts: dict[Any, KernelContext] = {}
 
 
 def kernel_context(context: Any) -> KernelContext:
-    """Return the typing context of kernels on top of one of numba's, one for each."""
+    """Return the kernels' typing context on top of one of numba's; the same object at each call."""
     return _contexts.setdefault(context, KernelContext(context))
 
 
 def probe() -> None:
-    """Raise AttributeError where numba's types of functions do not have what is overridden or called here."""
+    """Raise AttributeError if numba's function types lack the methods overridden or called here."""
     require(types.Function, "get_call_type", "get_impl_key")
     require(Context, "resolve_value_type", "resolve_function_type", "resolve_setitem")
     require(types, "signed_domain", "unliteral")

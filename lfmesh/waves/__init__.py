@@ -1,1 +1,1 @@
-"""Waves: optical path lengths along traced rays, wavefronts and what diffraction makes of them."""
+"""Waves: optical path lengths of traced rays, wavefronts and diffraction."""

@@ -1,9 +1,8 @@
-"""Angular spectra: light as plane waves on a grid of directions, taken through space and across relief faces.
+"""Angular spectra: light as plane waves on a grid of directions, propagated through space and across relief faces.
 
-Amplitudes are normalised to flux along z: the sum of their squares is the power, which travel keeps. Light across a
-plane follows by a Fourier transform (J. W. Goodman, Introduction to Fourier Optics, 3.10), without paraxial
-approximation. Lenslets are no thin phase screens here: light is evaluated on the curved face itself, from the waves
-before it, and sent on from there. Between planes through the relief, waves are interpolated in z by polynomials.
+Amplitudes are normalised to flux along z, so the sum of their squares is the power. A Fourier transform gives the light
+across a plane, without paraxial approximation (J. W. Goodman, Introduction to Fourier Optics, 3.10). Lenslets are not
+thin phase screens: waves are evaluated on the curved face itself, interpolated in z between planes through the relief.
 """
 
 import math
@@ -22,29 +21,29 @@ Array = NDArray[np.float64]
 Waves = NDArray[np.complex128]
 
 INTERPOLATED = 1e-5
-"""Largest error of interpolation between planes through a relief."""
+"""Largest interpolation error between planes through a relief."""
 
 AT_ONCE = 1024
-"""Places that are taken through all planes together: few enough for the fastest memory."""
+"""Points processed through all planes at a time, few enough for the fastest memory."""
 
 NEAR_PEAK = 33
-"""Points on a side of the grid about the brightest place that the peak is looked for on."""
+"""Points per side of the fine grid around the brightest point, on which the peak is sought."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Directions and places that belong together by a discrete Fourier transform, n on a side.
+    """Directions and points of a discrete Fourier transform, n per side.
 
     Attributes
     ----------
     n : int
         Even.
     step_mm : float
-        Between places.
+        Between points.
     wavelength_mm : float
         In air.
     middle : (2,) float64
-        Direction that the directions lie around.
+        Central direction.
     """
 
     n: int
@@ -54,22 +53,22 @@ class Grid:
 
     @cached_property
     def places(self) -> Array:
-        """(n,) mm: from the middle, in the order of transforms."""
+        """(n,) mm: coordinates from the middle, in FFT order."""
         return np.asarray(np.fft.fftfreq(self.n, 1.0 / (self.n * self.step_mm)))
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
-        """(n,), (n,): optical direction cosines n sin θ along x and y, in the order of transforms."""
+        """(n,), (n,): optical direction cosines n sin θ along x and y, in FFT order."""
         offset = np.fft.fftfreq(self.n, self.step_mm) * self.wavelength_mm
         return self.middle[0] + offset, self.middle[1] + offset
 
     def along_z(self, index: float) -> Array:
-        """Return n cos θ in a medium for all directions, (n, n); 0 where waves are evanescent."""
+        """Return n cos θ in a medium for all directions, (n, n); 0 for evanescent waves."""
         px, py = self.directions
         return np.asarray(np.sqrt(np.maximum(index * index - px[None, :] ** 2 - py[:, None] ** 2, 0.0)))
 
     def middle_z(self, index: float) -> float:
-        """Return n cos θ of the middle direction in a medium."""
+        """Return n cos θ of the central direction in a medium."""
         return math.sqrt(max(index * index - float(self.middle @ self.middle), 1e-12))
 
 
@@ -81,13 +80,13 @@ class Spectrum:
     ----------
     grid : Grid
     waves : (n, n) complex128, √W
-        Amplitude of each direction, [y, x] in the order of transforms.
+        Amplitude of each direction, [y, x] in FFT order.
     at_mm : (3,) float64
-        The point of the plane that the grid's places are counted from, camera frame.
+        Origin of the points, camera frame.
     index : float
         Of the medium.
     beyond_w : float
-        Power that lenslets have sent into directions beyond those of the grid, which is missing.
+        Missing power, sent by lenslets into directions outside the grid.
     """
 
     grid: Grid
@@ -98,16 +97,16 @@ class Spectrum:
 
     @property
     def power_w(self) -> float:
-        """Of all waves."""
+        """Power of all waves."""
         return float((np.abs(self.waves) ** 2).sum())
 
     @property
     def field(self) -> Waves:
-        """(n, n) √W: light across the plane, [y, x] in the order of transforms; its squares are power."""
+        """(n, n) √W: light across the plane, [y, x] in FFT order; squares are power."""
         return np.asarray(scipy.fft.ifft2(self.waves, norm="ortho"))
 
     def travelled(self, z_mm: float) -> "Spectrum":
-        """Return the light across another plane of the same medium; places are then counted along the middle ray."""
+        """Return the light across another plane of the medium, with the origin moved along the central ray."""
         grid, way = self.grid, z_mm - float(self.at_mm[2])
         if way == 0.0:
             return self
@@ -120,12 +119,12 @@ class Spectrum:
         return replace(self, waves=waves, at_mm=np.array([*(self.at_mm[:2] + shift), z_mm]))
 
     def through_plane(self, amplitude: Array, index: float) -> "Spectrum":
-        """Return the light behind a plane face, which passes each direction by an amplitude (n, n)."""
+        """Return the light behind a plane face with an amplitude (n, n) for each direction."""
         return replace(self, waves=self.waves * amplitude * (self.grid.along_z(index) > 0.0), index=index)
 
     @property
     def spread(self) -> Array:
-        """(2,): root mean square of the direction cosines x and y about the middle direction."""
+        """(2,): root mean square of the direction cosines x and y about the central direction."""
         power = np.abs(self.waves) ** 2
         off = [p - m for p, m in zip(self.grid.directions, self.grid.middle, strict=True)]
         means = [float(power.sum(axis=axis) @ off[axis] ** 2) / max(float(power.sum()), 1e-300) for axis in (0, 1)]
@@ -135,22 +134,23 @@ class Spectrum:
         self, height: Array, share: Waves, clear: Array, amplitude: Sequence[Array], index: float,
         told: Callable[[float], None],
     ) -> "Spectrum":  # fmt: skip
-        """Return the light behind a face in relief over the plane, as waves of that plane.
+        """Return the light behind a relief face, as waves of its base plane.
 
         Parameters
         ----------
         height : (n, n) float64, mm
-            z of the face above the plane, at the grid's places.
+            z of the face above the plane, at the grid's points.
         share : (n, n) complex128
-            Mean of the wave about each place, over the wave of a place of its height that is clear.
+            Mean of the transmitted wave over each cell, over an unobstructed wave at its height.
         clear : (n, n) float64
-            Share of the light about each place that is not stopped, over the square of the amplitude of unit power.
+            Unobstructed fraction of each cell, over the squared amplitude of unit power.
         amplitude : (3,) of (n, n) float64
-            That it passes at each place of the middle direction, and its derivatives by the direction cosines x and y.
+            Transmitted amplitude at each point for the central direction, and its derivatives by both direction
+            cosines.
         index : float
-            Of the medium behind.
+            Refractive index behind the face.
         told : callable
-            Told now and then the share of the work that is done.
+            Called with the completed fraction of the work.
         """
         grid, k = self.grid, 2.0 * np.pi / self.grid.wavelength_mm
         spans, middles = [], []
@@ -189,7 +189,7 @@ class Spectrum:
 
 
 def _slices(low: float, high: float, per_mm: float) -> Array:
-    """Return the heights of planes (Chebyshev's points) between which exp(i · per_mm · z) is interpolated well."""
+    """Return heights of planes (Chebyshev points) to interpolate exp(i · per_mm · z)."""
     half = 0.5 * (high - low)
     count, error = 1, per_mm * half
     while error > INTERPOLATED:
@@ -200,13 +200,13 @@ def _slices(low: float, high: float, per_mm: float) -> Array:
 
 @kernel
 def fill_share(planes: Array, number: int, height: Array, share: Array) -> None:
-    """Fill in Lagrange's polynomial of one of some planes at heights.
+    """Fill in the Lagrange polynomial of one plane at given heights.
 
     Parameters
     ----------
     planes : (m,) float64, mm
     number : int
-        Of the plane.
+        Index of the plane.
     height, share : (n,) float64
     """
     share[:] = 1.0
@@ -222,7 +222,7 @@ def fill_share(planes: Array, number: int, height: Array, share: Array) -> None:
 
 @kernel
 def turn(waves: Waves, phase: Array, times: float, turned: Waves) -> None:
-    """Fill in waves whose phases are moved on by so many times given ones.
+    """Fill in waves advanced by a multiple of given phases.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def turn(waves: Waves, phase: Array, times: float, turned: Waves) -> None:
 
 @kernel
 def add_product(share: Array, passed: Array, light: Waves, face: Waves) -> None:
-    """Add to the light on a face what it passes of light, by a share.
+    """Add weighted transmitted light to the light on a face.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ class Sampling(NamedTuple):
     Attributes
     ----------
     first_mm : (2,) float64
-        x and y of the first one.
+        x and y of the first point.
     step_mm : float
     size : (int, int)
         Columns and rows.
@@ -267,17 +267,17 @@ class Sampling(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Irradiance:
-    """Irradiance across a plane, as the Fourier series that it is: its waves have a limited range of directions.
+    """Irradiance across a plane as a Fourier series, finite because directions are limited.
 
     Attributes
     ----------
     series : (m, m / 2 + 1) complex128
-        Transform of the irradiance, which is real: [y, x], of x the terms from 0 on.
+        Transform of the real irradiance: [y, x], in x from 0 on.
     period_mm : float
     at_mm : (2,) float64
-        Where places are counted from.
+        Origin of the coordinates.
     brightest_mm : (2,) float64
-        The brightest one of m × m places.
+        Brightest of m × m points.
     """
 
     series: Waves
@@ -287,7 +287,7 @@ class Irradiance:
 
     @classmethod
     def of(cls, light: Spectrum) -> "Irradiance":
-        """Return that of light across a plane."""
+        """Return the irradiance of light across a plane."""
         n, m = light.grid.n, 2 * light.grid.n
         wide = np.zeros((m, m), np.complex128)
         low, high = slice(0, n // 2), slice(-(n // 2), None)
@@ -302,12 +302,12 @@ class Irradiance:
         return cls(scipy.fft.rfft2(power) / period**2, period, light.at_mm[:2], brightest)
 
     def sampled(self, points: Sampling, box_mm: float = 0.0) -> Array:
-        """Return the irradiance at points, averaged over a square box about each, (rows, columns) W/mm².
+        """Return the irradiance averaged over a square box around each point, (rows, columns) W/mm².
 
         Parameters
         ----------
         points : Sampling
-            In the camera frame; beside the period, values repeat.
+            In the camera frame; outside the period, values repeat.
         box_mm : float
             Side of the box.
         """
@@ -317,20 +317,20 @@ class Irradiance:
             at = points.first_mm[axis] - self.at_mm[axis] + points.step_mm * np.arange(points.size[axis])
             mean = np.sinc(number * box_mm / self.period_mm)
             waves.append(mean * np.exp(2j * np.pi / self.period_mm * at[:, None] * number))
-        # Each term of x but the first stands for that of the other sign, too; the last one is nearly 0.
+        # Each term of x except the first also represents that of opposite sign; the last is nearly 0.
         waves[1][:, 1:] *= 2.0
         return np.asarray(((waves[0] @ self.series) @ waves[1].T).real)
 
     def add_to(self, film: Array, pixels: Sampling, sensor_mm: Array, times: float = 1.0) -> None:
-        """Add the power on each pixel to a picture; beside the period nothing is added.
+        """Add the power on each pixel within the period to a picture.
 
         Parameters
         ----------
         film : (rows, columns) float64, W
         pixels : Sampling
-            Their middles, sensor frame.
+            Pixel centres, sensor frame.
         sensor_mm : (3,) float64
-            Middle of the sensor, camera frame.
+            Centre of the sensor, camera frame.
         times : float
             Factor.
         """
@@ -342,18 +342,18 @@ class Irradiance:
             at = sensor_mm[:2] + pixels.first_mm + first * pixels.step_mm
             lit = self.sampled(Sampling(at, pixels.step_mm, (int(count[0]), int(count[1]))), pixels.step_mm)
             seen = film[first[1] : first[1] + count[1], first[0] : first[0] + count[0]]
-            # Rounding leaves some of the darkest below 0.
+            # Rounding leaves some of the darkest values below 0.
             seen += np.maximum(times * pixels.step_mm**2 * lit, 0.0)
 
     def about(self, place_mm: Array, terms: int) -> "Irradiance":
-        """Return the irradiance with places counted from another one, and the lowest terms of its series alone.
+        """Return the irradiance about another origin, with only the lowest terms of its series.
 
         Parameters
         ----------
         place_mm : (2,) float64
-            Camera frame.
+            New origin, camera frame.
         terms : int
-            Of each sign along y, and of x.
+            Terms of each sign along y, and along x.
         """
         m = len(self.series)
         kept = self.series[np.r_[: terms + 1, m - terms - 1 : m], : terms + 2]

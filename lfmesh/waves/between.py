@@ -1,11 +1,10 @@
-"""Point spreads of many particles, interpolated between points of a grid in the volume that holds them.
+"""Point spreads of many particles, interpolated between grid points of their volume.
 
-Without a microlens array a point's picture, moved onto its chief ray, changes little from place to place. Particles lie
-in cells, and the picture of one in a cell is interpolated linearly between those of the cell's corners, in x / z, y / z
-and 1 / z, of which defocus is a linear function. The particle nearest to the middle of each cell has a point spread of
-its own: where the interpolated one differs from it by more than `BETWEEN` of its light, the cell is cut in two, across
-the way along which the spread in the middle of an edge is farthest from the mean of its ends. Where a cell has no
-more particles than corners, or the lens stops a particle's chief ray, each has its own.
+Without a microlens array, a point's picture, centred on its chief ray, changes little with position. Within cells of
+the volume it is interpolated linearly in x / z, y / z and 1 / z; defocus is linear in these. The particle nearest to
+the middle of each cell has its own point spread. If the interpolated one differs from it by more than `BETWEEN` of its
+light, the cell is halved along the axis with the largest error at the middle of an edge. Particles have their own
+spreads in cells with no more particles than corners, or if the lens stops their chief ray.
 """
 
 import itertools
@@ -31,22 +30,22 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 BETWEEN = 0.01
-"""Largest sum of differences of an interpolated spread from a particle's own, over the power."""
+"""Largest sum of differences between an interpolated spread and a particle's own, over the power."""
 
 PARTS = 1 << 20
 """Finest cells along each side of the volume."""
 
 KEPT, PLACES = 64, 1024
-"""Spreads at corners that are remembered, as cells share them, and most places on a side of their grids."""
+"""Corner spreads kept for neighbouring cells, and largest number of points on a side of their grids."""
 
 
 class _Cell(NamedTuple):
-    """A part of the volume.
+    """Part of the volume.
 
     Attributes
     ----------
     low, high : (int, int, int)
-        Corners, in finest cells; the same along ways in which the volume has no width.
+        Corners, in finest cells; equal along axes without width.
     members : (n,) int64
         Particles in it.
     """
@@ -57,22 +56,22 @@ class _Cell(NamedTuple):
 
     @property
     def wide(self) -> list[int]:
-        """Ways in which it has a width."""
+        """Axes along which it has a width."""
         return [axis for axis in range(3) if self.high[axis] > self.low[axis]]
 
     @property
     def corners(self) -> list[tuple[int, ...]]:
-        """Its corners; along the last way first."""
+        """Its corners; the last axis varies fastest."""
         return list(itertools.product(*((a, b) if b > a else (a,) for a, b in zip(self.low, self.high, strict=True))))
 
     def cut(self, axis: int, place: Array) -> "list[_Cell]":
-        """Return its halves.
+        """Return its two halves.
 
         Parameters
         ----------
         axis : int
         place : (all particles,) float64
-            Places of all particles along it, in finest cells.
+            Coordinates of all particles, in finest cells.
         """
         middle = (self.low[axis] + self.high[axis]) // 2
         below = place[self.members] < middle
@@ -100,14 +99,14 @@ def add_spreads(
     Raises
     ------
     LfmeshError
-        As from `lf.point_spread`, of a particle.
+        As from `lf.point_spread`, for a particle.
     """
     if lit:
         _Volume(camera, wavelength_nm, lit, film, told).picture()
 
 
 class _Volume:
-    """Particles, and the spreads at points between them."""
+    """Particles, and point spreads at grid points between them."""
 
     def __init__(
         self, camera: WaveCamera, wavelength_nm: float, lit: Sequence[Lit], film: Array, told: Callable[[], None]
@@ -136,7 +135,7 @@ class _Volume:
                 cells += self._interpolated(cell)
 
     def _interpolated(self, cell: _Cell) -> list[_Cell]:
-        """Add the particles of a cell; or return its halves where they cannot be interpolated."""
+        """Add the particles of a cell, or return its halves if they cannot be interpolated."""
         members, grid = cell.members, self._grid(cell)
         spreads = [self.spread_at(corner, *grid) for corner in cell.corners]
         known = [each for each in spreads if each is not None]
@@ -161,7 +160,7 @@ class _Volume:
         return []
 
     def _weights(self, cell: _Cell) -> Array:
-        """Return the shares of a cell's corners in the spreads of its particles, (particles, corners)."""
+        """Return the weights of a cell's corners for its particles, (particles, corners)."""
         weights = np.ones((len(cell.members), 1))
         for axis in cell.wide:
             along = (self.place[cell.members, axis] - cell.low[axis]) / (cell.high[axis] - cell.low[axis])
@@ -169,15 +168,15 @@ class _Volume:
         return weights
 
     def _grid(self, cell: _Cell) -> tuple[float, float]:
-        """Return period and step of grids that hold the light of a cell, mm: a few, so that cells share corners."""
+        """Return period and step, mm, of a cell's grid, from few values so that cells share corners."""
         period = max(self.lit[member].period_mm for member in cell.members)
         step = min(self.lit[member].step_mm for member in cell.members)
         return FINER ** math.ceil(math.log(period, FINER)), FINER ** math.floor(math.log(step, FINER))
 
     def _bend(self, cell: _Cell, axis: int, grid: tuple[float, float]) -> float:
-        """Return how far the spread in the middle of an edge is from the mean of its ends, squared.
+        """Return the squared deviation of the spread in the middle of an edge from the mean of its ends.
 
-        Where one is unknown it is inf, and below 0 along ways that cannot be cut.
+        inf if one is unknown; negative along axes that cannot be halved.
         """
         if cell.high[axis] == cell.low[axis] + 1:
             return -1.0
@@ -188,7 +187,7 @@ class _Volume:
         return float((np.abs(middle.series - 0.5 * (low.series + high.series)) ** 2).sum())
 
     def _spread_at(self, corner: tuple[int, ...], period_mm: float, step_mm: float) -> Irradiance | None:
-        """Return the irradiance of a point of 1 W/sr about its chief ray, on a grid; None where it has none."""
+        """Return the irradiance of a point of 1 W/sr about its chief ray on a grid, or None."""
         camera, nm = self.camera, self.wavelength_nm
         n = scipy.fft.next_fast_len(math.ceil(0.5 * period_mm / step_mm)) * 2
         slope = self.low + self.width * np.array(corner) / PARTS
@@ -204,16 +203,16 @@ class _Volume:
         if needed.n * needed.step_mm > n * step_mm or needed.step_mm < step_mm:
             return None
         light = own.at_sensor(Grid(n, step_mm, own.pupil.wavelength_mm, own.pupil.middle)).light
-        # Light behind the lens ends at its rim, so that the irradiance has none of the grid's highest terms.
+        # The pupil ends at its rim, so the irradiance has none of the grid's highest terms.
         return Irradiance.of(light).about(place, math.ceil(n / FIRST_BAND))
 
     def _between(self, like: Irradiance, weights: Array, series: Waves, member: int) -> Irradiance:
-        """Return the irradiance of a particle from those of the corners of its cell."""
+        """Interpolate the irradiance of a particle between the corners of its cell."""
         mixed = (weights @ series.reshape(len(series), -1)).reshape(series.shape[1:])
         return replace(like, series=mixed, at_mm=self.lit[member].place_mm)
 
     def _missed(self, own: PointSpread, like: Irradiance, weights: Array, series: Waves, member: int) -> float:
-        """Return the sum of differences of an interpolated spread from a particle's own, over the power."""
+        """Return the sum of differences between an interpolated spread and a particle's own, over the power."""
         found = np.zeros_like(own.mean)
         self._between(like, weights, series, member).add_to(found, self.pixels, self.camera.sensor_mm)
         return float(np.abs(found - own.mean).sum()) / own.power_w

@@ -1,7 +1,7 @@
-"""Bundles of real rays: from points of one object plane, through chosen points of the stop, to the image plane.
+"""Bundles of real rays from an object plane through chosen points of the stop to the image plane.
 
-Rays follow the lens by the order of its surfaces, with every aperture and Fresnel's transmittance. Positions are in the
-camera frame, mm. Fields lie in the meridional plane x = 0.
+Rays pass the surfaces in sequence, with all apertures and Fresnel transmittances. Positions are in the camera frame,
+mm. Fields lie in the plane x = 0.
 """
 
 import math
@@ -34,7 +34,7 @@ from lfmesh.waves.stop_aim import INSIDE, Edge, Ends, Sent, StopAim
 Array = NDArray[np.float64]
 
 PARALLEL = 1e-9
-"""Range of slopes behind the lens below which rays are parallel, their image infinitely far."""
+"""Range of slopes behind the lens below which rays count as parallel, with their image at infinity."""
 
 
 class Bundle(NamedTuple):
@@ -43,17 +43,17 @@ class Bundle(NamedTuple):
     Attributes
     ----------
     pupil : (n, 2) float64
-        Where they cross the stop, in units of its radius.
+        Points in the stop, in units of its radius.
     place : (n, 2) float64, mm
-        Where they meet the image plane; NaN where the lens stops them.
+        Points on the image plane; NaN for rays that the lens stops.
     entry : (n, 2) float64, mm
-        Where they would cross the plane of the first vertex; NaN where no ray comes to the point of the stop.
+        Points of the incident rays on the plane of the first vertex; NaN if no ray reaches the point of the stop.
     direction : (n, 3) float64
         Unit, behind the lens.
     weight : (n,) float64
-        Transmittance; 0 where the lens stops them.
+        Transmittance; 0 for rays that the lens stops.
     ends : Ends
-        What stops them.
+        Edges that stop the rays.
     """
 
     pupil: Array
@@ -65,23 +65,23 @@ class Bundle(NamedTuple):
 
     @property
     def passes(self) -> NDArray[np.bool_]:
-        """(n,): whether the lens lets them through."""
+        """(n,): True for rays that the lens transmits."""
         return np.asarray(self.weight > 0.0)
 
     def at(self, shift_mm: float) -> Array:
-        """Return where the rays meet a plane that lies this far behind the image plane, (n, 2) mm."""
+        """Return the points on a plane at a distance behind the image plane, (n, 2) mm."""
         return np.asarray(self.place + shift_mm * self.direction[:, :2] / self.direction[:, 2:])
 
 
 class Chief(NamedTuple):
-    """The chief ray of a field, whatever apertures it passes.
+    """Chief ray of a field, apertures ignored.
 
     Attributes
     ----------
     entry : (2,) float64, mm
-        Where it would cross the plane of the first vertex.
+        Point on the plane of the first vertex.
     place : (2,) float64, mm
-        Where it meets the image plane.
+        Point on the image plane.
     """
 
     entry: Array
@@ -89,12 +89,12 @@ class Chief(NamedTuple):
 
     @property
     def exists(self) -> bool:
-        """False where a surface ends before the ray, or reflects it totally; then its places are NaN."""
+        """False if a surface ends before the ray, or reflects it totally; its points are then NaN."""
         return bool(np.isfinite(self.place).all())
 
 
 class Traced(NamedTuple):
-    """Rays of one object point behind the lens, whatever apertures they pass.
+    """Rays of one object point behind the lens, apertures ignored.
 
     Attributes
     ----------
@@ -103,13 +103,13 @@ class Traced(NamedTuple):
     position : (n, 3) float64, mm
         On the last face.
     path_mm : (n,) float64
-        Optical path from the object point up to there, less that to the origin; of a parallel bundle from the plane
-        through the origin square to it. Behind ideal lenses, less the same for all: their paths from a point to its
-        image are equal.
+        Optical path from the object point to `position`, less that to the origin; for parallel bundles, from the
+        perpendicular plane through the origin. Behind ideal lenses, with equal paths from point to image, less a common
+        constant.
     heights : (n, faces) float64
-        Distance from the axis of each refracting face, over its semi-diameter.
+        Distance from the axis at each refracting face, over its semi-diameter.
     index_behind : float
-        Of the medium behind the lens.
+        Refractive index behind the lens.
     """
 
     before: Array
@@ -120,19 +120,20 @@ class Traced(NamedTuple):
     index_behind: float
 
     def onto_sphere(self, centre: Array, radius_mm: float) -> tuple[Array, Array]:
-        """Return the direction cosines in which a sphere's centre sees the rays cross it, and the optical paths there.
+        """Return the rays' intersections with a sphere as directions from its centre, and optical paths.
 
         Parameters
         ----------
         centre : (3,) float64, mm
         radius_mm : float
-            Below 0 where light meets the sphere behind its centre; inf: directions are those of the rays.
+            Negative if light meets the sphere behind its centre; inf for the rays' own directions.
 
         Returns
         -------
         (n, 2) float64
+            Direction cosines.
         (n,) float64, mm
-            Less the same for all. NaN, as the directions, of rays that miss the sphere.
+            Less a common constant. Both are NaN for rays that miss the sphere.
         """
         off = self.position - centre
         along = (off * self.direction).sum(axis=1)
@@ -140,9 +141,9 @@ class Traced(NamedTuple):
             return self.direction[:, :2], self.path_mm - self.index_behind * along
         aside2 = ((off - along[:, None] * self.direction) ** 2).sum(axis=1)
         root = np.sqrt(np.where(aside2 <= radius_mm**2, radius_mm**2 - aside2, np.nan))
-        # A sphere without a radius, of a centre in the exit pupil, is missed by all rays.
+        # If the centre lies in the exit pupil, the radius is 0 and all rays miss the sphere.
         with np.errstate(divide="ignore", invalid="ignore"):
-            # √(R² − aside²) − R, without the difference of large numbers.
+            # √(R² − aside²) − R, without subtracting large numbers.
             less = -aside2 / (root + abs(radius_mm)) * math.copysign(1.0, radius_mm)
             further = -along - less
             at = off + (further - radius_mm)[:, None] * self.direction
@@ -151,16 +152,16 @@ class Traced(NamedTuple):
 
 @dataclass(frozen=True)
 class LensRays:
-    """Sends rays from an object plane through the lens of a camera.
+    """Ray tracer from an object plane through the lens of a camera.
 
     Attributes
     ----------
     world : World
         Exact surfaces only.
     object_mm : float
-        Distance of the object plane before the first vertex; inf: parallel bundles.
+        Object distance before the first vertex; inf for parallel bundles.
     image_z_mm : float
-        The plane that rays are followed to.
+        Plane to which rays are traced.
     """
 
     world: World
@@ -176,7 +177,7 @@ class LensRays:
 
     @cached_property
     def aim(self) -> StopAim:
-        """Finds the rays through points of the stop."""
+        """Ray aiming at points of the stop."""
         return StopAim(self.world, 1.0 / self.object_mm)
 
     @property
@@ -186,7 +187,7 @@ class LensRays:
 
     @cached_property
     def _is_ideal(self) -> bool:
-        """True of a lens that consists of ideal lenses."""
+        """True for a lens that consists of ideal lenses."""
         lens = self.world.scene.camera.lens
         ideal = [each.paraxial for i, each in enumerate(lens.surfaces) if not lens.is_pure_stop(i)]
         if any(ideal) and not all(ideal):
@@ -197,7 +198,7 @@ class LensRays:
         return any(ideal)
 
     def starts(self, slope: Array, entry: Array) -> tuple[Array, Array]:
-        """Return where rays start, before the lens, and their unit directions; see `StopAim.starts`."""
+        """Return the start points of rays before the lens, and their unit directions; see `StopAim.starts`."""
         return self.aim.starts(slope, entry)
 
     def _followed(self, slope: Array, entry: Array, wavelength_nm: float) -> Arrived:
@@ -210,8 +211,7 @@ class LensRays:
         Parameters
         ----------
         slope : float, or (2,) float64
-            Height of the object point over its distance, in the meridional plane, or its x and y over that; of parallel
-            bundles the tangent of the field angle.
+            Height (or x and y) of the object point over its distance; for parallel bundles, tangent of the field angle.
         pupil : (n, 2) float
             Points of the stop, in units of its radius.
         wavelength_nm : float
@@ -219,8 +219,8 @@ class LensRays:
         Raises
         ------
         LfmeshError
-            Ray aiming did not converge: neither a ray nor an edge was found. Or a caustic ends rays, and others that
-            have crossed before the stop pass the lens.
+            Ray aiming found neither a ray nor an edge, or a caustic ends rays and others that crossed before the stop
+            pass.
         """
         pupil = np.asarray(pupil, dtype=np.float64).reshape(-1, 2)
         aim = pupil * (self.stop_radius * INSIDE)
@@ -228,7 +228,7 @@ class LensRays:
         slope = np.broadcast_to(field, aim.shape)
         entry, ends = self._sent(field, aim, wavelength_nm)
         if (ends.edge == Edge.CAUSTIC).any():
-            # Rays that have crossed may come to where those that have not end.
+            # Rays that have crossed may reach the points missed by the others.
             self.refuse_crossing(field, wavelength_nm)
         known = np.isfinite(entry).all(axis=1)
         place, direction, weight = np.full((len(aim), 2), np.nan), np.full((len(aim), 3), np.nan), np.zeros(len(aim))
@@ -243,7 +243,7 @@ class LensRays:
         return Bundle(pupil, place, entry, direction, weight, ends)
 
     def chief(self, slope: ArrayLike, wavelength_nm: float) -> Chief:
-        """Return the chief ray of a field, which apertures may stop: images are measured from it all the same.
+        """Return the chief ray of a field, the reference for images even if apertures stop it.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class LensRays:
         Raises
         ------
         LfmeshError
-            Ray aiming did not converge: neither the ray nor an edge was found.
+            Ray aiming found neither the ray nor an edge.
         """
         field = _field(slope)
         entry = self._sent(field, np.zeros((1, 2)), wavelength_nm).entry
@@ -265,7 +265,7 @@ class LensRays:
         return Chief(np.full(2, np.nan), np.full(2, np.nan))
 
     def _sent(self, field: Array, aim: Array, wavelength_nm: float) -> Sent:
-        """Return the rays of a field through points of the stop (n, 2), mm; refuse a search without an end."""
+        """Return the rays of a field through points of the stop (n, 2), mm; raise if the search did not converge."""
         sent = self.aim.through(field, aim, wavelength_nm)
         if (unknown := int((sent.ends.edge == Edge.UNKNOWN).sum())) > 0:
             raise LfmeshError(
@@ -279,7 +279,7 @@ class LensRays:
         return np.asarray(p[:, :2] + ((self.image_z_mm - p[:, 2]) / d[:, 2])[:, None] * d[:, :2])
 
     def refuse_crossing(self, slope: ArrayLike, wavelength_nm: float) -> None:
-        """Refuse a field whose rays cross before the stop: to some of its points then comes more than one.
+        """Refuse a field if rays cross before the stop, as some of its points then have several rays.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class LensRays:
         Raises
         ------
         LfmeshError
-            Trials across the front of the lens that pass the lens lie turned over in the stop.
+            Some trial rays that pass the lens map to the stop with reversed orientation.
         """
         field = _field(slope)
         entry = self.aim.trials()
@@ -303,20 +303,20 @@ class LensRays:
             )
 
     def traced(self, slope: ArrayLike, entry: Array, wavelength_nm: float) -> Traced:
-        """Follow rays face by face, whatever apertures they pass, with their optical paths.
+        """Trace rays face by face with their optical paths, apertures ignored.
 
         Parameters
         ----------
         slope : (2,) float64
             Of the object point, as for `bundle`.
         entry : (n, 2) float64, mm
-            Where the rays cross the plane of the first vertex; they come through the lens.
+            Points on the plane of the first vertex; the rays pass the lens.
         wavelength_nm : float
 
         Raises
         ------
         LfmeshError
-            Of ideal lenses beside real surfaces.
+            The lens has ideal lenses beside real surfaces.
         """
         field = np.asarray(slope, dtype=np.float64)
         position, direction = self.aim.starts(np.broadcast_to(field, entry.shape), entry, self.aim.far_ahead)
@@ -343,13 +343,13 @@ class LensRays:
 
 
 def _field(slope: ArrayLike) -> Array:
-    """Return x and y of a slope, (2,); one number lies in the meridional plane."""
+    """Return x and y of a slope, (2,); a single number lies in the meridional plane."""
     given = np.asarray(slope, dtype=np.float64)
     return given if given.ndim else np.array([0.0, float(given)])
 
 
 def further_than(position: Array, point: Array) -> Array:
-    """Return how much farther places (n, 3) are from a point than the origin is, without a difference of large numbers.
+    """Return distances of places (n, 3) from a point less the origin's, without subtracting large numbers.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def further_than(position: Array, point: Array) -> Array:
 
 
 def nearest_to_all(position: Array, direction: Array) -> Array:
-    """Return where rays come closest together, on the middle one's line, (3,) mm; of parallel ones their middle."""
+    """Return the point of closest approach of rays, on their mean line, (3,) mm; for parallel rays, their middle."""
     steep = direction[:, :2] / direction[:, 2:]
     place = position[:, :2] - position[:, 2:] * steep
     off, turn = place - place.mean(axis=0), steep - steep.mean(axis=0)

@@ -1,4 +1,4 @@
-"""The faces between lens and sensor as waves meet them: of the microlens array and of the sensor's cover."""
+"""Faces of the microlens array and of the sensor's cover, for waves."""
 
 import math
 from collections.abc import Callable
@@ -25,23 +25,23 @@ from lfmesh.waves.angular_spectrum import Spectrum, Waves
 Array = NDArray[np.float64]
 
 ANGLES = 257
-"""At which the transmittance of a face is computed; linear in between."""
+"""Number of angles at which the transmittance of a face is computed; linear in between."""
 
 STRAIGHT = 1e-12
-"""Largest difference of a cosine from 1 at which a part counts as square to the axis."""
+"""Largest difference of a cosine from 1 for a part to count as square to the axis."""
 
 GRAZING = 0.05
-"""Least cosine, about, between light and a lenslet's face: steeper places pass nothing."""
+"""Approximate least cosine between light and a lenslet's face for transmission."""
 
 
 @dataclass(frozen=True, eq=False)
 class WaveFace:
-    """A face, square to the axis.
+    """A face square to the axis.
 
     Attributes
     ----------
     z_mm : float
-        Of the plane, or of the apexes of lenslets.
+        Position of the plane, or of the apexes of lenslets.
     interface : Face
         Its media and coating.
     index : float
@@ -49,9 +49,9 @@ class WaveFace:
     absorption_per_mm : float
         Of the medium behind.
     lenslets : Lenslets, optional
-        That stand on it.
+        Lenslets on the face.
     frame : (3, 4) float64
-        Move from the camera's frame into that of the lenslets.
+        Transformation from camera to lenslets.
     """
 
     z_mm: float
@@ -69,9 +69,9 @@ class WaveFace:
         light : Spectrum
             Across the plane of the face, before it.
         scene : Scene
-            Has the coatings.
+            For its coatings.
         told : callable
-            Told now and then the share of the work that is done; not by plane faces, which take little.
+            Called with the completed fraction of the work, except for plane faces.
         """
         sines, amplitude = self._amplitudes(light, scene)
         grid = light.grid
@@ -81,15 +81,15 @@ class WaveFace:
         x, y = light.at_mm[0] + grid.places, light.at_mm[1] + grid.places
         per_mm = 2.0 * np.pi / grid.wavelength_mm * (grid.middle_z(light.index) - grid.middle_z(self.index))
         height, slope, share, clear = self._relief(self.lenslets, x, y, per_mm)
-        # Kinks at borders have waves beyond the grid's. Height averaged over a place, less what averaging does to
-        # waves within the grid's, keeps these out to the second order of the grid's step. Where lenslets meet in a
-        # step, slopes tell the kink alone.
+        # Kinks at borders have waves outside the grid's directions. The height is averaged over a cell, less the effect
+        # of averaging on waves within the grid. This removes the kinks' waves to the second order of the grid's step.
+        # At steps between lenslets, the slopes represent only the kink.
         lit = clear > 0.0
         bend = _central_difference(slope[0], lit, 1) + _central_difference(slope[1], lit, 0)
         height = height - grid.step_mm / 24.0 * bend
         share = _sharpened(share, per_mm * height, per_mm * grid.step_mm * slope)
-        # What a place passes differs from direction to direction, which is followed to the first order: where light is
-        # out of focus, its directions go with the places.
+        # The transmittance of a point depends on direction. It is expanded to first order: out of focus, the direction
+        # of light varies with position.
         steps = np.diag(light.spread)
         through, aslant = self._passed_at(slope, light.index, grid.middle, sines, amplitude)
         passed = [through]
@@ -103,9 +103,9 @@ class WaveFace:
     def _passed_at(
         self, slope: Array, index: float, direction: Array, sines: Array, amplitude: Array
     ) -> tuple[Array, Array]:
-        """Return the amplitude that each place of the relief passes of light of one direction, (n, n).
+        """Return the amplitude that each point of the relief transmits of one direction, (n, n).
 
-        The second array is the square of the amplitude over the power that passes.
+        The second array is the squared amplitude over the transmitted power.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class WaveFace:
         index : float
             Of the medium before it.
         direction : (2,) float64
-            Optical direction cosines of the light before it.
+            Optical direction cosines of the incident light.
         sines, amplitude : (angles,) float64
             See `_amplitudes`.
         """
@@ -123,16 +123,16 @@ class WaveFace:
         onto = (along_z - direction[0] * slope[0] - direction[1] * slope[1]) / steep
         across = np.sqrt(np.maximum(index**2 - onto**2, 0.0))
         behind = np.sqrt(np.maximum(self.index**2 - across**2, 0.0))
-        # Behind, along the normal (−slope, 1) / steep, the wave vector is longer by this.
+        # Refraction changes the wave vector along the normal (−slope, 1) / steep.
         pz = along_z + (behind - onto) / steep
-        # Flux through the face by that through a plane, before and behind: what crosses it aslant is more or less.
+        # Ratio of the flux through the tilted face to that through a plane, before and behind.
         aslant = np.maximum(behind, GRAZING) * steep / np.maximum(pz, GRAZING)
         flux = (onto * steep / along_z) * aslant
         clear = (onto > GRAZING) & (behind > GRAZING) & (pz > GRAZING)
         return np.where(clear, np.sqrt(np.maximum(flux, 0.0)) * np.interp(across, sines, amplitude), 0.0), aslant
 
     def reach_mm(self, places: Array) -> tuple[float, float]:
-        """Return the largest slope of the lenslets near places (n, 2), mm, and their pitch; 0, 0 of a plane."""
+        """Return the largest slope of the lenslets near points (n, 2), mm, and their pitch; 0, 0 for a plane."""
         if self.lenslets is None:
             return 0.0, 0.0
         pitch = self.lenslets.lattice.pitch
@@ -142,13 +142,13 @@ class WaveFace:
         return float(np.abs(slope).max()), pitch
 
     def missed_by(self, places: Array) -> float:
-        """Return by how much the box about places (n, 2) misses the lenslets, 0 if it does not, mm."""
+        """Return the gap, mm, between the lenslets and the bounding box of points (n, 2); 0 if they meet."""
         assert self.lenslets is not None
         own = places @ self.frame[:2, :2].T + self.frame[:2, 3]
         return outside(own, np.asarray(self.lenslets.lattice.half_extent))
 
     def met_by(self, places: Array) -> int:
-        """Return the number of lenslets that rays to places (n, 2), mm, meet."""
+        """Return the number of lenslets that rays to points (n, 2), mm, meet."""
         assert self.lenslets is not None
         lattice = self.lenslets.lattice
         own = places @ self.frame[:2, :2].T + self.frame[:2, 3]
@@ -156,14 +156,14 @@ class WaveFace:
         return sum(is_inside(lattice, *cell) for cell in cells)
 
     def _relief(self, lenslets: Lenslets, x: Array, y: Array, per_mm: float = 0.0) -> tuple[Array, Array, Waves, Array]:
-        """Return height and slope of the lenslets (camera frame) on an even grid, and shares of a wave and of power.
+        """Return height and slope of the lenslets (camera frame) on an even grid, and cell means of wave and power.
 
         Parameters
         ----------
         lenslets : Lenslets
         x, y : (columns,), (rows,) float64, mm
         per_mm : float, rad/mm
-            Phase that the wave gains by a face that is higher.
+            Phase gained per height of the face.
         """
         xs, ys = (each.ravel() for each in np.meshgrid(x, y, indexing="xy"))
         turn, sense = self.frame[:2, :2], float(np.sign(self.frame[2, 2]))
@@ -177,7 +177,7 @@ class WaveFace:
         return sense * relief[0].reshape(shape), slope.reshape(2, *shape), share, relief[5].reshape(shape)
 
     def _amplitudes(self, light: Spectrum, scene: Scene) -> tuple[Array, Array]:
-        """Return n sin θ, and the amplitude that the face passes there, both (angles,)."""
+        """Return values of n sin θ, and the amplitude that the face transmits there, both (angles,)."""
         n_i, n_t, wavelength = light.index, self.index, light.grid.wavelength_mm * 1e6
         thin = min(n_i, n_t)
         cosines = np.linspace(1.0, 1e-6, ANGLES)
@@ -187,7 +187,7 @@ class WaveFace:
             share = coated(thin, max(n_i, n_t), Stack((), ()), wavelength, cosines)[1]
         else:
             table = coating_table(scene, face.coating, face.outer, face.inner, (wavelength,))
-            # Tables go by the angle in the thinner medium; of layers that absorb, the third quantity is what passes.
+            # Tables use the angle in the thinner medium. For absorbing layers the third quantity is the transmittance.
             first = 2 * len(table.values) // 3 if table.absorbs else 0
             found = np.array([looked_up(table.values, first, table.pieces, 0, float(np.sqrt(c))) for c in cosines])
             share = found if table.absorbs else 1.0 - found
@@ -195,7 +195,7 @@ class WaveFace:
 
 
 def outside(places: Array, half: Array) -> float:
-    """Return how far the box about places (n, 2) lies beside one of a half size about the origin; 0 if they meet."""
+    """Return the gap between the bounding box of points (n, 2) and a centred box of given half size; 0 if they meet."""
     return float(np.maximum(places.min(axis=0) - half, -half - places.max(axis=0)).max(initial=0.0))
 
 
@@ -247,22 +247,22 @@ def faces_before_sensor(scene: Scene, tables: Tables, wavelength_nm: float) -> l
 
 
 def _central_difference(values: Array, given: NDArray[np.bool_], axis: int) -> Array:
-    """Return half the difference of both neighbours on a grid in the order of transforms; 0 where one is not given."""
+    """Return half the difference of both neighbours on a grid in FFT order; 0 if one is not given."""
     found = 0.5 * (np.roll(values, -1, axis) - np.roll(values, 1, axis))
     return np.where(given & np.roll(given, 1, axis) & np.roll(given, -1, axis), found, 0.0)
 
 
 def _sharpened(share: Waves, phase: Array, change: Array) -> Waves:
-    """Return the share of a wave that passes, without what its mean over a place lacks at steps and rims.
+    """Correct the transmitted wave for the loss by cell averaging at steps and rims.
 
     Parameters
     ----------
     share : (n, n) complex128
-        In the order of transforms.
+        Transmitted fraction of the wave, in FFT order.
     phase : (n, n) float64
-        Of the wave that passes.
+        Of the transmitted wave.
     change : (2, n, n) float64
-        Of the phase from place to place along x and y, by the slope.
+        Phase change from cell to cell along x and y, by the slope.
     """
     wave, bent = share * np.exp(1j * phase), -4.0 * share
     for axis, own in ((1, change[0]), (0, change[1])):

@@ -1,4 +1,4 @@
-"""Width of a point's light between lens and sensor: the grid that follows it, and light that misses the sensor."""
+"""Extent of a point's light between lens and sensor, and the grid for it."""
 
 import math
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from lfmesh.waves.wave_camera import WaveCamera
 Array = NDArray[np.float64]
 
 FIRST_BAND, FIRST_RINGS = 1.5, 30.0
-"""Of the first grid: its directions over those that rays have, and its margin in units of λ / 2 NA."""
+"""Range of directions of the first grid, over that of the rays, and its margin in units of λ / 2 NA."""
 
 FINER = 1.25
-"""Each grid is finer and wider by this than the one before."""
+"""Factor by which each grid is finer and wider than the one before."""
 
 LEAST, MOST = 128, 3072
-"""Places on a side of a grid."""
+"""Grid points per side, smallest and largest number."""
 
 CAUSES = (
     ("its rays at lenslets or sensor are", "give a point nearer the plane in focus, or a smaller stop"),
     ("the diffraction rings of its narrow beam are", "give a wider stop"),
     ("lenslets make it", "give a smaller pitch of the same f-number"),
 )
-"""Causes of large grids, and what helps: by rays, by rings, by lenslets."""
+"""Causes of large grids and remedies, for rays, rings and lenslets."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """The light of a point behind the lens, and what it meets.
+    """Light of a point behind the lens, and the faces and sensor in its way.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Extent:
     faces : list of WaveFace
         From the lens to the sensor.
     sensor_mm : (3,) float64
-        Its middle, camera frame.
+        Centre of the sensor, camera frame.
     pixels_mm : (2,) float64
-        Width and height of all pixels.
+        Width and height of the pixel array.
     """
 
     pupil: PupilRays
@@ -55,7 +55,7 @@ class Extent:
 
     @classmethod
     def of(cls, camera: WaveCamera, wavelength_nm: float, pupil: PupilRays) -> "Extent":
-        """Return that of the light behind a camera's lens.
+        """Return the extent of the light behind a camera's lens.
 
         Parameters
         ----------
@@ -69,14 +69,15 @@ class Extent:
 
     @property
     def relief(self) -> list[WaveFace]:
-        """Those of the faces that have lenslets."""
+        """Faces with lenslets."""
         return [face for face in self.faces if face.lenslets is not None]
 
     @property
     def misses(self) -> bool:
-        """True of light that misses lenslets, or without them pixels, by more than the margin of the first grid."""
+        """True if light misses the lenslets, or without them the pixels, by more than the first grid's margin."""
         face = next(iter(self.relief), None)
-        # Behind plane faces before it, light is nearer to the axis than in air, but not than before the first one.
+        # Behind the plane faces before it, light is nearer to the axis than in air, but not nearer than at the first
+        # one.
         planes = [*(each.z_mm for each in self.faces[:1]), face.z_mm if face else float(self.sensor_mm[2])]
         places = np.vstack([self.pupil.places_at(z) for z in planes])
         missed = face.missed_by(places) if face else outside(places - self.sensor_mm[:2], 0.5 * self.pixels_mm)
@@ -84,10 +85,10 @@ class Extent:
 
     @cached_property
     def _half_and_band(self) -> tuple[float, float, float, float]:
-        """Half width of the rays, of the rings about them and of what lenslets add, mm, and range of directions."""
+        """Half widths of rays, rings and lenslets' addition, mm, and range of directions."""
         pupil, sensor_z = self.pupil, float(self.sensor_mm[2])
         reach = 0.0
-        # Plane faces pass each direction as it is, so that the grid need not hold the light across them.
+        # Plane faces keep each direction, so the grid need not hold the light across them.
         p, index = np.vstack([pupil.middle, pupil.rays[1][:, :2]]), 1.0
         z = self.faces[0].z_mm if self.faces else sensor_z
         way = (z - pupil.focus_mm[2]) / math.sqrt(1.0 - float(pupil.middle @ pupil.middle))
@@ -110,18 +111,18 @@ class Extent:
         return reach, rings, added, band
 
     def grid(self, fineness: float, words: str) -> Grid:
-        """Return a grid that is finer and wider than the first one by a factor.
+        """Return a grid finer and wider than the first one by a factor.
 
         Parameters
         ----------
         fineness : float
         words : str
-            Of the point, for messages.
+            Name of the point for messages.
 
         Raises
         ------
         LfmeshError
-            It has more than `MOST` places on a side.
+            The grid needs more than `MOST` points per side.
         """
         wide, (places, step) = self._half_and_band[:3], self._places(fineness)
         if places > MOST:
@@ -133,17 +134,17 @@ class Extent:
         return Grid(scipy.fft.next_fast_len(places // 2) * 2, step, self.pupil.wavelength_mm, self.pupil.middle)
 
     def refuse_wide(self, words: str) -> None:
-        """Refuse light for which the second grid, which each spread needs, has too many places.
+        """Refuse light for which the second grid, which each spread needs, is too large.
 
         Parameters
         ----------
         words : str
-            Of the point, for messages.
+            Name of the point for messages.
         """
         self.grid(FINER, words)
 
     def fits(self, fineness: float) -> bool:
-        """Return True of a grid, see `grid`, that has no more than `MOST` places on a side.
+        """Tell whether a grid, see `grid`, has at most `MOST` points per side.
 
         Parameters
         ----------
@@ -152,7 +153,7 @@ class Extent:
         return self._places(fineness)[0] <= MOST
 
     def _places(self, fineness: float) -> tuple[int, float]:
-        """Return the number of places on a side of a grid, and the step between them, mm."""
+        """Return the number of grid points per side, and their distance, mm."""
         *wide, band = self._half_and_band
         step = self.pupil.wavelength_mm / (2.0 * band * fineness)
         return max(LEAST, math.ceil(sum(wide) * fineness / step) * 2), step

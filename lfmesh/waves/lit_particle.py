@@ -1,4 +1,4 @@
-"""A particle as the lens sees it: its light into the opening, and what its waves need, from a few hundred rays."""
+"""A particle seen by the lens: light into the opening and grid of its waves, from a few hundred rays."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 EVEN = 0.05
-"""Largest change of a particle's light over the lens's opening, over the mean, with which it is pictured."""
+"""Largest accepted change of a particle's light over the lens's opening, over the mean."""
 
 
 class Lit(NamedTuple):
-    """A particle as the lens sees it at one wavelength.
+    """A particle seen by the lens at one wavelength.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Lit(NamedTuple):
     intensity_w_sr : float
         Into the lens's opening.
     place_mm : (2,) float64
-        Where its chief ray meets the sensor's plane, camera frame; NaN where the lens stops it.
+        Its chief ray on the sensor's plane, camera frame; NaN if the lens stops it.
     period_mm, step_mm : float
-        Width of the grid that its waves need, and step between its places.
+        Width and step of the grid that its waves need.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Lit(NamedTuple):
     step_mm: float
 
     def own_spread(self, camera: WaveCamera, wavelength_nm: float) -> PointSpread | None:
-        """Return its point spread, of 1 W/sr; None where none of its light falls on the pixels.
+        """Return its point spread for 1 W/sr, or None if none of its light falls on the pixels.
 
         Parameters
         ----------
@@ -71,15 +71,15 @@ class Particle(NamedTuple):
     Attributes
     ----------
     entry, number : int
-        Of its entry, and its own there.
+        Index of its entry, and in the entry.
     place_mm, point_mm : (3,) float64
         World and camera frame.
     power_w : (channels,) float64
         Over all directions.
     along : (3,) float64
-        Way of the light that it scatters, camera frame.
+        Direction of the light that it scatters, camera frame.
     phases : PhaseTables
-        By the angle to it.
+        Phase function by the angle to `along`.
     """
 
     entry: int
@@ -97,19 +97,19 @@ class Particle(NamedTuple):
         return f"particles[{self.entry}], number {self.number} at ({where}) mm"
 
     def lit(self, camera: WaveCamera, channel: int, *, hides: bool) -> Lit | None:
-        """Return the particle as the lens sees it at a wavelength; None if it is dark.
+        """Return the particle as the lens sees it at a wavelength, or None if it is dark.
 
         Parameters
         ----------
         camera : WaveCamera
         channel : int
         hides : bool
-            Look for targets before it.
+            Look for targets that hide it.
 
         Raises
         ------
         LfmeshError
-            A target hides it in part, its light changes too much over the opening, or its waves are too wide.
+            A target hides part of it, its light changes too much over the opening, or its waves are too wide.
         """
         return _named(self.name, lambda: self._lit(camera, channel, hides=hides))
 
@@ -130,11 +130,11 @@ class Particle(NamedTuple):
         return Lit(self.name, self.point_mm, intensity, bundle.place[0], grid.n * grid.step_mm, grid.step_mm)
 
     def _intensity_w_sr(self, bundle: Bundle, channel: int) -> float:
-        """Return the mean intensity into the lens's opening; refuse one that changes too much over it."""
+        """Return the mean intensity into the lens's opening; refuse large changes over it."""
         ahead = entering(self.point_mm, bundle)
         sent = np.empty(len(ahead))
         evaluate_phases(self.phases, channel, ahead @ self.along / np.linalg.norm(ahead, axis=1), sent)
-        # Rays on the rim are not spread evenly.
+        # Rays on the rim are not evenly spread.
         inside = np.hypot(*bundle.pupil[bundle.passes].T) < INSIDE
         mean = float(sent[inside].mean()) if inside.any() else float(sent.mean())
         change = float(np.abs(sent - mean).max()) / mean
@@ -147,7 +147,7 @@ class Particle(NamedTuple):
 
 
 def _named(name: str, found: Callable[[], Found]) -> Found | None:
-    """Return what is found of a particle, or None if no light comes of it; name the particle in what is refused."""
+    """Return a function's result, or None without light; add the particle's name to errors."""
     try:
         return found()
     except NoLightError:

@@ -1,8 +1,8 @@
-"""Pictures of particles by their point spreads: each is a point whose waves pass lens and lenslets coherently.
+"""Pictures of particles as the sum of their point spreads.
 
-Light of different particles does not interfere, so their pictures add up. Behind an array each particle has a spread of
-its own: there spreads change within a resolved length of the camera, so that a grid of them has more points than nearly
-all scenes have particles. Without an array those of many particles are interpolated, see `between`.
+Light of different particles does not interfere. Behind an array each particle has its own spread: spreads change within
+a resolved length, so a grid of them would outnumber the particles of nearly all scenes. Without an array spreads are
+interpolated, see `between`.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from lfmesh.waves.wave_camera import WaveCamera
 Array = NDArray[np.float64]
 
 MOST_SPREADS = 2000
-"""Point spreads of a picture behind an array: they take seconds each."""
+"""Most point spreads of a picture behind an array; each takes seconds."""
 
 LOOKING, STAGE = "particles looked at", "point spreads of particles"
 
@@ -38,13 +38,13 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
     ----------
     world : World
     progress : callable, optional
-        Told of each particle and wavelength.
+        Called for each particle and wavelength.
 
     Raises
     ------
     LfmeshError
-        Bands, particles whose light changes much over the lens's opening, too many of them behind an array, or what
-        `lf.point_spread` refuses.
+        Bands, particles with light that changes much over the lens's opening, too many particles behind an array, or a
+        refusal of `lf.point_spread`.
     """
     scene = world.scene
     camera, seen = _looked_at(world, progress)
@@ -69,19 +69,18 @@ def particle_film(world: World, progress: Callable[[Progress], None] | None = No
 
 
 def refuse_particles(world: World, progress: Callable[[Progress], None] | None = None) -> None:
-    """Refuse particles that cannot be pictured by waves, before any of their waves are followed.
+    """Refuse particles that waves cannot picture, before computing waves.
 
     Parameters
     ----------
     world : World
     progress : callable, optional
-        Told of each particle.
+        Called for each particle.
 
     Raises
     ------
     LfmeshError
-        As from `particle_film`. Of each particle a few hundred rays are traced; that its grids must be finer than the
-        first two is not foreseen.
+        As from `particle_film`, by a few hundred rays per particle. A need for more than two grids is not detected.
     """
     _looked_at(world, progress)
 
@@ -89,7 +88,7 @@ def refuse_particles(world: World, progress: Callable[[Progress], None] | None =
 def _looked_at(
     world: World, progress: Callable[[Progress], None] | None
 ) -> tuple[WaveCamera, list[tuple[Lit | None, ...]]]:
-    """Return the camera, and of each particle what is lit at each wavelength; refuse what waves do not picture."""
+    """Return the camera and each particle at each wavelength; refuse scenes that waves cannot picture."""
     _refuse(world)
     scene, camera = world.scene, WaveCamera.of(world.scene)
     particles = list(_particles(world))
@@ -102,7 +101,7 @@ def _looked_at(
 
 
 def _counted(progress: Callable[[Progress], None] | None, stage: str, total: int, done: int = 0) -> Callable[[], None]:
-    """Return what tells the progress of a stage each time that it is called."""
+    """Return a function that reports the progress of a stage at each call."""
     number, began = itertools.count(done + 1), time.perf_counter()
 
     def told() -> None:

@@ -1,9 +1,8 @@
-"""Pictures of many points by their point spreads: the columns of wave matrices.
+"""Point spreads of many points, the columns of wave matrices.
 
-Where a camera repeats itself from lenslet to lenslet, as a light-field microscope with pupils at infinity does, points
-that lie the image of a pitch apart have the same picture, a pitch aside; where nothing is off its axis, points that
-mirror each other have mirrored pictures. One of them is then computed, and one more in each plane, which says by how
-much the rest are off.
+A light-field microscope with pupils at infinity repeats itself from lenslet to lenslet: points separated by the image
+of a pitch have the same picture, shifted by a pitch. If nothing is off axis, mirrored points have mirrored pictures.
+One spread then serves all of them; one more in each plane gives the error.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,23 +21,23 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 SAME = 1e-6
-"""Distance of places that count as one, over the step from point to point that repeats; of planes, over their own."""
+"""Largest distance of points that count as one, over the repeating step; of planes, over their distance."""
 
 WHOLE_PX = 1e-6
-"""Largest difference of the pitch of micro-images from a whole number of pixels."""
+"""Largest difference of the micro-image pitch from a whole number of pixels."""
 
 
 class Repeats(NamedTuple):
-    """Step between points that have the same picture, a pitch aside.
+    """Step between points that have the same picture, shifted by a pitch.
 
     Attributes
     ----------
     object_mm : float
-        From point to point.
+        Step between the points.
     pixels : int
-        From picture to picture; below 0 where the lens inverts.
+        Step between the pictures; negative if the lens inverts.
     mirrors : bool
-        Pictures of points that mirror each other about x, y or the diagonal are mirrored.
+        True if points mirrored about x, y or the diagonal have mirrored pictures.
     """
 
     object_mm: float
@@ -53,11 +52,11 @@ class Pictures(NamedTuple):
     ----------
     mean : (points, rows, columns) float64, W
     error : float
-        Largest sum of differences over a picture's power, found by finer grids and where pictures were repeated.
+        Largest sum of differences over a picture's power, by finer grids and repeats.
     beyond : float
-        Largest share of the light of one that went beyond its grid, see `PointSpread`.
+        Largest fraction of a picture's light beyond its grid, see `PointSpread`.
     computed : int
-        Point spreads that were computed.
+        Number of point spreads computed.
     """
 
     mean: Array
@@ -78,7 +77,7 @@ def pictures_of_points(
         Camera frame.
     wavelength_nm : float
     tolerance : float
-        As of `point_spread`; pictures that repeat and differ by more are computed one by one.
+        As for `point_spread`. Above it, repeated pictures are computed one by one.
 
     Raises
     ------
@@ -106,7 +105,7 @@ def pictures_of_points(
 
 
 def repeats_of(scene: Scene) -> Repeats | None:
-    """Return the step after which a camera repeats itself; None where it does not, or pixels do not fit lenslets.
+    """Return the step after which a camera repeats itself, or None if it does not or pixels do not fit lenslets.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def repeats_of(scene: Scene) -> Repeats | None:
 
 
 def _is_symmetric(scene: Scene, mla: MicrolensArray) -> bool:
-    """Return True of a camera that a mirror along x, y or the diagonal leaves as it is."""
+    """Tell whether a mirror along x, y or the diagonal leaves a camera unchanged."""
     lens, sensor = scene.camera.lens, scene.camera.sensor
     centred = mla.pose == sensor.pose == Pose() and not lens.elements
     square = len({*mla.count}) == 1 and len({*sensor.pixels}) == 1 and mla.cylinder_axis is None
@@ -133,7 +132,7 @@ def _is_symmetric(scene: Scene, mla: MicrolensArray) -> bool:
 
 
 class _Shared(NamedTuple):
-    """Pictures of the points of a plane from those about the axis, and the difference of one from its own."""
+    """Pictures of a plane's points shifted from near the axis, and the error of one of them."""
 
     mean: Array
     off: float
@@ -142,13 +141,13 @@ class _Shared(NamedTuple):
 def _repeated(
     camera: WaveCamera, points: Array, repeats: Repeats, spread: Callable[[WaveCamera, Array], Array]
 ) -> _Shared | None:
-    """Return the pictures of points of a plane by shifting those of points about the axis; None of too few points.
+    """Return the pictures of a plane's points, shifted from near the axis, or None for too few points.
 
     Parameters
     ----------
     camera : WaveCamera
     points : (n, 3) float64, mm
-        At one distance.
+        All at the same distance.
     repeats : Repeats
     spread : callable
         Computes the picture of a point.
@@ -164,7 +163,7 @@ def _repeated(
     group = group.ravel()
     if len(first) + 1 >= len(points):
         return None
-    # Wide enough that every picture lies within that of the point about the axis.
+    # Wide enough that every picture lies within that of the point near the axis.
     margin = int(np.abs(steps).max()) * abs(repeats.pixels)
     columns, rows = camera.scene.camera.sensor.pixels
     wide = WaveCamera.of(camera.scene.changed({"camera.sensor.pixels": (columns + 2 * margin, rows + 2 * margin)}))
@@ -176,14 +175,14 @@ def _repeated(
             seen = whole.T if turned[point] else whole
             across, along = (slice(None, None, -1 if flips else 1) for flips in mirrored[point])
             mean[point] = seen[along, across][low : low + rows, left : left + columns]
-    # The array's rim, and what else does not repeat, is felt most where the shift is largest.
+    # The error from the array's rim and other departures from periodicity is largest at the largest shift.
     farthest = int((3 * np.abs(steps).max(axis=1) + mirrored.sum(axis=1) + turned).argmax())
     own = spread(camera, points[farthest])
     return _Shared(mean, float(np.abs(mean[farthest] - own).sum() / own.sum()))
 
 
 def _planes(points: Array) -> Iterator[Numbers]:
-    """Yield the numbers of the points at each distance."""
+    """Yield the indices of the points at each distance."""
     depth = np.round(points[:, 2] / (SAME * np.abs(points[:, 2]).max()))
     for z in np.unique(depth):
         yield np.flatnonzero(depth == z)

@@ -1,8 +1,7 @@
-"""The point spread: the sensor's irradiance of one shining point, coherent, through lens, lenslets and cover.
+"""Coherent point spread: irradiance on the sensor from one point, through lens, lenslets and cover.
 
-The lens is traced (`pupil_waves`); its plane waves are taken to the microlens array, through the relief of all its
-lenslets at once, and on to the sensor (`angular_spectrum`). Lenslets thus interfere. The grid of directions and places
-is made finer and wider until the picture stands.
+The lens is traced (`pupil_waves`). Its plane waves propagate to the microlens array, through the relief of all lenslets
+at once and on to the sensor (`angular_spectrum`). The grid is refined and widened until the picture is stable.
 """
 
 import math
@@ -31,10 +30,10 @@ from lfmesh.waves.wave_camera import WaveCamera
 Array = NDArray[np.float64]
 
 TOLERANCE = 3e-3
-"""Change of the picture, over its power, at which grids are fine enough, if not said."""
+"""Default of the change of the picture, over its power, at which grids are fine enough."""
 
 BEYOND = 0.005
-"""Share of the light beyond the directions of a grid above which there is a warning."""
+"""Fraction of light beyond a grid's directions that causes a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,41 +43,40 @@ class PointSpread(Pictured):
     Attributes
     ----------
     mean : (rows, columns) float64, W
-        Power on each pixel, or on each part of one, from an isotropic point of 1 W/sr, so W per W/sr. It lies as on the
-        sensor: columns along +x, rows along +y. What lies beside the light that was computed is 0.
+        Power on each pixel, or part of one, per W/sr of an isotropic point. Columns run along +x, rows along +y of the
+        sensor. 0 outside the computed light.
     x_mm : (columns,) float64
-        Middle of each column, sensor frame.
+        Centre of each column, sensor frame.
     y_mm : (rows,) float64
     step_mm : float
-        From one column, or row, to the next.
+        Between columns, and between rows.
     point_mm : (3,) float64
         Camera frame.
     wavelengths_nm, weights : tuple of float
-        Of the sum, weights adding up to 1.
+        Of the sum; weights add up to 1.
     oversample : int
         Parts along each side of a pixel.
     entered_w : float
         Power behind the lens.
     power_w : float
-        Power on the plane of the sensor, beside its pixels too, of the waves of the last grid. Tails of the lens's
-        diffraction beside the grid at the focus are missing, and are not part of `beyond`: a perfect lens without an
-        array has 0.5 to 1 % less here than `entered_w`.
+        Power on the sensor's plane, pixels or not. Diffraction tails beyond the grid at the focus are missing and not
+        part of `beyond`: 0.5 to 1 % of `entered_w` for a perfect lens without an array.
     peak_w_mm2 : float
-        Largest irradiance, at the weightiest one of the wavelengths.
+        Largest irradiance, at the wavelength with the largest weight.
     strehl : float or None
-        The same over that of light in phase; None with a microlens array.
+        Peak over the peak of light in phase; None with a microlens array.
     airy_radius_mm : float
-        Radius of the first dark ring, 0.61 λ / sin u by the rays on the sensor's side of lens or, behind an array,
-        λ / sin u by the pitch and the focal length of a lenslet, at the weightiest wavelength.
+        Of the first dark ring at the wavelength with the largest weight: 0.61 λ / sin u by the rays behind the lens or,
+        behind an array, λ / sin u by pitch and focal length of a lenslet.
     lenslets : int
         Number of lenslets that the rays meet; 0 without an array.
     change : float
-        Of the picture with the last refinement of the grid: sum of absolute differences, over its power.
+        With the last refinement of the grid: sum of absolute differences of the picture, over its power.
     beyond : float
-        Share of the light that steps and rims of lenslets send into directions beyond those of the grid. It is missing,
-        and the picture is off by about as much.
+        Fraction of light missing because steps and rims of lenslets send it outside the grid's directions. The picture
+        is wrong by about as much.
     misfit_waves : float
-        Of the polynomials that follow the wavefront, at most.
+        Largest error of the polynomials fitted to the wavefront.
     """
 
     mean: Array
@@ -142,7 +140,7 @@ class PointSpread(Pictured):
 
     @property
     def brightest_share(self) -> float:
-        """Share of the power on the sensor's plane that falls on the brightest pixel, or part of one."""
+        """Fraction of the power that falls on the brightest pixel, or part of one."""
         return float(self.mean.max()) / self.power_w
 
 
@@ -151,27 +149,27 @@ def point_spread(
     weights: Sequence[float] | None = None, window: int | None = None, oversample: int = 1,
     tolerance: float = TOLERANCE, progress: Callable[[Progress], None] | bool = False,
 ) -> PointSpread:  # fmt: skip
-    """Compute the sensor's irradiance of an isotropic point of 1 W/sr, with diffraction and interference.
+    """Compute the irradiance on the sensor from an isotropic point of 1 W/sr, with diffraction and interference.
 
     Parameters
     ----------
     scene : Scene
-        Its camera counts. Lights are left out; targets too, and must not hide the point.
+        Its camera is used. Lights are ignored; targets too, but they must not hide the point.
     point_mm : (3,) float
         x, y and z in the camera frame; z below 0.
     wavelengths_nm : float or sequence of float, optional
-        Irradiances of several are summed. The name of one of the sensor's bands stands for the wavelengths by which
-        it is traced, weighted by its response. The scene's primary one if left out.
+        Irradiances of several are summed. The name of a sensor band selects its traced wavelengths, weighted by its
+        response. Default: the scene's primary wavelength.
     weights : sequence of float, optional
-        Of the wavelengths, even if left out; they are scaled to add up to 1.
+        Weights of the wavelengths, scaled to add up to 1 (default: equal).
     window : int, optional
-        Pixels on a side of a square about the light; the whole sensor if left out.
+        Pixels per side of a square around the light (default: the whole sensor).
     oversample : int
         Parts along each side of a pixel, from 1 to 64.
     tolerance : float
         Largest change of the picture, over its power, with the last refinement of the grid.
     progress : callable or bool, optional
-        Told, in parts of each grid, how far the waves are; True shows a bar, and nothing is shown if it is left out.
+        Called with the progress within each grid; True shows a bar (default: nothing).
 
     Returns
     -------
@@ -180,15 +178,15 @@ def point_spread(
     Warns
     -----
     DiffractionWarning
-        Steps or rims of lenslets send so much light beyond the grid's directions that the picture is off by 0.5 % of
-        the light or more.
+        Steps or rims of lenslets send light beyond the grid's directions, and the picture is wrong by 0.5 % of the
+        light or more.
 
     Raises
     ------
     LfmeshError
-        A camera or scene that waves are not taken through (meshes, rough faces, tilted arrays and sensors, media,
-        bodies of glass, polarisers), a point that a target hides or whose light does not pass, a spread too large, or a
-        value out of range.
+        An unsupported camera or scene (meshes, rough faces, tilted arrays and sensors, media, bodies of glass,
+        polarisers), a point hidden by a target or without light on the sensor, a spread too large, or a value out of
+        range.
     """
     with watched(progress) as report:
         asked = Asked(window, oversample, tolerance)
@@ -198,12 +196,12 @@ def point_spread(
 
 
 def warnings_of(beyond: float) -> list[PictureWarning]:
-    """Return the warning of light that went beyond the directions of a grid, if it is much.
+    """Return a warning if much light went beyond the directions of a grid.
 
     Parameters
     ----------
     beyond : float
-        Share of the light.
+        Fraction of the light.
     """
     if beyond <= BEYOND:
         return []
@@ -216,14 +214,14 @@ def warnings_of(beyond: float) -> list[PictureWarning]:
 
 
 class Asked(NamedTuple):
-    """Picture that is asked of a point.
+    """Settings of a point spread.
 
     Attributes
     ----------
     window, oversample, tolerance
-        As of `point_spread`.
+        As for `point_spread`.
     of_all : bool
-        Changes count over all light on the sensor's plane, of which the pixels may catch a small part.
+        Compare changes with all light on the sensor's plane, pixels or not.
     """
 
     window: int | None = None
@@ -240,22 +238,22 @@ def followed(
     weights: Sequence[float] | None = None, asked: Asked = ALL_PIXELS,
     report: Callable[[Progress], None] | None = None,
 ) -> PointSpread:  # fmt: skip
-    """Return what `point_spread` does, without its warnings.
+    """Return the result of `point_spread`, without its warnings.
 
     Parameters
     ----------
     camera : WaveCamera
         Of the scene.
     point_mm, wavelengths_nm, weights
-        As there.
+        As for `point_spread`.
     asked : Asked
     report : callable, optional
-        Told the progress.
+        Called with the progress.
 
     Raises
     ------
     LfmeshError
-        As there.
+        As from `point_spread`.
     """
     scene, point = camera.scene, numbers_of("point_mm", point_mm)
     if isinstance(wavelengths_nm, str):
@@ -269,7 +267,7 @@ def followed(
     mean = np.asarray(sum(share * one.mean for share, one in zip(shares, each, strict=True)))
     if not np.any(mean > 0.0):
         raise no_light(point)
-    # Figures of one wavelength are those of the weightiest.
+    # Figures of a single wavelength are those at the largest weight.
     return replace(
         each[int(np.argmax(shares))],
         mean=mean,
@@ -286,7 +284,7 @@ def followed(
 def _monochromes(
     camera: WaveCamera, point: Array, wavelengths_nm: tuple[float, ...], asked: Asked
 ) -> "list[Monochrome]":
-    """Return the point spreads of some wavelengths that are to be computed, of a window and parts of pixels."""
+    """Prepare the point spread at each wavelength."""
     middle = len(wavelengths_nm) // 2
     if camera.scene.targets:
         camera.refuse_hidden(point, camera.looked_at(point, wavelengths_nm[middle]), wavelengths_nm[middle])
@@ -302,14 +300,14 @@ def _monochromes(
 
 
 class Arrived(NamedTuple):
-    """Light of a point on its way to the sensor.
+    """Light of a point at the sensor.
 
     Attributes
     ----------
     in_phase : float
-        Sum of the amplitudes of the plane waves behind the lens, √W, if they were in phase.
+        Sum of the amplitudes of the plane waves behind the lens, √W, as if in phase.
     behind_lens_w : float
-        Their power where the focus sees the pupil at its distance.
+        Power of these waves, corrected for the pupil's distance from the focus.
     light : Spectrum
         Across the plane of the sensor.
     """
@@ -333,14 +331,14 @@ class Monochrome:
 
     @property
     def _beyond_focus(self) -> float:
-        """Way along the middle ray from the focus to the sensor, over the index of the glass of the cover, mm."""
+        """Reduced path along the middle ray from the focus to the sensor, mm: lengths over refractive indices."""
         ends = [*(face.z_mm for face in self.faces), float(self.sensor[2])]
         starts, indices = [float(self.pupil.focus_mm[2]), *ends[:-1]], [1.0, *(face.index for face in self.faces)]
         way = sum((b - a) / index for a, b, index in zip(starts, ends, indices, strict=True))
         return way / math.sqrt(1.0 - float(self.pupil.middle @ self.pupil.middle))
 
     def converged(self, asked: Asked, report: Callable[[Progress], None] | None) -> PointSpread:
-        """Return the point spread on the first grid by which it changes less than the tolerance.
+        """Return the point spread on the first grid with a change below the tolerance.
 
         Parameters
         ----------
@@ -365,7 +363,7 @@ class Monochrome:
         return replace(first, change=change)
 
     def _refuse_unsettled(self, last: PointSpread, change: float, asked: Asked) -> None:
-        """Refuse a picture that still changes on the finest grids; almost none on the pixels is no light."""
+        """Refuse a picture that still changes on the finest grids, or has no light on the pixels."""
         share = float(last.mean.sum()) / last.entered_w
         if share < asked.tolerance:
             raise no_light(self.point)
@@ -375,20 +373,20 @@ class Monochrome:
                 f"the picture of {self.words} {changed}, and {asked.tolerance:g} is allowed; give a point nearer the "
                 "plane in focus, or a smaller stop"
             )
-        # Rounded up, so that it is reached.
+        # Rounded up, so that the suggested tolerance is reached.
         digits = 1 - math.floor(math.log10(change))
         reached = math.ceil(change * 10.0**digits) / 10.0**digits
         more = f"give a tolerance of {reached:g} or more" if reached < 1.0 else "give a wider window"
         raise LfmeshError(f"tolerance = {asked.tolerance:g}: the picture of {self.words} {changed}; {more}")
 
     def at_sensor(self, grid: Grid, report: Callable[[Progress], None] | None = None) -> Arrived:
-        """Return the light by one grid behind the lens and on the plane of the sensor.
+        """Return the light on the sensor's plane, computed on one grid.
 
         Parameters
         ----------
         grid : Grid
         report : callable, optional
-            Told the progress.
+            Called with the progress.
         """
         began, stage = time.perf_counter(), f"waves of {self.wavelength_nm:g} nm on {grid.n} × {grid.n} places"
 
@@ -410,10 +408,10 @@ class Monochrome:
         return Arrived(in_phase, behind.power_w, light)
 
     def _on_grid(self, grid: Grid, report: Callable[[Progress], None] | None) -> PointSpread:
-        """Return the point spread by one grid; its change is not known."""
+        """Return the point spread on one grid, with an unknown change."""
         amplitudes, behind_lens, light = self.at_sensor(grid, report)
         irradiance = Irradiance.of(light)
-        # Of the pupil's amplitudes in phase, less what is lost behind the lens, spread as far as the sensor is away.
+        # Peak of the pupil's amplitudes in phase, less the loss behind the lens, scaled to the sensor's distance.
         in_phase = (amplitudes / (grid.n * grid.step_mm)) ** 2 * light.power_w / behind_lens
         in_phase /= (1.0 + self._beyond_focus / self.pupil.radius_mm) ** 2
         peak = irradiance.peak()
@@ -441,18 +439,18 @@ class Monochrome:
 
 
 def _behind_lens(pupil: PupilWaves, grid: Grid) -> tuple[Spectrum, float]:
-    """Return the light in the plane of the focus, and the sum of its amplitudes in √W if all were in phase."""
+    """Return the light in the plane of the focus, and the sum of its amplitudes, √W, as if in phase."""
     px, py = grid.directions
     waves, shares = pupil.at(np.fft.fftshift(px), np.fft.fftshift(py))
     light = Spectrum(grid, np.fft.ifftshift(waves * shares), pupil.focus_mm)
-    # Averaging over cells takes this factor from the light far from the focus.
+    # Averaging over cells reduces the light far from the focus by this factor.
     taken = np.sinc(grid.places / (grid.n * grid.step_mm))
     seen = light.field * np.exp(2j * np.pi * pupil.rim_phase(grid.places, grid.places)) / np.outer(taken, taken)
     return replace(light, waves=scipy.fft.fft2(seen, norm="ortho")), float(np.abs(waves).sum())
 
 
 def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectrum:
-    """Return the light across another plane of the medium behind a face, less what the medium absorbs."""
+    """Return the light across another plane of the medium behind a face, less the medium's absorption."""
     way = z_mm - float(light.at_mm[2])
     light = light.travelled(z_mm)
     if behind is None or behind.absorption_per_mm == 0.0:
@@ -461,13 +459,13 @@ def _travelled(light: Spectrum, z_mm: float, behind: WaveFace | None) -> Spectru
 
 
 def pixels_of(camera: WaveCamera, pupil: PupilRays | None = None, asked: Asked = ALL_PIXELS) -> Sampling:
-    """Return the pixels, or parts of pixels, in the sensor's frame: all, or those of a window about the light.
+    """Return all pixels, or a window around the light, or their parts, in the sensor's frame.
 
     Parameters
     ----------
     camera : WaveCamera
     pupil : PupilRays, optional
-        The light, if a window is asked.
+        The light; needed for a window.
     asked : Asked
     """
     sensor = camera.scene.camera.sensor
@@ -482,6 +480,6 @@ def pixels_of(camera: WaveCamera, pupil: PupilRays | None = None, asked: Asked =
             first[axis] = int(np.clip(round(middle - 0.5 * size), 0, count[axis] - size))
             count[axis] = size
     step = sensor.pixel_mm / oversample
-    # Of the first part of the first pixel.
+    # Corner of the first part of the first pixel.
     corner = [(number - 0.5 * whole) * sensor.pixel_mm for number, whole in zip(first, sensor.pixels, strict=True)]
     return Sampling(np.asarray(corner) + 0.5 * step, step, (count[0] * oversample, count[1] * oversample))

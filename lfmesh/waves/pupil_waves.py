@@ -1,11 +1,11 @@
-"""The plane waves that a lens makes of a point's light: amplitude and phase by direction, from traced rays.
+"""Plane waves behind a lens for a point's light: amplitude and phase by direction, from traced rays.
 
-Behind the lens every ray stands for a plane wave. Its direction is the one in which the focus sees the ray cross the
-sphere about it through the exit pupil, and its phase is the optical path up to there: the pupil function. Where the
-pupil lies at infinity, these are the ray's own direction and the angle characteristic (M. Born, E. Wolf, Principles of
-Optics, 4.1). Its power is that of the point's solid angle that the lens sends there. Both are smooth, as is the place
-in each aperture, and are fitted by polynomials of the direction cosines; so they are known on any grid. From a pupil at
-a finite distance come spherical waves in place of plane ones, see `rim_phase`.
+Behind the lens every ray represents a plane wave. Its direction is that of the ray's intersection with the sphere
+through the exit pupil, seen from the focus at the centre. Its phase is the optical path to this intersection: the pupil
+function. With the pupil at infinity, these are the ray's direction and the angle characteristic (M. Born, E. Wolf,
+Principles of Optics, 4.1). Its power is that of the corresponding solid angle at the point. Polynomials of the
+direction cosines are fitted to phase, amplitude and position in each aperture. A pupil at a finite distance sends
+spherical waves, see `rim_phase`.
 """
 
 import math
@@ -30,19 +30,19 @@ ACROSS = 40
 """Rays on a diameter of the stop."""
 
 DEGREES = (6, 8, 10, 12, 14, 16, 18)
-"""Of the polynomials, in turn until the phase is followed."""
+"""Degrees of the polynomials, tried in turn until the phase fits."""
 
 FOLLOWED, REFUSED = 1e-4, 0.02
-"""Largest difference of the phase from its polynomial, waves: that is sought; that is refused."""
+"""Phase errors of the polynomial fit, waves: the goal, and the largest accepted."""
 
 CLOSE_TO_RIM = 0.8
-"""Of its semi-diameter: rays that come no farther from the axis than this say that a face does not clip them."""
+"""A face does not clip if its rays stay within this fraction of its semi-diameter."""
 
 LEAST_RAYS, LEAST_TRIALS = 16, 3
-"""That pass, so that a wavefront is known; so that a focus is."""
+"""Fewest passing rays for a wavefront, and for a focus."""
 
 FINE = 401
-"""Directions on a side of the grid by which the power is summed."""
+"""Directions per side of the grid used to sum the power."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +55,11 @@ class PupilRays:
     middle, half : (2,) float64
         Middle and half width of the range of direction cosines along x and y.
     focus_mm : (3,) float64
-        Where rays come closest together, camera frame: the phases are those of this point.
+        Point of closest approach of the rays and reference of phases, camera frame.
     radius_mm : float
-        From the exit pupil to the focus along the middle direction; inf, or below 0 where the pupil lies behind it.
+        From the exit pupil to the focus along the middle direction; inf, or negative if the pupil lies behind it.
     rays : (n, 3) float64, (n, 3) float64
-        Places in the air behind the lens, mm, and directions.
+        Positions in the air behind the lens, mm, and directions.
     """
 
     wavelength_mm: float
@@ -70,7 +70,7 @@ class PupilRays:
     rays: tuple[Array, Array]
 
     def places_at(self, z_mm: float) -> Array:
-        """Return where the rays cross a plane in the air behind the lens, (n, 2) mm."""
+        """Return the intersections of the rays with a plane in the air behind the lens, (n, 2) mm."""
         position, direction = self.rays
         return position[:, :2] + ((z_mm - position[:, 2]) / direction[:, 2])[:, None] * direction[:, :2]
 
@@ -82,11 +82,11 @@ class PupilWaves(PupilRays):
     Attributes
     ----------
     coefficients : (degree + 1, degree + 1, columns) float64
-        Of Chebyshev's polynomials in both direction cosines, of: phase in waves, amplitude, two coordinates whose areas
-        are the power that enters, the place in the stop and the squared height at the faces that clip, both over the
-        rim's.
+        Of Chebyshev polynomials in both direction cosines, for: phase in waves, amplitude, two coordinates with areas
+        equal to the entering power, position in the stop, and squared height at each clipping face, both relative to
+        the rim.
     misfit_waves : float
-        Largest difference of the phase of a ray from its polynomial.
+        Largest error of the phase polynomial at a ray.
     """
 
     coefficients: Array
@@ -100,7 +100,7 @@ class PupilWaves(PupilRays):
         return float((cover * amplitude**2).sum())
 
     def at(self, px: Array, py: Array) -> tuple[NDArray[np.complex128], Array]:
-        """Return amplitudes on a grid of directions, and the share of each that its average over a cell keeps.
+        """Return amplitudes on a grid of directions, and their reduction by averaging over cells.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class PupilWaves(PupilRays):
         Returns
         -------
         amplitudes : (rows, columns) complex128, √W
-            At the centers of the cells. Their squares are the power in each cell; where a rim cuts a cell, means.
+            At the centres of cells, means in cells cut by a rim; squares are power.
         shares : (rows, columns) float64
             sinc g for a phase that changes by g waves across a cell.
         """
@@ -126,7 +126,7 @@ class PupilWaves(PupilRays):
         return waves, shares
 
     def _in_cells(self, px: Array, py: Array) -> tuple[Array, Array, Array]:
-        """Return share within the rims, amplitude and phase (waves) in the cells of a grid close to the pupil."""
+        """Return unclipped fraction, amplitude and phase (waves) in the cells of a grid around the pupil."""
         u = (px - self.middle[0]) / self.half[0]
         v = (py - self.middle[1]) / self.half[1]
         phase, root, _, _, sx, sy, *heights2 = self._on_grid(self.coefficients, u, v)
@@ -148,10 +148,10 @@ class PupilWaves(PupilRays):
         return np.asarray(np.einsum("vj,ijc,ui->cvu", along_v, coefficients, along_u, optimize=True))
 
     def rim_phase(self, x: Array, y: Array) -> Array:
-        """Return the phase (rows, columns) in waves by which the plane of the focus sees the pupil at its distance.
+        """Return the phase, waves, in the plane of the focus due to a pupil at finite distance, (rows, columns).
 
-        Seen from a point beside the focus, the pupil's points are |x − P| away, not by plane waves; of all of them the
-        middle one's difference counts (that of the others is the same to the order of NA² x² / 2R).
+        Beside the focus, light from a pupil point P travels |x − P|, unlike a plane wave. The middle point's difference
+        is used for the whole pupil, correct to the order of NA² x² / 2R.
 
         Parameters
         ----------
@@ -163,13 +163,13 @@ class PupilWaves(PupilRays):
         x, y = x[None, :], y[:, None]
         linear = self.middle[0] * x + self.middle[1] * y
         off = 2.0 * self.radius_mm * linear + x * x + y * y
-        # |x − P| − R − linear, without the difference of large numbers.
+        # |x − P| − R − linear, without subtracting large numbers.
         beyond = off / (np.sqrt(np.maximum(self.radius_mm**2 + off, 0.0)) + abs(self.radius_mm))
         return np.asarray((math.copysign(1.0, self.radius_mm) * beyond - linear) / self.wavelength_mm)
 
 
 def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_nm: float) -> PupilWaves:
-    """Trace a point's light through the lens, and return the plane waves behind it.
+    """Return the plane waves behind the lens for a point.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
     Raises
     ------
     LfmeshError
-        As `waves_of_field`.
+        As from `waves_of_field`.
     """
     rays = LensRays(world, -float(point_mm[2]), 0.0)
     try:
@@ -195,7 +195,7 @@ def pupil_waves(world: World, camera: SolvedCamera, point_mm: Array, wavelength_
 def waves_of_field(
     rays: LensRays, camera: SolvedCamera, slope: Array, wavelength_nm: float, about_mm: Array | None = None
 ) -> PupilWaves:
-    """Trace a field's light through the lens, and return the plane waves behind it.
+    """Return the plane waves behind the lens for a field.
 
     Parameters
     ----------
@@ -205,16 +205,16 @@ def waves_of_field(
         Of the object point, see `LensRays.bundle`.
     wavelength_nm : float
     about_mm : (3,) float64, optional
-        Centre of the sphere on which phases are taken. Power is then that of equal areas of the stop, 1 in all, as
-        `lf.wavefront` has it. Where rays come closest together, and W per W/sr, if left out.
+        Centre of the reference sphere; power is then per area of the stop, 1 in all, as in `lf.wavefront`. Default: the
+        point of closest approach of the rays, with power in W per W/sr.
 
     Raises
     ------
     NoLightError
         None of its light passes.
     LfmeshError
-        Surfaces that are meshes, ideal lenses beside real ones, a point whose light does not pass or crosses before the
-        stop, or light that is collimated or too aberrated behind the lens.
+        Meshes, ideal lenses beside real ones, too few rays, rays that cross before the stop, or light that is
+        collimated or too aberrated behind the lens.
     """
     rays.refuse_crossing(slope, wavelength_nm)
     bundle = rays.bundle(slope, pupil_grid(ACROSS, rim=True), wavelength_nm)
@@ -253,7 +253,7 @@ def waves_of_field(
 
 
 def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, wavelength_nm: float) -> PupilRays:
-    """Return what rays alone say of a point's waves: their range of directions, and their focus.
+    """Return the directions and the focus of a point's light, from rays alone.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def pupil_rays(bundle: Bundle, camera: SolvedCamera, image_z_mm: float, waveleng
 
 
 def _refuse_few(bundle: Bundle, least: int) -> None:
-    """Refuse a point of whose rays the lens lets fewer pass than are needed."""
+    """Refuse a point if the lens passes too few of its rays."""
     if bundle.passes.sum() < least:
         raise LfmeshError(
             f"the lens lets {bundle.passes.sum()} of {len(bundle.passes)} rays of this point pass; move it"
@@ -289,19 +289,19 @@ def _refuse_few(bundle: Bundle, least: int) -> None:
 
 
 def _focus(position: Array, direction: Array) -> Array:
-    """Return where rays behind the lens come closest together, (3,) mm; refuse those that are parallel."""
+    """Return the point of closest approach of rays behind the lens, (3,) mm; refuse parallel rays."""
     if np.ptp(direction[:, :2] / direction[:, 2:], axis=0).min() < PARALLEL:
         raise LfmeshError("its light is collimated behind the lens; a point spread needs light that converges")
     return nearest_to_all(position, direction)
 
 
 def _radius(camera: SolvedCamera, focus: Array, direction: Array) -> float:
-    """Return the way from the exit pupil to the focus along the middle direction, mm."""
+    """Return the distance from the exit pupil to the focus along the middle direction, mm."""
     return (float(focus[2]) - camera.report.exit_pupil_z_mm) / float(direction[:, 2].mean())
 
 
 def _equal_areas(direction: Array) -> Array:
-    """Return coordinates (n, 2) of unit directions (n, 3) whose areas are solid angles (J. H. Lambert, 1772)."""
+    """Return coordinates (n, 2) of unit directions (n, 3) with areas equal to solid angles (J. H. Lambert, 1772)."""
     return direction[:, :2] * np.sqrt(2.0 / (1.0 + direction[:, 2:]))
 
 

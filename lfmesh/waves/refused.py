@@ -1,4 +1,4 @@
-"""Refusals of a point spread before its waves are followed: values out of range, and scenes."""
+"""Values and scenes that a point spread refuses beforehand."""
 
 import math
 
@@ -16,7 +16,7 @@ from lfmesh.transport.trace import check_numbers, check_whole, shown
 Array = NDArray[np.float64]
 
 MOST_PARTS = 50_000_000
-"""Parts of pixels in a picture."""
+"""Most parts of pixels in a picture."""
 
 
 class NoLightError(LfmeshError):
@@ -24,7 +24,7 @@ class NoLightError(LfmeshError):
 
 
 def no_light(point: Array) -> NoLightError:
-    """Return the error of a point (camera frame, mm) whose light misses the pixels."""
+    """Return the error for a point (camera frame, mm) with no light on the pixels."""
     return NoLightError(
         f"point_mm = {point.tolist()}: no light falls on the sensor's pixels; move the point into the field of view"
     )
@@ -38,16 +38,16 @@ def refuse_values(scene: Scene, point: Array, window: int | None, oversample: in
     scene : Scene
     point : (3,) float64, mm, camera frame
     window : int, optional
-        Pixels on a side of the picture.
+        Pixels per side of the picture.
     oversample : int
         Parts of a pixel's side.
     tolerance : float
-        Share of the light by which the picture may still change.
+        Accepted change, as a fraction of the light.
 
     Raises
     ------
     LfmeshError
-        One is.
+        A value is out of range.
     """
     check_whole(window=1 if window is None else window, oversample=oversample)
     check_numbers(tolerance=tolerance)
@@ -84,7 +84,7 @@ def lines_of_band(scene: Scene, name: str) -> tuple[list[float], list[float]]:
 
 
 def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[float, ...]:
-    """Return the weights of wavelengths, which add up to 1."""
+    """Return the weights of wavelengths, scaled to add up to 1."""
     for wavelength in wavelengths_nm:
         if not SHORTEST_NM <= wavelength <= LONGEST_NM:
             raise LfmeshError(f"wavelengths_nm = {wavelength:g}: must be from {SHORTEST_NM:g} to {LONGEST_NM:g}")
@@ -94,7 +94,7 @@ def shares_of(wavelengths_nm: tuple[float, ...], given: list[float]) -> tuple[fl
         raise LfmeshError(f"weights = {given}: give one weight for each of wavelengths_nm = {list(wavelengths_nm)}")
     if not all(0.0 <= weight < math.inf for weight in given) or not max(given) > 0.0:
         raise LfmeshError(f"weights = {given}: must be finite, none below 0 and one above")
-    # Of the largest, so that the sum of large ones is finite.
+    # Relative to the largest, so that the sum of large weights is finite.
     shares = [weight / max(given) for weight in given]
     return tuple(share / sum(shares) for share in shares)
 
@@ -105,14 +105,14 @@ def numbers_of(name: str, given: object) -> Array:
         numbers = np.atleast_1d(np.asarray(given))
     except ValueError:
         numbers = np.empty((0, 0))
-    # NumPy would take text, truth values and None for numbers, too; an empty list is one of numbers.
+    # NumPy also accepts text, truth values and None as numbers; an empty list is valid.
     if numbers.dtype.kind not in "iuf" or numbers.ndim != 1:
         raise LfmeshError(f"{name} = {shown(given)}: must be a number, or a list of numbers")
     return numbers.astype(np.float64)
 
 
 def refuse_scene(scene: Scene) -> None:
-    """Refuse what coherent waves are not taken through."""
+    """Refuse a scene with media, tanks, bodies of glass, a polariser or rough faces."""
     if scene.media or scene.tanks:
         name = "media" if scene.media else "tanks"
         raise LfmeshError(f"{name}: a point spread is taken through air to the camera; leave them out")

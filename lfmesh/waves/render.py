@@ -1,4 +1,4 @@
-"""Rendering, with the light of particles by point spreads where a scene asks for diffraction."""
+"""Rendering, with particles by point spreads if the scene asks for diffraction."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -27,16 +27,15 @@ def render(
     ----------
     scene : Scene
     progress : callable or bool, optional
-        Called a few times a second, in the calling thread. True shows a bar (on standard error, or below a notebook's
-        cell), False nothing; left out, there is a bar in a notebook alone.
+        Called a few times a second in the calling thread. True shows a bar (on standard error, or below a notebook's
+        cell), False nothing. Default: a bar in notebooks only.
     saved : dict of arrays, optional
-        State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`. The render
-        continues from there, and its image is bitwise that of an uninterrupted one.
+        State of an interrupted render of this scene, from `lfmesh.transport.render.tally.arrays_of`, to continue from
+        with the same bits.
     keep : Keeper, optional
         Called with the state after every replicate.
     world : World, optional
-        The scene's, from `lf.build`, of the same scene but for its seed. Omitted, the scene is built, unless this
-        process has its world already.
+        The scene's world, from `lf.build`; only the seed may differ (default: built, or reused in this process).
 
     Returns
     -------
@@ -46,14 +45,14 @@ def render(
     Warns
     -----
     PictureWarning
-        The picture is or may be wrong; its classes say how, and `Image.warnings` keeps them. What is known beforehand
-        is warned of before the first ray.
+        The picture is or may be wrong; subclasses say how, and `Image.warnings` keeps them. Known problems are reported
+        before the first ray.
 
     Raises
     ------
     KeyboardInterrupt
         Interrupted before the first replicate was finished.
     LfmeshError
-        The scene cannot be built, `saved` or `world` is of another one, or particles cannot be pictured by waves.
+        The scene cannot be built, `saved` or `world` belongs to another scene, or waves cannot picture its particles.
     """
     return transport.render(scene, progress, saved=saved, keep=keep, untraced=particle_film, world=world)

@@ -1,8 +1,8 @@
 """Ray aiming at the stop: the ray of an object point through each point of the stop, or the edge that ends it.
 
-Rays are aimed through surfaces without apertures, so that an aperture can only ever stop a ray whose path is known.
-The first rays of a field are continued from the axis, all others from rays of the same field. Where surfaces end, the
-continuation ends as well, and names the surface. Positions are in the camera frame, mm.
+Rays are aimed without apertures, so apertures only stop rays with known paths. The first rays of a field are continued
+from the axis, all others from rays of the same field. A continuation that ends at a surface's edge names the surface.
+Positions are in the camera frame, mm.
 """
 
 import math
@@ -33,38 +33,38 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 DIFFERENCE = 1e-5
-"""Of two trials whose difference is the derivative, over the stop's radius."""
+"""Step of the finite differences for derivatives, over the stop's radius."""
 
 INSIDE = 1.0 - 1e-9
-"""The rim of the stop is aimed at times this, so that the rays pass it."""
+"""Factor for points on the rim of the stop, so that their rays pass it."""
 
 RINGS = ((0.4, 6), (0.75, 10), (1.0, 14))
-"""Radii, over that of the stop, and numbers of the rays from which the guesses of many others are interpolated."""
+"""Radii, over the stop's, and numbers of rays used to interpolate guesses for many others."""
 
 MANY = 100
-"""Number of rays from which on others on rings are sought first, to interpolate their guesses."""
+"""Number of rays from which rays on rings are found first, to interpolate guesses."""
 
 DEGREES = (5, 3, 1)
-"""Of the polynomials that interpolate; the first for which enough rays are known is taken."""
+"""Degrees of the interpolating polynomials; the first with enough known rays is used."""
 
 CLOSE = 0.1
-"""Largest distance of a ray from its interpolated guess, over that from the chief ray."""
+"""Largest distance of a ray from its interpolated guess, over its distance from the chief ray."""
 
 NEAR_CAUSTIC = 0.1
-"""Ratio of the areas that known rays map to, below which interpolated ones may have come beyond a caustic."""
+"""Ratio of the areas to which known rays map, below which interpolated rays may lie beyond a caustic."""
 
 NEAR_EDGE = 1e-3
-"""Distance from the end of a continuation, over the front's radius, within which a surface that ends is met."""
+"""Distance from the end of a continuation, over the front's radius, within which a surface's end is sought."""
 
 NEAR_FOLD = 1e-2
-"""Distance from there, over the front's radius, within which the map to the stop turns over at a caustic."""
+"""Distance from the end of a continuation, over the front's radius, within which a caustic is sought."""
 
 TRIALS = 33
-"""Trials across the front of the lens, along each axis, where no ray can be continued from the axis."""
+"""Trial rays along each axis of the front, if no ray can be continued from the axis."""
 
 
 class Edge(IntEnum):
-    """The end of a ray."""
+    """Cause of the end of a ray."""
 
     NONE = 0
     APERTURE = 1
@@ -85,18 +85,18 @@ WORDS = {
     Edge.CAUSTIC: "a caustic before the stop, beyond which no ray comes",
     Edge.UNKNOWN: "nothing known: ray aiming did not converge",
 }
-"""Of each edge, with the number of the surface."""
+"""Description of each edge, with the number of the surface."""
 
 
 class Ends(NamedTuple):
-    """The ends of rays.
+    """Ends of rays.
 
     Attributes
     ----------
     edge : (n,) int64
         See `Edge`.
     surface : (n,) int64
-        Number of the surface in the prescription; −1 of none.
+        Number of the surface in the prescription; −1 for none.
     """
 
     edge: Whole
@@ -107,7 +107,7 @@ class Ends(NamedTuple):
         return WORDS[Edge(self.edge[ray])].format(self.surface[ray])
 
     def words(self) -> list[str]:
-        """Return each edge that ends a ray, once, with the share of all rays that it ends."""
+        """Return each edge that ends rays, with its fraction of all rays."""
         pairs, count = np.unique(np.stack([self.edge, self.surface]), axis=1, return_counts=True)
         return [
             f"{percent(n / len(self.edge))} by {WORDS[Edge(edge)].format(surface)}"
@@ -122,9 +122,9 @@ class Sent(NamedTuple):
     Attributes
     ----------
     entry : (n, 2) float64, mm
-        Where they cross the plane of the first vertex; NaN where no ray comes to the point of the stop.
+        Points on the plane of the first vertex; NaN if no ray reaches the point of the stop.
     ends : Ends
-        What ends these before the stop.
+        Edges that end the latter before the stop.
     """
 
     entry: Array
@@ -145,15 +145,15 @@ class _Known(NamedTuple):
 
 @dataclass(frozen=True)
 class StopAim:
-    """Finds rays of the points of one object plane through points of the stop.
+    """Ray aiming from the points of one object plane to points of the stop.
 
     Attributes
     ----------
     world : World
         Its lens surfaces have formulas.
     vergence : float
-        1 over the distance of the object plane before the first vertex, 1/mm; 0: parallel bundles; below 0: the rays
-        converge to points behind it.
+        1/mm: inverse distance of the object plane before the first vertex; 0 for parallel bundles, negative for points
+        behind it.
     """
 
     world: World
@@ -171,7 +171,7 @@ class StopAim:
 
     @cached_property
     def front_radius(self) -> float:
-        """Radius of the first surface's mesh, mm."""
+        """Rim radius of the first surface's mesh, at least that of the stop, mm."""
         return float(max(self.world.lens_shape.rims[0], self.stop_radius))
 
     @cached_property
@@ -180,18 +180,18 @@ class StopAim:
 
     @cached_property
     def _faces_to_stop(self) -> int:
-        """Refracting surfaces up to the stop, itself included where it is one."""
+        """Number of refracting surfaces up to and including the stop."""
         return sum(number <= self.stop for number in self.world.lens_shape.numbers)
 
     @cached_property
     def _stop_z(self) -> float:
-        """Vertex of a stop that is no refracting surface; NaN of one that is."""
+        """Vertex of a stop that is not a refracting surface, else NaN."""
         lens = self.world.scene.camera.lens
         return float(lens.vertices_mm[self.stop]) if lens.is_pure_stop(self.stop) else math.nan
 
     @cached_property
     def _fields(self) -> dict[float, dict[tuple[float, float], _Known]]:
-        """Rays that are known, by wavelength and slope; the first of each field is its chief ray if it has one."""
+        """Known rays by wavelength and slope, the chief ray first if there is one."""
         return {}
 
     @cached_property
@@ -201,22 +201,22 @@ class StopAim:
 
     @cached_property
     def far_ahead(self) -> float:
-        """Plane from which rays are traced without apertures: before surfaces that go on beyond these."""
+        """Start plane of rays traced without apertures, in front of the surfaces' continuations."""
         before = float(self.world.tables.lens.box_low[2])
         free = before - 4.0 * self.front_radius
         return min(before, max(free, -1.0 / self.vergence)) if self.vergence > 0.0 else free
 
     def starts(self, slope: Array, entry: Array, z_mm: float | None = None) -> tuple[Array, Array]:
-        """Return where rays start, before the lens, and their unit directions, (n, 3) each.
+        """Return the start points of rays before the lens, and their unit directions, (n, 3) each.
 
         Parameters
         ----------
         slope : (n, 2) float64
-            Of the object points: their x and y over their distance from the first vertex.
+            x and y of the object points over their distance.
         entry : (n, 2) float64, mm
-            Where they would cross the plane of the first vertex.
+            Points on the plane of the first vertex.
         z_mm : float, optional
-            Plane in which they start; just before the lens if left out.
+            Start plane (default: just before the lens).
         """
         ahead = np.column_stack([entry * self.vergence - slope, np.ones(len(entry))])
         before = float(self.world.tables.lens.box_low[2]) if z_mm is None else z_mm
@@ -224,7 +224,7 @@ class StopAim:
         return start, ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 
     def _unbounded(self, slope: Array, entry: Array, wavelength_nm: float, faces: int) -> Arrived:
-        """Follow rays through the first faces, which go on beyond their apertures."""
+        """Trace rays through the first faces, which continue beyond their apertures."""
         if wavelength_nm not in self._cameras:
             tables = at_wavelength(self.world, wavelength_nm)
             self._cameras[wavelength_nm] = tables._replace(lens=without_apertures(tables.lens)).camera
@@ -232,7 +232,7 @@ class StopAim:
         return follow_to(self._cameras[wavelength_nm], route, *self.starts(slope, entry, self.far_ahead))
 
     def unstopped(self, slope: Array, entry: Array, wavelength_nm: float) -> Arrived:
-        """Follow rays through the whole lens, whatever apertures they pass.
+        """Trace rays through the whole lens, apertures ignored.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ class StopAim:
         return self._unbounded(slope, entry, wavelength_nm, len(self.world.lens_shape.numbers))
 
     def at_stop(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
-        """Return where rays cross the surface of the stop, in its own frame, (n, 2) mm, whatever apertures they pass.
+        """Return the points of rays on the stop, in its frame, apertures ignored.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class StopAim:
         Returns
         -------
         (n, 2) float64, mm
-            NaN of rays that miss a surface before the stop, or are totally reflected there.
+            NaN for rays that miss a surface before the stop, or are totally reflected there.
         """
         if self._faces_to_stop == 0:
             # The stop stands before the lens.
@@ -284,7 +284,7 @@ class StopAim:
         ends = Ends(np.zeros(len(aim), np.int64), np.full(len(aim), -1))
         mine = self._of_wavelength(wavelength_nm)
         if len(aim) < MANY and tuple(field) not in mine:
-            # A few rays come straight from the next field.
+            # A few rays are continued directly from the nearest field.
             next_field, near = self._nearest(field, wavelength_nm)
             if len(near.aim):
                 middle = near.taken(np.zeros(len(aim), np.int64))
@@ -298,7 +298,7 @@ class StopAim:
             return Sent(entry, self._no_ray(field, len(aim), wavelength_nm))
         entry[left] = self._interpolated(known, field, aim[left], wavelength_nm)
         left = left[~np.isfinite(entry[left, 0])]
-        # From the nearest rays that are known, until none is added.
+        # Continue from the nearest known rays until none is added.
         while len(left):
             near = known.taken(KDTree(known.aim).query(aim[left])[1])
             found = self._continued((field, field), near, aim[left], wavelength_nm)
@@ -314,7 +314,7 @@ class StopAim:
     def _continued(
         self, fields: tuple[Array, Array], known: _Known, to_aim: Array, wavelength_nm: float
     ) -> ContinuedRays:
-        """Follow known rays (n, 2) of one field to another field and other points of the stop."""
+        """Continue known rays (n, 2) of one field to another field and other points of the stop."""
         field, to_field = fields
 
         def miss(entry: Array, share: Array, which: Whole) -> Array:
@@ -327,13 +327,13 @@ class StopAim:
         return continue_rays(miss, known.entry, DIFFERENCE * self.stop_radius, self.stop_radius, given)
 
     def _of_wavelength(self, wavelength_nm: float) -> dict[tuple[float, float], _Known]:
-        """Return the fields that are known at a wavelength: the axial one at least."""
+        """Return the known fields at a wavelength, at least the axial one."""
         if wavelength_nm not in self._fields:
             self._fields[wavelength_nm] = {(0.0, 0.0): self._axial(wavelength_nm)}
         return self._fields[wavelength_nm]
 
     def _nearest(self, field: Array, wavelength_nm: float) -> tuple[Array, _Known]:
-        """Return the field of which rays are known that is nearest to one, and these rays."""
+        """Return the nearest field with known rays, and these rays."""
         mine = self._of_wavelength(wavelength_nm)
         slopes = [slope for slope, known in mine.items() if len(known.aim)] or [(0.0, 0.0)]
         nearest = min(slopes, key=lambda slope: math.dist(slope, field))
@@ -358,7 +358,7 @@ class StopAim:
         return middle
 
     def _axial(self, wavelength_nm: float) -> _Known:
-        """Return the chief ray of the axial point: of a centred lens the axis itself."""
+        """Return the chief ray of the axial point; in a centred lens, the axis itself."""
         axis = np.zeros((1, 2))
         hit = self.at_stop(axis, axis, wavelength_nm)
         if not np.isfinite(hit).all():
@@ -367,7 +367,7 @@ class StopAim:
         return _of(self._continued((axis[0], axis[0]), start, axis, wavelength_nm), axis)
 
     def _from_next(self, field: Array, wavelength_nm: float) -> _Known:
-        """Return the chief ray of a field, from that of the next one; where it has none, others from the axis."""
+        """Return a field's chief ray, continued from the nearest field, or other rays continued from the axis."""
         for next_field, near in (
             self._nearest(field, wavelength_nm),
             (np.zeros(2), self._of_wavelength(wavelength_nm)[0.0, 0.0]),
@@ -380,26 +380,26 @@ class StopAim:
         return _nothing()
 
     def _by_trials(self, field: Array, wavelength_nm: float) -> _Known:
-        """Return rays of a field that trials across the front find."""
+        """Return rays of a field found by trials across the front."""
         trial = self.trials()
         hit = self.at_stop(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
         senses = self._senses(np.broadcast_to(field, trial.shape), trial, wavelength_nm)
         ok = np.flatnonzero(np.isfinite(hit).all(axis=1) & np.isfinite(senses))
-        # Beyond a caustic lies another branch of the map; this is that of the middle of the front.
+        # Keep the branch at the middle of the front; another lies beyond a caustic.
         ok = ok[senses[ok] == senses[ok[np.argsort(np.hypot(*trial[ok].T))[:1]]]]
         nearest = np.argsort(np.hypot(*hit[ok].T))[:TRIALS]
         start = _Known(hit[ok][nearest], trial[ok][nearest], np.full((len(nearest), 2, 2), np.nan))
         return _of(self._continued((field, field), start, start.aim, wavelength_nm), start.aim)
 
     def trials(self) -> Array:
-        """Return places (n, 2) in the plane of the first vertex, mm, on a square grid across the front of the lens."""
+        """Return points (n, 2), mm, on a square grid across the front of the lens, in the plane of the first vertex."""
         steps = np.linspace(-1.0, 1.0, TRIALS) * self.front_radius
         return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 
     def turned_share(self, field: Array, entry: Array, wavelength_nm: float) -> float:
-        """Return the share of rays whose neighbourhood lies turned over in the stop, as beyond a caustic.
+        """Return the fraction of rays with reversed neighbourhoods in the stop, as beyond a caustic.
 
-        The smaller of both senses counts as turned over.
+        The rarer orientation counts as reversed.
 
         Parameters
         ----------
@@ -408,12 +408,12 @@ class StopAim:
         wavelength_nm : float
         """
         senses = self._senses(np.broadcast_to(field, entry.shape), entry, wavelength_nm)
-        # At borders the neighbourhood is not known.
+        # At borders the neighbourhood is unknown.
         turned = senses[np.isfinite(senses)] < 0.0
         return float(min(turned.mean(), 1.0 - turned.mean())) if len(turned) else 0.0
 
     def _senses(self, slope: Array, entry: Array, wavelength_nm: float) -> Array:
-        """Return the sign (n,) of the area in the stop that rays round each cross; NaN at borders."""
+        """Return the orientation, ±1 (n,), of rays around each ray in the stop; NaN at borders."""
         sides = DIFFERENCE * self.stop_radius * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         trial = (entry + sides[:, None]).reshape(-1, 2)
         hit = self.at_stop(np.tile(slope, (4, 1)), trial, wavelength_nm).reshape(4, -1, 2)
@@ -421,7 +421,7 @@ class StopAim:
         return np.asarray(np.sign(a * d - b * c))
 
     def _interpolated(self, known: _Known, field: Array, aim: Array, wavelength_nm: float) -> Array:
-        """Return the entries of rays that are found from guesses by polynomials through known ones; NaN: not found."""
+        """Return the entries of rays found from guesses by polynomials through known rays; NaN if not found."""
         entry, scale = np.full(aim.shape, np.nan), 1.0 / self.stop_radius
         degree = next((each for each in DEGREES if len(known.aim) >= 1.4 * _terms(each)), None)
         if degree is None:
@@ -443,7 +443,7 @@ class StopAim:
             - known.derivative[:, 0, 1] * known.derivative[:, 1, 0]
         )
         if len(area) <= len(_rings()) or np.abs(area).min() < NEAR_CAUSTIC * np.abs(area).max():
-            # Beyond a caustic the map lies turned over: rays there belong to another branch.
+            # Beyond a caustic the map is reversed; rays there belong to another branch.
             landed = np.flatnonzero(ok)
             ok[landed] = (
                 self._senses(
@@ -456,7 +456,7 @@ class StopAim:
         return entry
 
     def _edges(self, field: Array, aim: Array, found: ContinuedRays, wavelength_nm: float) -> Ends:
-        """Return what ends continued rays: the surface whose border they have come to, or a fold."""
+        """Return the edges that end continued rays: borders of surfaces, or folds."""
         start, derivative = found.start[~found.arrived], found.derivative[~found.arrived]
         slope = np.broadcast_to(field, start.shape)
         edge, surface = np.full(len(start), int(Edge.UNKNOWN)), np.full(len(start), -1)
@@ -465,7 +465,7 @@ class StopAim:
         unit = step / np.maximum(np.hypot(*step.T), 1e-300)[:, None]
         _, _, across = np.linalg.svd(derivative)
         numbers = np.append(self.world.lens_shape.numbers, -1)
-        # At a border the map is stretched without end across it, so that the way there may be along the border.
+        # The map is stretched without limit across a border, so the step there may run along the border.
         for way in (unit, across[:, 0], -across[:, 0]):
             for reach in np.geomspace(1e-9, NEAR_EDGE, 13) * self.front_radius:
                 open_ = np.flatnonzero(edge == Edge.UNKNOWN)
@@ -487,7 +487,7 @@ class StopAim:
         return Ends(edge, surface)
 
     def _no_ray(self, field: Array, count: int, wavelength_nm: float) -> Ends:
-        """Return what ends all rays of a field of which none comes to the stop."""
+        """Return the ends of the rays of a field without any ray through the stop."""
         slope = field[None]
         arrived = self._unbounded(slope, np.zeros((1, 2)), wavelength_nm, self._faces_to_stop)
         reflected = arrived.ended[0] == DROPPED
@@ -496,7 +496,7 @@ class StopAim:
         return Ends(np.full(count, int(edge)), np.full(count, number))
 
     def stopped(self, slope: Array, entry: Array, arrived: Arrived, wavelength_nm: float) -> Ends:
-        """Return what ends rays that were followed through the whole lens with its apertures.
+        """Return the ends of rays traced through the whole lens with its apertures.
 
         Parameters
         ----------
@@ -520,7 +520,7 @@ class StopAim:
                 [Edge.STOP, Edge.REFLECTED, Edge.OTHER_SIDE, Edge.MISSED],
                 Edge.APERTURE,
             )
-        # What meets the last surface again has met all.
+        # A ray that meets the last surface again has met all of them.
         surface = np.where(edge == Edge.STOP, self.stop, numbers[np.minimum(met, faces - 1)])
         return Ends(edge, np.where(edge == Edge.NONE, -1, surface))
 
@@ -541,7 +541,7 @@ def _of(found: ContinuedRays, aim: Array) -> _Known:
 
 
 def _regular(matrices: Array) -> Array:
-    """Return matrices (n, 2, 2) with the identity in place of those that cannot be solved with."""
+    """Return matrices (n, 2, 2) with singular ones replaced by the identity."""
     fine = np.abs(np.linalg.det(np.where(np.isfinite(matrices), matrices, 0.0))) > 0.0
     return np.where(fine[:, None, None], matrices, np.eye(2))
 

@@ -1,4 +1,4 @@
-"""A scene's camera as waves pass it: what all its point spreads share, built once."""
+"""A scene's camera for waves, shared by its point spreads."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,15 +20,15 @@ from lfmesh.waves.refused import NoLightError, refuse_scene
 Array = NDArray[np.float64]
 
 TRIALS = 16
-"""Rays on a diameter of the stop that look for targets before a point, and for how wide its light is."""
+"""Rays on a diameter of the stop, to find targets before a point and the width of its light."""
 
 OFF_POINT = 1e-6
-"""Of the way to the lens: these rays start this far before the point, so that it may lie on a target."""
+"""Distance before the point at which these rays start, over the way to the lens; the point may lie on a target."""
 
 
 @dataclass(frozen=True, eq=False)
 class WaveCamera:
-    """A camera that waves are taken through.
+    """A camera for wave propagation.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class WaveCamera:
         Raises
         ------
         LfmeshError
-            Coherent waves are not taken through it.
+            The scene is not supported, see `refuse_scene`.
         """
         refuse_scene(scene)
         camera = solved_camera(scene)
@@ -64,7 +64,7 @@ class WaveCamera:
 
     @property
     def sensor_mm(self) -> Array:
-        """(3,): middle of the sensor, camera frame."""
+        """(3,): centre of the sensor, camera frame."""
         return np.asarray(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME][:, 3])
 
     @cached_property
@@ -85,11 +85,11 @@ class WaveCamera:
 
     @cached_property
     def _whole(self) -> World:
-        """The world with the targets that may hide a point."""
+        """World that includes the targets, which may hide a point."""
         return build(self.scene, aimed=False)
 
     def looked_at(self, point: Array, wavelength_nm: float) -> Bundle:
-        """Return some rays of a point: the chief ray, and `TRIALS` on a diameter of the stop and on its rim.
+        """Return a point's chief ray and others, `TRIALS` on a diameter of the stop and some on its rim.
 
         Parameters
         ----------
@@ -102,22 +102,22 @@ class WaveCamera:
         return rays.bundle(point[:2] / rays.object_mm, pupil, wavelength_nm)
 
     def refuse_hidden(self, point: Array, bundle: Bundle, wavelength_nm: float) -> None:
-        """Refuse a point of whose light a part, or all, meets a target on its way to the lens.
+        """Refuse a point if targets hide it from any part of the lens.
 
         Parameters
         ----------
         point : (3,) float64, mm
             Camera frame.
         bundle : Bundle
-            As `looked_at` returns it.
+            From `looked_at`.
         wavelength_nm : float
 
         Raises
         ------
         NoLightError
-            A target hides it whole.
+            All of its light is hidden.
         LfmeshError
-            A target hides it in part.
+            A part is hidden.
         """
         if not self.scene.targets:
             return
@@ -139,7 +139,7 @@ class WaveCamera:
 
 
 def entering(point: Array, bundle: Bundle) -> Array:
-    """Return the ways of a bundle's rays from their point to the plane of the first vertex, (rays that pass, 3) mm.
+    """Return the rays from a point to the plane of the first vertex, (rays that pass, 3) mm.
 
     Parameters
     ----------

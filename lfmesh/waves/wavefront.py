@@ -1,11 +1,9 @@
-"""The wavefront in the exit pupil: optical path lengths along traced rays, against the sphere about the image point.
+"""The wavefront in the exit pupil: optical paths of traced rays, against the sphere around the image point.
 
-Rays of one object point run through the lens by the order of its surfaces. The optical path of each, from the object
-point (or from a plane square to a parallel bundle) over all faces to the reference sphere, is compared with that of the
-chief ray. The sphere is centred where the chief ray meets the image plane, and passes through the point where that ray
-crosses the plane of the exit pupil, as in OpticStudio (in CODE V, where it crosses the axis); its radius matters little
-(W. T. Welford, Aberrations of Optical Systems, 1986, chapter 7). Optical path lengths are those of the glasses relative
-to air, waves those of the wavelength in air.
+Optical paths run from the object point (or a plane perpendicular to a parallel bundle) to the reference sphere, and are
+compared with the chief ray's. The sphere is centred on the chief ray in the image plane. It passes through the chief
+ray in the plane of the exit pupil, as in OpticStudio (in CODE V, on the axis); the radius matters little (W. T.
+Welford, Aberrations of Optical Systems, 1986, chapter 7). Paths are relative to air, wavelengths in air.
 """
 
 import math
@@ -30,10 +28,10 @@ from lfmesh.waves.zernike import FRINGE_TERMS, fitted
 Array = NDArray[np.float64]
 
 FAR = 1e4
-"""Of the focal length: radius of the reference sphere of a lens whose exit pupil lies at infinity."""
+"""Radius of the reference sphere for an exit pupil at infinity, over the focal length."""
 
 ACROSS = 64
-"""Rays on a diameter of the stop, if not said."""
+"""Default number of rays on a diameter of the stop."""
 
 NM_PER_MM = 1e6
 
@@ -46,21 +44,20 @@ class Wavefront(Pictured):
     ----------
     wavelength_nm : float
     slope : float
-        Of the object point: its height over its distance from the first vertex, in the meridional plane; of parallel
-        bundles the tangent of the field angle.
+        Height of the object point over its distance from the first vertex; for parallel bundles, tangent of the field
+        angle.
     image_mm : (3,) float64
-        Centre of the reference sphere, camera frame: where the chief ray meets the image plane.
+        Centre of the reference sphere: the chief ray in the image plane, camera frame.
     radius_mm : float
-        Of the reference sphere.
+        Radius of the reference sphere.
     pupil : (n, 2) float64
-        Where the rays cross the stop, in units of its radius. Points are equal areas of the stop.
+        Points of equal area in the stop, in units of its radius.
     opd_waves : (n,) float64
-        Optical path of the chief ray less that of each ray, up to the reference sphere: positive where the wavefront is
-        ahead of the sphere.
+        Optical path of the chief ray less that of each ray; positive if the wavefront is ahead of the sphere.
     weight : (n,) float64
         Transmittance of each ray by Fresnel's equations, coatings included.
     passed : float
-        Share of the stop's points whose rays the lens lets through.
+        Transmitted fraction of the rays.
     """
 
     wavelength_nm: float
@@ -80,7 +77,7 @@ class Wavefront(Pictured):
 
     @cached_property
     def rms_waves(self) -> float:
-        """Standard deviation of the path difference over the pupil, weighted by transmittance; no tilt is removed."""
+        """Standard deviation of the path difference, weighted by transmittance; tilt is not removed."""
         mean = np.average(self.opd_waves, weights=self.weight)
         return float(np.sqrt(np.average((self.opd_waves - mean) ** 2, weights=self.weight)))
 
@@ -96,14 +93,14 @@ class Wavefront(Pictured):
         return float(np.abs(amplitude @ np.exp(2j * np.pi * self.opd_waves)) ** 2 / amplitude.sum() ** 2)
 
     def zernike(self, terms: int = FRINGE_TERMS, order: Literal["fringe", "noll"] = "fringe") -> Array:
-        """Return the coefficients of Zernike polynomials, (terms,) waves, by least squares over the points of the stop.
+        """Return the coefficients of Zernike polynomials, by least squares over the stop.
 
         Parameters
         ----------
         terms : int
-            From the first, piston, on; up to 37 of the Fringe order.
+            Number of terms, piston included; up to 37 for the Fringe order.
         order : {"fringe", "noll"}
-            Noll's polynomials are orthonormal; those of the Fringe order are 1 at the rim.
+            Noll's polynomials are orthonormal; Fringe polynomials are 1 at the rim.
 
         Returns
         -------
@@ -113,7 +110,7 @@ class Wavefront(Pictured):
         Raises
         ------
         LfmeshError
-            A number of terms or an order that there is not, or fewer rays than terms.
+            An unknown order, or a number of terms that does not exist or exceeds the number of rays.
         """
         if order not in ("fringe", "noll"):
             raise LfmeshError(f'order = {order!r}: use "fringe" or "noll"')
@@ -138,17 +135,15 @@ def wavefront(
     Parameters
     ----------
     scene : Scene
-        Its lens counts; array and sensor only say where the image plane is.
+        Its lens is used; array and sensor only define the image plane.
     height_mm : float
-        Of the object point above the axis (y), at the object distance; of an object at infinity the tangent of the
-        field angle.
+        Height of the object point above the axis (y); for an object at infinity, tangent of the field angle.
     wavelength_nm : float, optional
-        The scene's primary one if left out.
+        Default: the scene's primary wavelength.
     object_mm : float, optional
-        Distance of the object before the first vertex, or inf; the plane in focus if left out.
+        Distance of the object before the first vertex, or inf (default: the plane in focus).
     image_z_mm : float, optional
-        Plane in which the reference sphere has its centre, from the first vertex; where the lens images the plane in
-        focus if left out.
+        Plane of the reference sphere's centre, from the first vertex (default: the image of the plane in focus).
     across : int
         Rays on a diameter of the stop, from 4 to 1000.
 
@@ -159,8 +154,7 @@ def wavefront(
     Raises
     ------
     LfmeshError
-        Surfaces that are meshes, ideal lenses beside real ones, a field whose rays do not pass or cross before the
-        stop, or a wrong value.
+        Meshes, ideal lenses beside real ones, rays that do not pass or cross before the stop, or a wrong value.
     """
     camera = solved_camera(scene)
     facts = camera.report
@@ -188,7 +182,7 @@ def wavefront(
 
 
 def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int = ACROSS, *, words: str) -> Wavefront:
-    """Return the wavefront of a field of rays whose image plane holds the centre of the reference sphere.
+    """Return the wavefront of a field, about a centre in the rays' image plane.
 
     Parameters
     ----------
@@ -199,12 +193,12 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
     across : int
         Rays on a diameter of the stop.
     words : str
-        Of the field, for messages.
+        Name of the field for messages.
 
     Raises
     ------
     LfmeshError
-        There is no chief ray, all others are stopped, rays cross before the stop, or they miss the reference sphere.
+        No chief ray, no other ray, rays that cross before the stop, or rays that miss the reference sphere.
     """
     rays.refuse_crossing(slope, wavelength_nm)
     pupil = np.vstack([np.zeros(2), pupil_grid(across)])
@@ -226,17 +220,17 @@ def wavefront_of(rays: LensRays, slope: float, wavelength_nm: float, across: int
 def path_differences(
     rays: LensRays, slope: float, entry: Array, wavelength_nm: float, centre: Array
 ) -> tuple[Array, float]:
-    """Return the optical path of the first ray less that of each, up to the reference sphere, and the sphere's radius.
+    """Return the optical path of the first ray less that of each, and the reference sphere's radius.
 
     Parameters
     ----------
     rays : LensRays
     slope : float
     entry : (n, 2) float64, mm
-        Where the rays cross the plane of the first vertex; all come through the lens. The first is the chief ray.
+        Points on the plane of the first vertex; the rays pass the lens. The first is the chief ray.
     wavelength_nm : float
     centre : (3,) float64, mm
-        Of the reference sphere, camera frame.
+        Centre of the reference sphere, camera frame.
 
     Returns
     -------
@@ -261,7 +255,7 @@ def path_differences(
 
 
 def _sphere_radius_mm(rays: LensRays, traced: Traced, centre: Array) -> float:
-    """Return the radius of the sphere about a point, by the first ray in the exit pupil; below 0 if that is behind."""
+    """Return the reference sphere's radius, up to the first ray in the exit pupil; negative if the pupil is behind."""
     facts = solved_camera(rays.world.scene).report
     pupil_z = facts.exit_pupil_z_mm
     if not math.isfinite(pupil_z):

@@ -1,9 +1,9 @@
-"""Zernike polynomials on the unit circle, in the two orders that optics uses: Noll's and the Fringe order.
+"""Zernike polynomials on the unit circle, in Noll's order and the Fringe order.
 
-Noll's are orthonormal: the coefficients' squares, without the first, add up to the wavefront's variance (R. J. Noll,
-"Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66 (1976) 207). Those of the Fringe order, which
-CODE V and OpticStudio print, are 1 at the rim (J. C. Wyant, K. Creath, "Basic wavefront aberration theory for optical
-metrology", 1992).
+Noll's are orthonormal: squared coefficients, without the first, add up to the wavefront's variance (R. J. Noll,
+"Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66 (1976) 207). Fringe polynomials, printed by CODE V
+and OpticStudio, are 1 at the rim (J. C. Wyant, K. Creath, "Basic wavefront aberration theory for optical metrology",
+1992).
 """
 
 import math
@@ -17,7 +17,7 @@ Index = tuple[int, int]
 """Radial order n, and azimuthal order m: cosines for m >= 0, sines for m < 0."""
 
 FRINGE_TERMS = 37
-"""Of the Fringe order, which ends there."""
+"""Number of terms of the Fringe order."""
 
 
 def noll_index(j: int) -> Index:
@@ -48,9 +48,9 @@ def zernike(index: Index, x: Array, y: Array, *, orthonormal: bool) -> Array:
     ----------
     index : (n, m)
     x, y : (points,) float64
-        The angle is reckoned from x towards y.
+        Angles are measured from x towards y.
     orthonormal : bool
-        Its mean square over the circle is 1; else it is 1 at the rim at the angle 0 (or where its sine is 1).
+        Scale to mean square 1; else to 1 at the rim at angle 0 (or where the sine is 1).
     """
     n, m = index
     order = abs(m)
@@ -64,7 +64,7 @@ def zernike(index: Index, x: Array, y: Array, *, orthonormal: bool) -> Array:
 
 
 def fitted(points: Array, values: Array, terms: int, order: str) -> Array:
-    """Return the coefficients of the first terms of an order, by least squares over the points, (terms,).
+    """Return the coefficients of an order's first terms, by least squares over points, (terms,).
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""Detector: photons to electrons to counts, with their noise.
-
-The image itself, power without noise but that of its estimate, stays as it is; this stands beside it.
-"""
+"""Detector: photons to electrons to counts, with their noise."""
 
 import math
 from dataclasses import dataclass, replace
@@ -23,7 +20,7 @@ PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 MOST_BITS = 16
 MOST_ELECTRONS = 1e15
-"""Expected in a pixel: more than any well, and what numpy draws Poisson numbers of."""
+"""Most electrons expected in a pixel: more than any well, within the range of numpy's Poisson numbers."""
 
 BRIGHT_PERCENTILE = 99.5
 
@@ -38,10 +35,10 @@ class Exposed(Pictured):
     expected_e : (H, W) float64
         Photoelectrons expected in each pixel, without dark current.
     saturated : (H, W) bool
-        Where the well was full.
+        Pixels with a full well.
     detector : Detector
     upright : Upright
-        How to turn them upright.
+        Transformation to the upright picture.
     wavelengths_nm : tuple of float
         Of the image's channels.
     """
@@ -60,7 +57,7 @@ class Exposed(Pictured):
 
     @property
     def electrons(self) -> Array:
-        """(H, W): electrons in each pixel that the counts stand for, dark ones included."""
+        """(H, W): electrons in each pixel by its count, dark current included."""
         return (self.counts.astype(np.float64) - self.detector.black_level) * self.detector.electrons_per_count
 
 
@@ -72,25 +69,25 @@ class Detector:
     ----------
     exposure_s : float
     quantum_efficiency : float
-        Electrons a photon.
+        Electrons per photon.
     bayer : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
-        Colour filters of the first two pixels of the first row of the upright picture, then of the second; none if
-        omitted.
+        Colour filters of the first two pixels of the upright picture's first row, then of its second row (default:
+        none).
     full_well_e : float
-        Electrons that a pixel holds; the converter's highest count stands for them.
+        Full-well capacity, electrons, at the highest count.
     dark_current_e_s : float
-        Electrons a second in the dark.
+        Electrons per second.
     read_noise_e : float
         Standard deviation, electrons.
     bits : int
     black_level : int
-        Count of an empty pixel, so that read noise is not cut off.
+        Count of an empty pixel; prevents clipping of read noise.
     seed : int
 
     Raises
     ------
     LfmeshError
-        A value that no detector has.
+        A value is out of range.
     """
 
     exposure_s: float = 0.01
@@ -116,23 +113,23 @@ class Detector:
 
     @property
     def white_level(self) -> int:
-        """The highest count."""
+        """Highest count."""
         return int(2**self.bits - 1)
 
     @property
     def electrons_per_count(self) -> float:
-        """The converter's step."""
+        """Electrons per step of the converter."""
         return self.full_well_e / (self.white_level - self.black_level)
 
     def filling(self, image: Image, share: float = 0.8) -> "Detector":
-        """Return this detector with the exposure time that fills its bright pixels to a share of the well.
+        """Return this detector with the exposure time that fills bright pixels to a fraction of the well.
 
         Parameters
         ----------
         image : Image
-            Whose 99.9th percentile counts as bright.
+            The 99.5th percentile of its lit pixels counts as bright.
         share : float
-            Of the full well.
+            Fraction of the full well.
 
         Returns
         -------
@@ -150,11 +147,11 @@ class Detector:
         return replace(self, exposure_s=self.exposure_s * share * self.full_well_e / bright)
 
     def electrons_per_watt(self, wavelengths_nm: tuple[float, ...]) -> Array:
-        """Return the photoelectrons that a watt in each channel of an image makes, (filters, channels).
+        """Return the photoelectrons per watt in each channel of an image, (filters, channels).
 
-        Power · time / (hc/λ) · efficiency · filter. A row for red, green and blue with a mosaic, else one. With bands
-        named R, G and B each filter sees the band of its name, at its centroid; single wavelengths pass the Gaussian
-        filters `RGB_NM`.
+        Power · time / (hc/λ) · efficiency · filter, with rows for red, green and blue of a mosaic, else one row. Each
+        filter passes the band of its name (R, G or B), at its centroid. Single wavelengths pass the Gaussian filters
+        `RGB_NM`.
 
         Parameters
         ----------
@@ -164,12 +161,12 @@ class Detector:
         Returns
         -------
         (filters, channels) float64
-            Electrons a watt.
+            Electrons per watt.
 
         Raises
         ------
         LfmeshError
-            The bands are not those of the filters.
+            The bands do not match the filters.
         """
         photons_per_joule = 1e-9 * np.asarray(wavelengths_nm) / (PLANCK_J_S * SPEED_OF_LIGHT_M_S)
         weights = self.exposure_s * self.quantum_efficiency * photons_per_joule
@@ -191,7 +188,7 @@ class Detector:
         return np.asarray(weights * [[name == colour for name in names] for colour in RGB_NM])
 
     def expected_e(self, image: Image) -> Array:
-        """Return the photoelectrons expected in each pixel, (H, W): see `electrons_per_watt`.
+        """Return the photoelectrons expected in each pixel, see `electrons_per_watt`.
 
         Parameters
         ----------
@@ -214,12 +211,12 @@ class Detector:
         return electrons
 
     def expose(self, image: Image) -> Exposed:
-        """Draw one exposure: shot noise of light and dark current, the full well, read noise, conversion.
+        """Draw one exposure: shot noise of light and dark current, full well, read noise, conversion.
 
         Parameters
         ----------
         image : Image
-            Not changed. Single wavelengths are taken as lines that carry all of the power.
+            Single wavelengths count as lines that carry all of the power.
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""White images, and the places of micro-images."""
+"""White images, and centres of micro-images."""

@@ -1,4 +1,4 @@
-"""The geometry of a light-field camera as its raw image shows it: where every micro-image has its centre."""
+"""Geometry of a light-field camera as seen in its raw image: centres of the micro-images."""
 
 import math
 from dataclasses import dataclass
@@ -20,26 +20,26 @@ from lfmesh.scene.first_order.solve import lenslet_focal_length_mm
 Array = NDArray[np.float64]
 
 DISTORTION_DEGREE = 3
-"""Of the polynomial that continues the lattice to lenslets whose centre is not known."""
+"""Degree of the polynomial that extrapolates centres to lenslets without a known one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Geometry that finds a lenslet's pixels and their meaning.
+    """Geometry that finds and interprets a lenslet's pixels.
 
-    Pixel positions are (column, row) with the middle of the first pixel at (0, 0), in the orientation of the raw image.
+    Pixel positions are (column, row) of the raw image, with the first pixel's centre at (0, 0).
 
     Attributes
     ----------
     layout : {"square", "hexagonal"}
     centres_px : (rows, columns, 2) float64
-        Centre of every micro-image: where the chief ray of its lenslet lands.
+        Centre of every micro-image, at the chief ray of its lenslet.
     known : (rows, columns) bool
-        False where there is no chief ray, or no light; the centre is then continued from the others.
+        False without a chief ray or light; the centre is then extrapolated.
     kinds : (rows, columns) int64
-        Number of each lenslet's type.
+        Type number of each lenslet.
     focal_lengths_mm : tuple of float
-        One a type.
+        One per type.
     lenslet_pitch_mm : float
         Distance of neighbouring lenslets, pitch error included.
     pixel_mm : float
@@ -55,7 +55,7 @@ class Calibration:
     wavelength_nm : float
         Of the chief rays.
     origin : {"traced", "white image"}
-        Where the centres come from.
+        Source of the centres.
     """
 
     layout: Literal["square", "hexagonal"]
@@ -82,7 +82,7 @@ class Calibration:
 
     @property
     def lattice(self) -> Lattice:
-        """The lattice of the micro-images, its pitch in pixels."""
+        """Lattice of the micro-images, with its pitch in pixels."""
         rows, columns = self.known.shape
         return Lattice(self.layout == "hexagonal", self.pitch_px, columns, rows)
 
@@ -93,7 +93,7 @@ class Calibration:
 
     @cached_property
     def _similarity(self) -> complex:
-        """Scale and rotation that best take the ideal lattice of pitch 1 to the known centres."""
+        """Scale and rotation that best map the ideal lattice of pitch 1 to the known centres."""
         rows, columns = self.known.shape
         to_complex = np.array([1.0, 1.0j])
         ideal = Lattice(self.layout == "hexagonal", 1.0, columns, rows).centres()[self.known] @ to_complex
@@ -104,21 +104,21 @@ class Calibration:
 
     @property
     def pitch_px(self) -> float:
-        """Mean distance of neighbouring micro-images, by least squares over all known centres."""
+        """Mean distance of neighbouring micro-images, by least squares over known centres."""
         return abs(self._similarity)
 
     @property
     def nominal_pitch_px(self) -> float:
-        """The pitch that first-order optics gives, (p/pixel)(D + d)/D."""
+        """First-order pitch of the micro-images, (p/pixel)(D + d)/D."""
         return self.lenslet_pitch_mm / self.pixel_mm * (1.0 + self.lenslet_to_sensor_mm / self.pupil_to_array_mm)
 
     @property
     def rotation_rad(self) -> float:
-        """Turn of the rows of micro-images against those of the sensor, from column (+x) to row (+y)."""
+        """Rotation of the rows of micro-images against the sensor's, from column (+x) to row (+y)."""
         return math.atan2(self._similarity.imag, self._similarity.real)
 
     def error_px(self, truth: "Calibration") -> Array:
-        """Return the distances of these centres from the true ones, of the lenslets that both know, in pixels.
+        """Return the distances of these centres from the true ones, for lenslets known to both.
 
         Parameters
         ----------
@@ -128,14 +128,14 @@ class Calibration:
         Returns
         -------
         (n,) float64
-            Pixels, one for each lenslet.
+            Pixels, one per lenslet.
         """
         both = self.known & truth.known
         return np.asarray(np.linalg.norm(self.centres_px[both] - truth.centres_px[both], axis=1))
 
 
 def calibrate(scene: Scene) -> Calibration:
-    """Find the true geometry of a scene's camera: every chief ray is traced, installation and form errors included.
+    """Trace the true geometry of a scene's camera, installation and form errors included.
 
     Parameters
     ----------
@@ -148,14 +148,14 @@ def calibrate(scene: Scene) -> Calibration:
     Raises
     ------
     LfmeshError
-        A conventional camera, or one whose lens lets no chief ray through to the array.
+        A conventional camera, or a lens that passes no chief ray to the array.
     """
     scene = solved_camera(scene).scene
     return calibration_by(scene, chief_rays(scene))
 
 
 def calibration_by(scene: Scene, rays: ChiefRays) -> Calibration:
-    """Return the true geometry of a solved scene's camera, whose chief rays have been traced."""
+    """Return the true geometry of a solved scene's camera from its chief rays."""
     sensor = scene.camera.sensor
     centres = rays.landing / sensor.pixel_mm + 0.5 * (np.asarray(sensor.pixels) - 1.0)
     return calibration_of(scene, continued(centres, rays.traced), rays.traced, "traced")
@@ -173,7 +173,7 @@ def calibration_of(
     centres_px : (rows, columns, 2) float64
         Column and row of every micro-image's centre.
     known : (rows, columns) bool
-        False where a centre is only continued from others.
+        False for extrapolated centres.
     origin : {"traced", "white image"}
     """
     mla, sensor = scene.camera.mla, scene.camera.sensor
@@ -203,12 +203,12 @@ def calibration_of(
 
 
 def continued(centres_px: Array, known: NDArray[np.bool_]) -> Array:
-    """Return centres with the unknown ones filled in: a polynomial of third degree through the known ones.
+    """Fill in unknown centres by a polynomial of third degree through the known ones.
 
     Parameters
     ----------
     centres_px : (rows, columns, 2) float64
-        NaN is allowed where they are not known.
+        May be NaN if unknown.
     known : (rows, columns) bool
     """
     if known.all() or not known.any():
@@ -216,7 +216,7 @@ def continued(centres_px: Array, known: NDArray[np.bool_]) -> Array:
     row, column = np.indices(known.shape)
     index = np.stack([column, row], axis=-1).astype(np.float64)
     half = 0.5 * np.array(known.shape[::-1])
-    # Rows of a hexagonal array are shifted against each other; in pairs they are not.
+    # Odd and even rows separately, as rows of a hexagonal array are shifted against each other.
     filled = centres_px.copy()
     for parity in (0, 1):
         rows = np.arange(len(known)) % 2 == parity

@@ -1,4 +1,4 @@
-"""Centres of the micro-images, found on a white image as the owner of a real camera has to."""
+"""Centres of the micro-images from a white image, as for a real camera."""
 
 from typing import NamedTuple
 
@@ -17,38 +17,40 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 ROUNDS = 6
-"""Fits of the lattice to the centroids, each from a better place."""
+"""Number of times that the lattice is fitted to the centroids, each from a better start."""
 
 LIT = 0.25
-"""A micro-image darker than this share of the median one has no centre of its own."""
+"""A micro-image darker than this fraction of the median one has no centre of its own."""
 
 CLIP = 0.85
-"""Light above this share of a micro-image's brightness counts as this much: a micro-image has the shape of the pupil,
-and neither noise nor the fall-off of light across it should move its centre."""
+"""Light is clipped at this fraction of a micro-image's brightness.
+
+A micro-image has the shape of the pupil; neither noise nor the fall-off of light across it should move its centre.
+"""
 
 PROBE = 0.02
-"""By this share of a pitch the cells are moved to see how their borders act."""
+"""Shift of the cells, over the pitch, that probes the effect of their borders."""
 
 LEAST_PULL = 0.1
-"""Micro-images that touch all round pull their cells no more strongly than this; then they are hardly to be seen."""
+"""Lower limit of 1 − drag, reached if micro-images touch all round and can hardly be seen."""
 
 CONTRAST = 0.02
-"""Depth of the dark between micro-images, over their mean, below which there is nothing to find centres by."""
+"""Depth of the dark between micro-images, over their mean, below which centres cannot be found."""
 
 
 def estimate_centres(white: Image, scene: Scene | None = None) -> Calibration:
-    """Find the centres of the micro-images from a white image alone, knowing layout, count and nominal pitch.
+    """Find the centres of the micro-images from a white image, given layout, count and nominal pitch.
 
-    The phase of the white image at the lattice's own spatial frequencies places the lattice; then every micro-image's
-    centroid over its cell, whose border cuts through pixels, moves its centre, and a lattice fitted to all of them
-    moves the cells. `Calibration.error_px` tells how far the result lies from the truth.
+    The phase of the white image at the lattice's spatial frequencies places the lattice. Then each micro-image's
+    centroid over its cell, with subpixel borders, moves its centre, and a lattice fitted to all centres moves the
+    cells. `Calibration.error_px` gives the errors.
 
     Parameters
     ----------
     white : Image
         From `lf.white_image`.
     scene : Scene, optional
-        Its own if omitted.
+        Default: that of the image.
 
     Returns
     -------
@@ -57,7 +59,7 @@ def estimate_centres(white: Image, scene: Scene | None = None) -> Calibration:
     Raises
     ------
     LfmeshError
-        A conventional camera, a black image, or one without dark between the micro-images.
+        A conventional camera, a black image, or no dark between the micro-images.
     """
     scene = solved_camera(white.scene if scene is None else scene).scene
     light = np.ascontiguousarray(white.mean.sum(axis=2))
@@ -72,12 +74,12 @@ class Centroids(NamedTuple):
     Attributes
     ----------
     lattice : (rows, columns, 2) float64, pixels
-        The lattice that fits them best, by its points.
+        Points of the best-fitting lattice.
     shifts : (rows, columns, 2) float64, pixels
-        How far each lies beside its point of the lattice; 0 where it is not known.
+        Offset of each centroid from its lattice point; 0 if unknown.
     known : (rows, columns) bool
     drag : float
-        By how much of its own motion a cell drags the centroid in it along; `shifts` are corrected for it.
+        Motion of a centroid over the motion of its cell; `shifts` are corrected for it.
     pitch : float
         Width of the cells, pixels.
     hexagonal : bool
@@ -102,14 +104,14 @@ def find_centroids(light: Array, scene: Scene) -> Centroids:
     Parameters
     ----------
     light : (H, W) float64
-        White image in any unit that is proportional to light, C-contiguous, in the orientation of the raw image.
+        White image in any linear unit, C-contiguous, oriented like the raw image.
     scene : Scene
         Solved.
 
     Raises
     ------
     LfmeshError
-        As `estimate_centres`.
+        As from `estimate_centres`.
     """
     model = RayModel.of(scene)
     mla = scene.camera.mla
@@ -126,17 +128,17 @@ def find_centroids(light: Array, scene: Scene) -> Centroids:
 
 
 def _fitted(ideal: Array, centres: Array, known: NDArray[np.bool_]) -> Array:
-    """Return the lattice, shifted, turned, scaled and sheared, that fits the known centres best."""
+    """Return the lattice, shifted, rotated, scaled and sheared, that best fits the known centres."""
     terms = np.concatenate([ideal, np.ones((*known.shape, 1))], axis=-1)
     fit, *_ = np.linalg.lstsq(terms[known], centres[known], rcond=None)
     return np.asarray(terms @ fit)
 
 
 def _own_shifts(light: Array, centres: Array, pitch: float, hexagonal: bool) -> tuple[Array, NDArray[np.bool_], float]:
-    """Return how far single micro-images stand beside the lattice, pixels, which are known, and the drag of cells.
+    """Return the offsets of micro-images from the lattice, pixels, a mask of known ones, and the drag of cells.
 
-    A cell beside its micro-image loses light on one side and takes a neighbour's on the other, which drags the
-    centroid along: how much is seen by moving all cells.
+    An offset cell loses light on one side and gains a neighbour's on the other, which drags the centroid along. Moving
+    all cells measures the drag.
     """
     probe = PROBE * pitch
     moved, known = _centroids(light, centres, pitch, hexagonal)
@@ -146,9 +148,9 @@ def _own_shifts(light: Array, centres: Array, pitch: float, hexagonal: bool) -> 
 
 
 def _without_noise(found: Centroids, light: Array, variance: Array) -> Array:
-    """Return the shifts of single micro-images with what the pixels' noise alone would scatter taken out in proportion.
+    """Reduce the offsets of micro-images by the fraction of their variance due to pixel noise.
 
-    Wiener's filter, so that a perfect array is not made to look a bad one.
+    This Wiener filter keeps a perfect array from looking imperfect.
     """
     seen = float((found.shifts[found.known] ** 2).mean())
     centroid = _centroid_variance(light, variance, found.lattice, found.pitch, found.hexagonal)
@@ -157,10 +159,10 @@ def _without_noise(found: Centroids, light: Array, variance: Array) -> Array:
 
 
 def _phase_shift(light: Array, centres: Array, pitch: float, hexagonal: bool) -> Array:
-    """Return the shift (x, y) in pixels, within half a pitch, that takes a lattice of centres to the bright places."""
+    """Return the shift (x, y) in pixels, within half a pitch, that moves a lattice to the bright places."""
     row, column = (np.arange(size) for size in light.shape)
     start = centres.reshape(-1, 2).mean(axis=0)
-    # Two reciprocal vectors of the lattice, and any one of its points to count the phase from.
+    # Two reciprocal vectors of the lattice, and one of its points as the origin of phases.
     waves = np.array([[1.0, -np.sqrt(1.0 / 3.0)], [0.0, np.sqrt(4.0 / 3.0)]] if hexagonal else [[1.0, 0.0], [0.0, 1.0]])
     waves = waves / pitch
     point = centres.reshape(-1, 2)[int(np.argmin(((centres.reshape(-1, 2) - start) ** 2).sum(axis=1)))]
@@ -179,7 +181,7 @@ def _phase_shift(light: Array, centres: Array, pitch: float, hexagonal: bool) ->
 
 
 def _centroids(light: Array, centres: Array, pitch: float, hexagonal: bool) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the centroid of the light in the cell round every centre, and which of them have light enough."""
+    """Return the centroid of the light in each cell, and a mask of cells with enough light."""
     rows, columns, _ = centres.shape
     moved, power = np.empty_like(centres), np.empty((rows, columns))
     _cell_centroids(light, centres, pitch, hexagonal, moved, power)
@@ -192,7 +194,7 @@ def _centroids(light: Array, centres: Array, pitch: float, hexagonal: bool) -> t
 
 @kernel
 def _cell_centroids(light: Array, centres: Array, pitch: float, hexagonal: bool, moved: Array, power: Array) -> None:
-    """Fill centroids and power of all cells; a cell that leaves the sensor has a power of −1."""
+    """Fill in centroids and power of all cells; the power is −1 for cells that leave the sensor."""
     height, width = light.shape
     rows, columns, _ = centres.shape
     half = 0.5 * pitch
@@ -220,7 +222,7 @@ def _cell_centroids(light: Array, centres: Array, pitch: float, hexagonal: bool,
 
 
 def _centroid_variance(light: Array, variance: Array, centres: Array, pitch: float, hexagonal: bool) -> Array:
-    """Return the variance of every centroid, mean of x and y, from that of the pixels; 0 where it leaves the sensor."""
+    """Return the variance of each centroid, mean of x and y, from the pixels' variance; 0 outside the sensor."""
     result = np.zeros(centres.shape[:2])
     _fill_centroid_variance(light, variance, centres, pitch, hexagonal, result)
     return result
@@ -265,7 +267,7 @@ def _brightness(light: Array, x: float, y: float, radius: float) -> float:
 
 @kernel
 def _share_inside(dx: float, dy: float, half: float, hexagonal: bool) -> float:
-    """Return about how much of a pixel lies in the cell of a centre, from the distance to each border."""
+    """Return the approximate fraction of a pixel inside a cell, from its distance to each border."""
     if not hexagonal:
         return min(max(half - abs(dx) + 0.5, 0.0), 1.0) * min(max(half - abs(dy) + 0.5, 0.0), 1.0)
     a, b = 0.5 * dx, ROW_SPACING * dy

@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def between_pixels(mean: Array, stderr: Array, x: float, y: float, channel: int) -> tuple[float, float]:
-    """Return a raw image at column x and row y, bilinearly, and its squared standard error; NaN beyond the sensor.
+    """Interpolate a raw image bilinearly at column x and row y, with squared standard error; NaN outside the sensor.
 
     Parameters
     ----------

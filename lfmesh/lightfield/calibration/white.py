@@ -1,4 +1,4 @@
-"""The white image: the raw image of a uniform Lambertian plane that fills the field of the same camera."""
+"""The white image: raw image of a uniform Lambertian plane that fills the field of the same camera."""
 
 from collections.abc import Callable
 
@@ -13,20 +13,19 @@ from lfmesh.transport.render.progress import Progress
 from lfmesh.transport.render.render import render
 
 RADIANCE = 1.0
-"""Of the plane, W/(m² sr), so that a raw image divided by the white one is the radiance of what it shows."""
+"""Radiance of the plane, W/(m² sr); a raw image divided by the white one is then a radiance."""
 
 WIDTH_OVER_DISTANCE = 12.0
-"""Rays leave the lens at up to 80° from its axis and still meet the plane."""
+"""Width of the plane over its distance; it catches rays up to 80° from the axis."""
 
 FOCAL_LENGTHS_AWAY = 10.0
 """Distance of the plane; a uniform plane looks the same from anywhere."""
 
 
 def white_scene(scene: Scene) -> Scene:
-    """Return a scene with the same camera and transport that shows nothing but a glowing plane.
+    """Return a scene with the same camera and transport, and a glowing plane as its only object.
 
-    It is traced from the sensor whatever the scene asks for: from a plane that fills every field, hardly any light
-    would find the lens.
+    It is always traced from the sensor, as hardly any of the plane's light would find the lens.
 
     Parameters
     ----------
@@ -35,11 +34,11 @@ def white_scene(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        As `solved_camera`.
+        As from `solved_camera`.
     """
     camera = solved_camera(scene)
     scene = camera.scene
-    # An afocal lens has no focal length to measure by.
+    # For afocal lenses, without a focal length to scale by.
     distance = FOCAL_LENGTHS_AWAY * min(abs(camera.report.efl_mm), 100.0 * max(scene.camera.sensor.size_mm))
     pose = scene.camera.pose
     (place,) = frames.points(frames.frame(pose.tilt_deg, pose.shift_mm), np.array([[0.0, 0.0, -distance]]))
@@ -61,7 +60,7 @@ def white_scene(scene: Scene) -> Scene:
 
 
 def refuse_other_white(white: Image, image: Image, camera: Camera) -> None:
-    """Refuse to divide a raw image by a white one that does not belong to it.
+    """Refuse a white image that does not belong to a raw image.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def white_image(scene: Scene, progress: Callable[[Progress], None] | bool | None
     Returns
     -------
     Image
-        Its `scene` is that of the white plane.
+        With the scene of the white plane.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""Depth from a light field: the shift between views at which they agree best, and the distance that it means.
+"""Depth from a light field: the shift with the best agreement of the views, converted to distance.
 
-Planes of equal shift are tried one by one; the views, shifted back, differ least where the plane is the right one (a
-cost volume). From the best plane on, the slope of the epipolar-plane images that is left is found by least squares
-over their gradients, as a structure tensor finds it (S. Wanner, B. Goldluecke, "Variational light field analysis for
-disparity estimation and super-resolution", IEEE TPAMI 36 (2014) 606; from refocused planes: M. Diebold, B. Goldluecke,
-"Epipolar plane image refocusing for improved depth estimation and occlusion handling", VMV 2013).
+Planes of equal shift are tried in turn; the views, shifted back, differ least at the right plane (a cost volume). Least
+squares over the gradients, as in a structure tensor, then finds the residual slope of the epipolar-plane images (S.
+Wanner, B. Goldluecke, "Variational light field analysis for disparity estimation and super-resolution", IEEE TPAMI 36
+(2014) 606; from refocused planes: M. Diebold, B. Goldluecke, "Epipolar plane image refocusing for improved depth
+estimation and occlusion handling", VMV 2013).
 """
 
 import math
@@ -26,32 +26,33 @@ from lfmesh.scene.distance import reach_in_words
 Array = NDArray[np.float64]
 
 STEP = 0.05
-"""Shifts tried are this far apart, in samples."""
+"""Distance of the shifts tried, in samples."""
 
 WINDOW = 1.5
-"""Standard deviation of the Gaussian window in which views are compared, in samples."""
+"""Standard deviation of the Gaussian window for the comparison of views, in samples."""
 
 BORDER = 0.7
-"""Views whose pixels lie within this share of a pixel's diagonal of the pupil's rim are left out: lit in part, they
-look from elsewhere than their middle."""
+"""Views closer to the pupil's rim than this, in pixels (about half a pixel's diagonal), are left out.
+
+They are lit in part, so their centre of projection is off.
+"""
 
 LEAST_VIEWS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap(Pictured):
-    """Depth as the middle of the exit pupil sees it, sample by sample of a view; NaN where it is not known.
+    """Depth from the middle of the exit pupil, for each sample of a view; NaN if unknown.
 
     Attributes
     ----------
     distance_mm : (t, s) float64
         Before the first vertex, along the axis.
     shift_mm : (t, s) float64
-        How far the point moves on the array from one view to the next; positive nearer than the focus.
+        Shift of the point on the array from view to view; positive nearer than the focus.
     confidence : (t, s) float64
-        From 0 to 1: by what share the views differ less at this distance than on average over all that were tried,
-        times the share of texture in what varies, be it over the window or from view to view. Near 0 where there is
-        nothing but noise to compare; low where views see past an edge.
+        From 0 to 1: reduction of the difference between views, relative to the mean over all distances, times the
+        fraction of texture in the variation over window and views. Near 0 for noise; low at occluding edges.
     range_mm : tuple of float
         Nearest and farthest distance tried.
     """
@@ -68,7 +69,7 @@ class DepthMap(Pictured):
         return f"<DepthMap: {width} × {height} samples, {known:.1%} known, searched {nearest:.5g} to {farthest:.5g} mm>"
 
     def error(self, truth_mm: NDArray[np.floating]) -> Array:
-        """Return the relative error, (t, s); NaN where one of both is not known or infinite.
+        """Return the relative error; NaN if either distance is unknown or infinite.
 
         Parameters
         ----------
@@ -82,7 +83,7 @@ class DepthMap(Pictured):
         Raises
         ------
         LfmeshError
-            The truth is of another size.
+            The truth has another size.
         """
         if truth_mm.shape != self.distance_mm.shape:
             raise LfmeshError(
@@ -93,14 +94,14 @@ class DepthMap(Pictured):
         return np.where(np.isfinite(self.distance_mm), self.distance_mm, np.nan) / truth - 1.0
 
     def in_words(self, truth_mm: NDArray[np.floating], without_depth: Sequence[str] = ()) -> str:
-        """Return the error of the depth in words, of what lies in the range that was searched.
+        """Return the error of the depth in words, for true depths in the searched range.
 
         Parameters
         ----------
         truth_mm : (t, s) float
             `DepthTruth.middle_mm`.
         without_depth : sequence of str, optional
-            `DepthTruth.without_depth`: names of media and particles, whose depth is estimated but has no truth.
+            `DepthTruth.without_depth`.
 
         Returns
         -------
@@ -131,9 +132,9 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
     Parameters
     ----------
     field : LightField
-        Best divided by its white image; then views need not be equally bright.
+        Preferably divided by its white image.
     near_mm, far_mm : float, optional
-        Distances between which to search; the refocus range if omitted.
+        Range of the search (default: the refocus range).
 
     Returns
     -------
@@ -142,7 +143,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
     Raises
     ------
     LfmeshError
-        No range to search in, or fewer than 3 views along an axis.
+        No range to search, or fewer than 3 views along an axis.
     """
     data, usable = _even_views(field)
     geometry = traced_shift(ViewRays.of_camera(field.scene), usable)
@@ -157,7 +158,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
         total, tried = total + np.where(known, differ, 0.0), tried + known
         better = known & (differ < cost)
         cost, texture = np.where(better, differ, cost), np.where(better, contrast, texture)
-        # A residual of several steps is no small one: then there is no slope to speak of.
+        # A residual of several steps means that there is no reliable slope.
         limit = 2.0 * STEP * max(spacing)
         shift = np.where(better, plane + np.clip(residual, -limit, limit), shift)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -172,7 +173,7 @@ def estimate_depth(field: LightField, *, near_mm: float | None = None, far_mm: f
 
 
 def _real(distance_mm: Array) -> Array:
-    """Return distances with those of virtual objects, which lie beyond infinity, at infinity."""
+    """Replace distances of virtual objects, which lie beyond infinity, by infinity."""
     return np.where(distance_mm < 0.0, np.inf, distance_mm)
 
 
@@ -188,7 +189,7 @@ def _shifts_to_try(field: LightField, geometry: ShiftMap, near_mm: float | None,
 
 
 def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
-    """Return the samples with all views equally bright, and the (v, u) views that the pupil fills."""
+    """Return the samples with equal brightness in all views, and a mask (v, u) of views that the pupil fills."""
     rows, columns = field.views
     if min(rows, columns) < LEAST_VIEWS:
         raise LfmeshError(f"{columns} × {rows} views: depth needs {LEAST_VIEWS} views along each axis at least")
@@ -212,16 +213,16 @@ def _even_views(field: LightField) -> tuple[Samples, NDArray[np.bool_]]:
 def _compared(
     data: Samples, usable: NDArray[np.bool_], shift_mm: float, spacing_mm: tuple[float, float]
 ) -> tuple[Array, Array, Array]:
-    """Compare the views, shifted to one plane, in the window round every sample.
+    """Compare the views, shifted to one plane, in the window around every sample.
 
     Returns
     -------
     cost : (t, s) float64
-        Variance over the views; NaN where nothing is known.
+        Variance over the views; NaN if unknown.
     contrast : (t, s) float64
         Variance of their mean over the window.
     residual : (t, s) float64, mm
-        By how much more the views shift.
+        Remaining shift of the views.
     """
     mean = np.empty(data.shape[2:])
     slope_v, slope_u = np.empty_like(mean), np.empty_like(mean)
@@ -246,7 +247,7 @@ def _gradient(picture: Array, axis: int) -> Array:
 
 
 def _windowed(values: Array) -> Array:
-    """Return the mean of the known values in a Gaussian window round every sample."""
+    """Return the mean of the known values in a Gaussian window around every sample."""
     known = np.isfinite(values)
     weight = ndimage.gaussian_filter(known.astype(np.float64), WINDOW, mode="constant")
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), WINDOW, mode="constant")
@@ -259,9 +260,9 @@ def _regress_views(
     data: Samples, usable: NDArray[np.bool_], along_t: float, along_s: float,
     mean: Array, variance: Array, slope_v: Array, slope_u: Array,
 ) -> None:  # fmt: skip
-    """Shift the views by so many samples a view, and fit a plane over (v, u) to what each sample sees.
+    """Shift the views by given samples per view, and fit a plane over (v, u) at each sample.
 
-    `variance` is that round the mean, summed over the channels; the slopes are per view.
+    `variance` is about the mean, summed over channels; slopes are per view.
     """
     rows, columns, height, width, channels = data.shape
     for t in range(height):
@@ -274,7 +275,7 @@ def _regress_views(
                     for u in range(columns):
                         if not usable[v, u]:
                             continue
-                        # What is nearer than the focus moves against the view.
+                        # Objects nearer than the focus move against the view.
                         dv, du = v - 0.5 * (rows - 1), u - 0.5 * (columns - 1)
                         y, x = t - along_t * dv, s - along_s * du
                         if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):

@@ -1,7 +1,6 @@
-"""True depth: the traced distances at which the rays of views and of raw pixels first meet a target.
+"""True depth: traced distances to the first target on rays of views and raw pixels.
 
-Media and particles have none: light comes from all along a line of sight through a flame or fog, and no ray meets a
-point. Rays pass through them here.
+Media and particles have none, as light comes from all along a line of sight; rays pass through them.
 """
 
 from dataclasses import dataclass
@@ -29,28 +28,28 @@ Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
 
 MOST_SAMPLES = CHUNK
-"""Of a pixel: its bundle is traced in one piece."""
+"""Most rays per pixel, as its bundle is traced in one piece."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthTruth(Pictured):
-    """Distances before the first vertex of the lens, along its axis; in a target of glass, of what is seen through it.
+    """Distances of targets before the first vertex, along its axis; glass targets are looked through.
 
-    NaN where no ray passes the lens, inf where rays pass and meet nothing.
+    NaN if no ray passes the lens, inf if rays pass and meet nothing.
 
     Attributes
     ----------
     views_mm : (v, u, t, s) float32, mm
-        Along the chief ray of every sample of the light field, upright as `LightField` is.
+        Along the chief ray of every sample of the light field, upright like `LightField`.
     middle_mm : (t, s) float32, mm
-        From the middle of the exit pupil: between the views, where their number is even.
+        From the middle of the exit pupil; between the views if their number is even.
     pixels_mm, spread_mm : (H, W) float32, mm
-        Mean and standard deviation over the bundle of rays that a pixel of the raw image gathers, weighted as their
-        light is, in the orientation of the raw image. Of the rays that meet a target.
+        Mean and standard deviation over the rays of a raw pixel's bundle that meet a target, weighted by their light,
+        oriented like the raw image.
     seen : (H, W) float32
-        The share of the bundle that meets a target; 0 for a dark pixel.
+        Fraction of the bundle that meets a target; 0 for a dark pixel.
     without_depth : tuple of str
-        Names of the scene's media and groups of particles, which have no true depth: rays pass through them.
+        Names of media and groups of particles.
     """
 
     views_mm: Samples
@@ -76,7 +75,7 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     views : int, optional
         Along each axis, as for `lf.decode`.
     samples : int
-        Rays of a pixel's bundle.
+        Rays per pixel.
 
     Returns
     -------
@@ -85,7 +84,7 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
     Raises
     ------
     LfmeshError
-        A conventional camera, or a number of views or samples that makes no sense.
+        A conventional camera, or an invalid number of views or samples.
     """
     if not 1 <= samples <= MOST_SAMPLES:
         raise LfmeshError(f"samples = {samples}: must be from 1 to {MOST_SAMPLES}")
@@ -98,13 +97,13 @@ def depth_truth(scene: Scene, *, views: int | None = None, samples: int = 16) ->
 
 
 def without_depth(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a scene's media and groups of particles, which have no true depth."""
+    """Return the names of a scene's media and groups of particles."""
     media = (medium.name or f"media[{number}]" for number, medium in enumerate(scene.media))
     return *media, *(f"particles[{number}]" for number in range(len(scene.particles)))
 
 
 def middle_depth_mm(scene: Scene) -> Samples:
-    """Trace `DepthTruth.middle_mm` alone.
+    """Trace only `DepthTruth.middle_mm`.
 
     Raises
     ------
@@ -131,7 +130,7 @@ def _of_view(rays: ViewRays, v: float, u: float) -> Samples:
 
 
 def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
-    """Return mean, standard deviation and share of all, (H, W), over the bundle of every raw pixel."""
+    """Return mean, standard deviation and fraction on targets, (H, W), over the bundle of every raw pixel."""
     sensor = world.tables.sensor
     pixels = sensor.rows * sensor.columns
     mean, spread, seen = np.empty((3, pixels), np.float32)
@@ -153,7 +152,7 @@ def _of_pixels(world: World, samples: int) -> tuple[Samples, Samples, Samples]:
 
 
 def _sums(world: World, ended: NDArray[np.void], pixels: range) -> Array:
-    """Return the sums of w, w z, w z² over the rays that meet a target, and of w over the others, (4, pixels)."""
+    """Return the sums of w, w z, w z² over rays that meet a target, and of w over the others, (4, pixels)."""
     sums = np.zeros((4, len(pixels)))
     met, beside = ended[ended["status"] == Status.TARGET], ended[ended["status"] == Status.ESCAPED]
     distance = _distances_mm(world, met["position"])
@@ -164,7 +163,7 @@ def _sums(world: World, ended: NDArray[np.void], pixels: range) -> Array:
 
 
 def _moments(sums: Array) -> tuple[Array, Array, Array]:
-    """Return mean, standard deviation and share from the sums of w, w z, w z² on targets, and of w beside them."""
+    """Return mean, standard deviation and fraction from the sums of `_sums`."""
     weight, first, second, beside = sums
     lit = weight + beside
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -175,5 +174,5 @@ def _moments(sums: Array) -> tuple[Array, Array, Array]:
 
 
 def _distances_mm(world: World, positions: Array) -> Array:
-    """Return how far before the first vertex (n, 3) points of the world frame lie."""
+    """Return the distances of (n, 3) points of the world frame before the first vertex."""
     return np.asarray(-frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], positions)[:, 2])

@@ -14,11 +14,10 @@ Array = NDArray[np.float64]
 
 
 class ViewSpectra:
-    """The views' Fourier transforms along t and s, and those of where they are known.
+    """Fourier transforms of the views along t and s, and of their masks of known samples.
 
-    A photograph's spectrum is the sum over the views, each with the phase of its shift: the light field's 4D spectrum
-    on the plane k_u = shift · k_s, k_v = shift · k_t, with the transform along the views taken at just these
-    frequencies instead of interpolated between the bins of a fast one.
+    A photograph's spectrum sums the views', each with the phase of its shift: the light field's 4D spectrum on the
+    plane k_u = shift · k_s, k_v = shift · k_t, evaluated without interpolation between FFT bins.
     """
 
     def __init__(self, field: LightField, most_shift_mm: float) -> None:
@@ -26,7 +25,7 @@ class ViewSpectra:
         spacing = field.spacing_mm
         self._spacing = spacing
         self._size = (height, width)
-        # Views move at most this far: their borders are repeated by as much, so that nothing comes round.
+        # Borders are repeated by the largest shift of a view, to avoid wrap-around.
         self._margin = tuple(
             math.ceil(0.5 * count * most_shift_mm / step) + 1
             for count, step in zip((rows, columns), spacing, strict=True)
@@ -36,12 +35,12 @@ class ViewSpectra:
         self._known = None if known.all() else self._transformed(known.astype(np.float32))
 
     def slice(self, shift_mm: float, shares: Array) -> Array:
-        """Return the photograph (t, s, c) of a shift."""
+        """Return the photograph (t, s, c) for a shift."""
         picture = self._sum(self._views, shift_mm, shares)
         if self._known is None:
             return picture / shares.sum()
         weight = self._sum(self._known, shift_mm, shares)
-        # Sinc interpolation of what is known rings: a place that hardly any view knows has no weight to divide by.
+        # Sinc interpolation of the mask rings; the weight of places that hardly any view knows is unusable.
         floor = 0.5 * float(shares[shares > 0.0].min())
         return np.where(weight > floor, picture / np.maximum(weight, floor), np.nan)
 

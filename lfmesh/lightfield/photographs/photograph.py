@@ -1,4 +1,4 @@
-"""Photographs computed from a light field: one plane, a stack of planes, or every place in focus."""
+"""Photographs computed from a light field: one plane, a stack of planes, or all in focus."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -13,20 +13,20 @@ from lfmesh.scene.literals import counted
 Array = NDArray[np.float64]
 
 SHARPNESS_RADIUS = 2
-"""Sharpness is compared over windows that reach this many samples to either side."""
+"""Half width, in samples, of the windows in which sharpness is compared."""
 
 LEAST_SHARE = 0.5 / (2 * SHARPNESS_RADIUS + 1) ** 2
-"""Share of a window: that of half a sample, which is none."""
+"""Fraction of a window equal to half a sample; less means none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph(Pictured):
-    """Photograph of one plane, as a conventional camera focused on it takes it.
+    """Photograph of one plane, as from a conventional camera focused on it.
 
     Attributes
     ----------
     mean : (t, s, c) float64
-        Upright; NaN where no view saw anything.
+        Upright; NaN where no view has data.
     stderr : (t, s, c) float64
     distance_mm : float
         Object distance of the plane, in front of the first vertex.
@@ -36,9 +36,9 @@ class Photograph(Pictured):
         Size of a sample (along s) in the plane.
     wavelengths_nm : tuple of float
     unit : str
-        As the light field's.
+        As for the light field.
     method : str
-        That it was computed by.
+        Method of computation.
     """
 
     mean: Array
@@ -59,10 +59,10 @@ class Photograph(Pictured):
 
 @dataclass(frozen=True, eq=False)
 class FocalStack(Pictured):
-    """Photographs of the same scene, from plane to plane."""
+    """Photographs of the same scene in several planes."""
 
     photographs: tuple[Photograph, ...]
-    """In the order in which the distances were given."""
+    """In the order of the given distances."""
 
     def __repr__(self) -> str:
         planes = self.distances_mm
@@ -73,7 +73,7 @@ class FocalStack(Pictured):
 
     @property
     def distances_mm(self) -> tuple[float, ...]:
-        """The planes."""
+        """Object distances of the planes."""
         return tuple(photograph.distance_mm for photograph in self.photographs)
 
     @property
@@ -84,13 +84,13 @@ class FocalStack(Pictured):
 
 @dataclass(frozen=True, eq=False)
 class AllInFocus(Pictured):
-    """The sharpest of a stack's photographs at every place.
+    """The sharpest photograph of a stack at each sample.
 
     Attributes
     ----------
     mean, stderr : (t, s, c) float64
     distance_mm : (t, s) float64
-        The plane that each sample was taken from.
+        Plane of each sample.
     wavelengths_nm : tuple of float
     unit : str
     """
@@ -116,8 +116,8 @@ def _samples(mean: Array) -> str:
 def all_in_focus(stack: FocalStack) -> AllInFocus:
     """Take every sample from the photograph of a stack that is sharpest there.
 
-    Sharpness is the mean energy of the Laplacian in a window of 5 × 5 samples, summed over the channels. Samples beside
-    unknown ones have none, and an unknown sample is taken only where no photograph knows it.
+    Sharpness is the mean energy of the Laplacian in a window of 5 × 5 samples, summed over the channels. Samples next
+    to unknown ones have none; unknown ones are taken only if no photograph knows them.
 
     Parameters
     ----------
@@ -145,11 +145,11 @@ def all_in_focus(stack: FocalStack) -> AllInFocus:
 
 
 def _sharpness(picture: Array) -> Array:
-    """Return the energy of the Laplacian round every sample, (t, s); −1 where the sample is unknown."""
+    """Return the energy of the Laplacian around every sample, (t, s); −1 if the sample is unknown."""
     known = np.asarray(np.isfinite(picture).all(axis=2))
     filled = np.where(known[..., None], picture, 0.0)
     energy = sum(ndimage.laplace(filled[..., c], mode="nearest") ** 2 for c in range(picture.shape[2]))
-    # The border of what is known is no edge.
+    # The border of the known samples is not an edge.
     whole = ndimage.binary_erosion(known, border_value=1)
     window = partial(ndimage.uniform_filter, size=2 * SHARPNESS_RADIUS + 1, mode="nearest")
     total, count = window(np.where(whole, energy, 0.0)), window(whole.astype(np.float64))

@@ -1,7 +1,7 @@
-"""Refocusing: photographs of planes that the camera was not focused on, and with another aperture, from one exposure.
+"""Refocusing: photographs focused on other planes and with other apertures, from one exposure.
 
-A point in the plane of a photograph moves from view to view by the shift that `RayModel` gives; the views, shifted
-back, are averaged. Every photograph keeps the place and size of the middle view, whatever it is focused on.
+The views, shifted back by `RayModel`'s shift of the photograph's plane, are averaged. Every photograph keeps the place
+and size of the middle view.
 """
 
 import math
@@ -23,10 +23,10 @@ Array = NDArray[np.float64]
 Method = Literal["shift", "fourier"]
 
 LEAST_VIEWS_WIDE = 1.0
-"""The smallest aperture has this radius, in views."""
+"""Radius of the smallest aperture, in views."""
 
 ROUNDING = 1e-9
-"""An f-number that is the camera's but for this share of it is the camera's."""
+"""Relative difference below which an f-number counts as the camera's."""
 
 
 def refocus(
@@ -38,14 +38,13 @@ def refocus(
     ----------
     field : LightField
     distance_mm : float
-        Of the plane, in front of the first vertex of the lens; may be inf.
+        In front of the first vertex of the lens; may be inf.
     f_number : float, optional
-        Image-side f-number, no smaller than the camera's; all views if omitted.
+        Image-side f-number, no smaller than the camera's (default: all views).
     method : {"shift", "fourier"}
-        "shift" shifts the views in place, linearly between samples, and adds; unknown samples do not count. "fourier"
-        takes the slice of the light field's Fourier transform that is the photograph's (R. Ng, "Fourier Slice
-        Photography", SIGGRAPH 2005): exact for light fields without detail finer than a sample, whose views are
-        continued beyond their borders.
+        "shift" averages the shifted views, interpolated linearly between samples; unknown samples are ignored.
+        "fourier" takes a slice of the light field's Fourier transform (R. Ng, "Fourier Slice Photography", SIGGRAPH
+        2005): exact without detail finer than a sample, for views continued beyond their borders.
 
     Returns
     -------
@@ -54,12 +53,12 @@ def refocus(
     Warns
     -----
     UserWarning
-        The plane lies beyond the range in which views a pixel apart shift by a lenslet at most.
+        In the plane, views a pixel apart shift by more than a lenslet.
 
     Raises
     ------
     LfmeshError
-        The plane lies behind the front focal point, or the f-number is not to be had from these views.
+        The plane lies behind the front focal point, or these views cannot give the f-number.
     """
     (photograph,) = _photographs(field, [distance_mm], f_number, method)
     return photograph
@@ -74,7 +73,7 @@ def focal_stack(
     ----------
     field : LightField
     distances_mm : sequence of float
-        Of the planes, before the first vertex.
+        Before the first vertex.
     f_number : float, optional
     method : {"shift", "fourier"}
 
@@ -85,7 +84,7 @@ def focal_stack(
     Raises
     ------
     LfmeshError
-        As `refocus`, or there is no plane.
+        As from `refocus`, or no plane is given.
     """
     if not len(distances_mm):
         raise LfmeshError("distances_mm is empty: a focal stack needs a plane at least")
@@ -93,7 +92,7 @@ def focal_stack(
 
 
 def range_warning(field: LightField, distances_mm: Sequence[float]) -> str | None:
-    """Say which planes lie beyond the range in which refocusing holds; None if none does."""
+    """Name the planes beyond the range of sharp refocusing in a message, or return None."""
     near, far = field.model.refocus_range_mm
     beyond = [distance for distance in distances_mm if not near <= distance <= far]
     if not beyond:
@@ -111,7 +110,7 @@ def _photographs(
     if method not in ("shift", "fourier"):
         raise LfmeshError(f'method = {method!r}: use "shift" or "fourier"')
     shares = _aperture(field, f_number)
-    # All planes are looked at before the first is made.
+    # Check all planes before the first photograph.
     shifts = [field.model.shift_mm(distance) for distance in distances_mm]
     spectra = ViewSpectra(field, max(map(abs, shifts), default=0.0)) if method == "fourier" else None
     note = range_warning(field, distances_mm)
@@ -134,7 +133,7 @@ def _photographs(
 
 
 def _aperture(field: LightField, f_number: float | None) -> Array:
-    """Return the (v, u) share of each view that an aperture passes."""
+    """Return the fraction (v, u) of each view that an aperture passes."""
     rows, columns = field.views
     if f_number is None:
         return np.ones((rows, columns))
@@ -146,12 +145,12 @@ def _aperture(field: LightField, f_number: float | None) -> Array:
             "aperture two views wide"
         )
     off_axis = np.hypot(field.v_rad[:, None], field.u_rad[None, :])
-    # The rim passes through views: those within half a view of it count by the part inside.
+    # Views within half a view of the rim count by their part inside.
     return np.clip((0.5 / f_number - off_axis) / step + 0.5, 0.0, 1.0)
 
 
 def _shifted_sum(field: LightField, shift_mm: float, shares: Array, *, sharp: bool) -> tuple[Array, Array]:
-    """Return mean and standard error of the views, shifted by shift-and-add."""
+    """Return mean and standard error of the views by shift-and-add."""
     shape = field.data.shape[2:]
     mean, stderr = np.empty(shape), np.empty(shape)
     along_t, along_s = (shift_mm / spacing for spacing in field.spacing_mm)
@@ -166,12 +165,12 @@ def _shift_and_add(
     data: Samples, spread: Samples, sharing: Samples, shares: Array, along_t: float, along_s: float, sharp: bool,
     mean: Array, stderr: Array,
 ) -> None:  # fmt: skip
-    """Average the views, each shifted by so many samples a view; unknown samples do not count.
+    """Average the views, each shifted by given samples per view; unknown samples are ignored.
 
     Parameters
     ----------
     sharp : bool
-        The standard error of an interpolation that does not average neighbouring samples.
+        Give the standard error of an interpolation that does not average neighbouring samples.
     """
     rows, columns, height, width, channels = data.shape
     for t in range(height):
@@ -183,7 +182,7 @@ def _shift_and_add(
                         share = shares[v, u]
                         if share == 0.0:
                             continue
-                        # What is nearer than the focus moves against the view.
+                        # Objects nearer than the focus move against the view.
                         y, x = t - along_t * (v - 0.5 * (rows - 1)), s - along_s * (u - 0.5 * (columns - 1))
                         if not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
                             continue

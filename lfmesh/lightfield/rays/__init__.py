@@ -1,1 +1,1 @@
-"""Rays in object space that pixels and views see."""
+"""Object-space rays of pixels and views."""

@@ -1,6 +1,6 @@
-"""The camera model: the ray in object space of every pixel, and every view as a pinhole camera.
+"""The camera model: the object-space ray of every pixel, and every view as a pinhole camera.
 
-What another program needs to rectify pictures of a light-field camera, or to trace them itself.
+For programs that rectify or trace such pictures themselves.
 """
 
 from dataclasses import dataclass
@@ -28,33 +28,33 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 FARTHEST = 20.0
-"""In distances of the nearest plane that refocuses: how far views are fitted that are sharp to infinity."""
+"""Largest distance for fits of views that are sharp to infinity, over the nearest distance of refocusing."""
 
 PLANES = 5
-"""Distances at which views are fitted, equal steps of 1/distance apart."""
+"""Number of distances at which views are fitted, in equal steps of 1/distance."""
 
 BESIDE = 0.75
-"""In pitches: a pixel farther than this from all micro-image centres belongs to no lenslet."""
+"""Distance, in pitches, from all micro-image centres beyond which a pixel belongs to no lenslet."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
-    """Rays of pixels, and views as pinholes. Maps are in the orientation of the raw image: rows grow with y.
+    """Rays of pixels, and views as pinholes. Maps are oriented like the raw image: rows grow with y.
 
     Attributes
     ----------
     origin, direction : (H, W, 3) float64, mm, world frame
-        Where the pixel's ray leaves the front of the lens, and its unit direction, away from the camera. NaN: no light.
+        Exit point of the pixel's ray from the lens, and unit direction away from the camera. NaN without light.
     footprint : (H, W, 4, 4) float64
-        Covariance of the rays of the pixel's bundle: x and y where they cross the plane of the first vertex (mm), dx/dz
-        and dy/dz; camera frame.
+        Covariance of the rays of the pixel's bundle: x and y in the plane of the first vertex (mm), dx/dz and dy/dz;
+        camera frame.
     weight : (H, W) float64, m² sr
         W on the pixel through its lenslet for a radiance of 1 W/(m² sr), from the traced bundle.
     lenslet : (H, W, 2) int64
-        Column and row of the lenslet whose micro-image the pixel lies in; −1: none.
+        Column and row of the pixel's lenslet; −1 for none.
     central : (H, W) bool
-        The ray goes from the middle of the pixel through the lenslet's apex. Where the lens stops that ray but not all
-        of the bundle, the mean ray of the bundle stands instead.
+        True if the ray runs from the pixel's centre through the lenslet's apex. If the lens stops it, the bundle's mean
+        ray replaces it.
     views : ViewCameras
     wavelength_nm : float
     scene : Scene
@@ -78,7 +78,7 @@ class CameraModel:
 
     @property
     def in_words(self) -> str:
-        """Number of pixels and views with rays, and the error of pinholes in place of views, in words."""
+        """Number of pixels and views with rays, and the error of the pinholes, in words."""
         has_rays = np.isfinite(self.views.rms_error)
         words = (
             f"{np.mean(self.weight > 0.0):.1%} of {self.weight.size} pixels see through their lenslet, "
@@ -97,18 +97,18 @@ class CameraModel:
 def camera_model(
     image_or_scene: Image | Scene, *, views: int | None = None, distances_mm: tuple[float, ...] | None = None
 ) -> CameraModel:
-    """Trace the ray in object space of every pixel, and fit a pinhole camera to every view, at the primary wavelength.
+    """Trace the object-space ray of every pixel and fit a pinhole to every view, at the primary wavelength.
 
-    Rays are those in the air before the first surface, whatever targets or tanks stand there. Each pixel is given to
-    the lenslet whose micro-image centre is nearest; light that comes to it through neighbours is left out.
+    Rays are in the air before the first surface; targets and tanks are ignored. Each pixel belongs to the lenslet with
+    the nearest micro-image centre; light through others is ignored.
 
     Parameters
     ----------
     image_or_scene : Image or Scene
     views : int, optional
-        Along each axis; as `lf.decode` has them, if omitted.
+        Along each axis (default: as for `lf.decode`).
     distances_mm : tuple of float, optional
-        Before the first vertex, at which the pinholes are to hold; the range that refocuses sharply, if omitted.
+        Distances for the fit of pinholes, before the first vertex (default: the range that refocuses sharply).
 
     Returns
     -------
@@ -117,7 +117,7 @@ def camera_model(
     Raises
     ------
     LfmeshError
-        A conventional camera, one that lets no light through, a number of views or a distance that makes no sense.
+        A conventional camera, a camera that passes no light, or an invalid number of views or distance.
     """
     scene = image_or_scene.scene if isinstance(image_or_scene, Image) else image_or_scene
     bare = scene.changed({"targets": (), "lights": (), "tanks": (), "media": (), "particles": ()})
@@ -145,7 +145,7 @@ def camera_model(
     spare = np.flatnonzero(~central[own] & (bundle.weight > 0.0))
     mean = bundle.mean[spare]
     to_world = rays.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
-    # Away from the camera, against z.
+    # Away from the camera, along −z.
     away = -np.column_stack([mean[:, 2:], np.ones(len(mean))])
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     origin[own[spare]] = frames.points(to_world, np.column_stack([mean[:, :2], np.zeros(len(mean))]))
@@ -165,13 +165,13 @@ def camera_model(
 
 
 def _owners(calibration: Calibration, pixels: Array) -> NDArray[np.int64]:
-    """Return the lenslet, counted row by row, whose micro-image centre is nearest to each pixel; −1: none is near."""
+    """Return the lenslet, counted row by row, with its micro-image centre nearest to each pixel; −1 for none."""
     known = np.flatnonzero(calibration.known)
     distance, nearest = cKDTree(calibration.centres_px.reshape(-1, 2)[known]).query(pixels)
     return np.where(distance <= BESIDE * calibration.pitch_px, known[nearest], -1)
 
 
 def _distances(model: RayModel) -> Array:
-    """Return the distances of the planes at which views are to hold: the range that refocuses sharply."""
+    """Return the distances for the fit of views, over the range that refocuses sharply."""
     near, far = model.refocus_range_mm
     return 1.0 / np.linspace(1.0 / near, 1.0 / min(far, FARTHEST * near), PLANES)

@@ -1,7 +1,7 @@
-"""Chief rays: from the middle of the stop through the apex of every lenslet to the sensor, traced.
+"""Chief rays: traced from the middle of the stop through the apex of every lenslet to the sensor.
 
-The rays pass the lens as `lf.trace` has it, whatever it is made of. Through the array they need no search: at the apex
-the curved face is square to the array's axis, so that a lenslet is a plane-parallel plate to the ray through it.
+`lf.trace` follows them through any lens. In the array, a lenslet acts as a plane-parallel plate: at the apex its curved
+face is square to the axis.
 """
 
 from functools import lru_cache
@@ -29,20 +29,20 @@ from lfmesh.transport.trace import Status, trace
 Array = NDArray[np.float64]
 
 FAN = 41
-"""Rays along each side of the fan from which the first guess is made."""
+"""Rays along each side of the fan for the first guess."""
 
 DEGREE = 5
-"""Of the polynomial that tells from the place on the array how a chief ray leaves the stop."""
+"""Degree of the polynomial from the place on the array to the chief ray's slope at the stop."""
 
 
 class ChiefRays(NamedTuple):
-    """One ray a lenslet; where the lens stops it, or an apex lies beyond its reach, all of it but `apex` is NaN.
+    """One ray per lenslet; all but `apex` is NaN if the lens stops it or cannot reach the apex.
 
     Attributes
     ----------
     apex : (rows, columns, 3) float64, mm, camera frame
     entry : (rows, columns, 3) float64, mm, camera frame
-        Where it meets the array's first face: the apex, where the curved face looks at the lens.
+        Point on the array's first face; the apex, if the curved face is on the lens side.
     direction : (rows, columns, 3) float64
         Unit, in the air between lens and array, camera frame.
     landing : (rows, columns, 2) float64, mm, sensor frame
@@ -55,12 +55,12 @@ class ChiefRays(NamedTuple):
 
     @property
     def traced(self) -> NDArray[np.bool_]:
-        """(rows, columns): the lenslets that have a chief ray."""
+        """(rows, columns): True for lenslets with a chief ray."""
         return np.isfinite(self.landing[..., 0])
 
 
 class Plate(NamedTuple):
-    """Array and cover as a chief ray sees them: their glass, and the face that it meets first."""
+    """Array and cover as seen by a chief ray: their glass, and the side of the curved face."""
 
     lenslets: Lenslets
     glass: float
@@ -75,7 +75,7 @@ class Plate(NamedTuple):
         return self.lenslets.apexes.reshape(-1, 2)
 
     def at_apexes(self, position: Array, direction: Array) -> Array:
-        """Return where (n, 3) rays of the camera frame cross the plane of the apexes, (n, 2) mm in the array frame."""
+        """Return the points of rays (n, 3), camera frame, in the plane of the apexes, (n, 2) mm in the array frame."""
         p = frames.points(self.moves[CAMERA_FRAME, MLA_FRAME], position)
         d = frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction)
         if self.curved_to_lens:
@@ -85,7 +85,7 @@ class Plate(NamedTuple):
         return p[:, :2] + t[:, None] * d[:, :2] - (self.lenslets.thickness / inside[:, 2])[:, None] * inside[:, :2]
 
     def entries(self, direction: Array) -> Array:
-        """Return where rays that come to the apexes meet the array's first face, (n, 3) mm in the camera frame."""
+        """Return the entry points, on the array's first face, of rays to the apexes, (n, 3) mm in the camera frame."""
         points = np.column_stack([self.apexes, np.zeros(len(self.apexes))])
         if not self.curved_to_lens:
             inside = self.inside(frames.directions(self.moves[CAMERA_FRAME, MLA_FRAME], direction))
@@ -93,7 +93,7 @@ class Plate(NamedTuple):
         return frames.points(self.moves[MLA_FRAME, CAMERA_FRAME], points)
 
     def landing(self, direction: Array) -> Array:
-        """Return where rays through the apexes meet the sensor, (n, 2) mm in its frame.
+        """Return the landing points, on the sensor, of rays through the apexes, (n, 2) mm in its frame.
 
         Parameters
         ----------
@@ -111,9 +111,9 @@ class Plate(NamedTuple):
         return landed if self.cover_mm == 0.0 else landed + self.moved_by_cover(d)
 
     def moved_by_cover(self, direction: Array) -> Array:
-        """Return how far the cover moves rays sideways on their way to the sensor, (n, 2) mm in the sensor's frame.
+        """Return the lateral displacement of rays by the cover, (n, 2) mm in the sensor's frame.
 
-        In a plate of thickness t a ray goes t tan θ' sideways in place of t tan θ, with sin θ = n sin θ'.
+        A plate of thickness t moves a ray by t tan θ' rather than t tan θ, with sin θ = n sin θ'.
 
         Parameters
         ----------
@@ -132,12 +132,12 @@ class Plate(NamedTuple):
 
 
 def refuse_undecodable(mla: MicrolensArray) -> None:
-    """Refuse an array whose light field has directions across its lenslets only, or with lenslets on both faces.
+    """Refuse arrays with cylindrical lenslets or with lenslets on both faces.
 
     Raises
     ------
     LfmeshError
-        The message says what takes such an array.
+        The message names the functions that accept such an array.
     """
     if mla.cylinder_axis is not None:
         raise LfmeshError(
@@ -152,12 +152,12 @@ def refuse_undecodable(mla: MicrolensArray) -> None:
 
 
 def plate_of(scene: Scene) -> Plate:
-    """Return the array of a scene as chief rays see it.
+    """Return the array of a scene for chief rays.
 
     Raises
     ------
     LfmeshError
-        A conventional camera, or one with cylindrical lenslets, or lenslets on both faces.
+        A conventional camera, cylindrical lenslets, or lenslets on both faces.
     """
     mla = scene.camera.mla
     if mla is None:
@@ -177,14 +177,14 @@ def chief_rays(scene: Scene) -> ChiefRays:
     Raises
     ------
     LfmeshError
-        A conventional camera, or one whose lens lets no chief ray through to the array.
+        A conventional camera, or a lens that passes no chief ray to the array.
     """
     return _chief_rays(solved_camera(scene))
 
 
 @lru_cache(maxsize=2)
 def _chief_rays(camera: SolvedCamera) -> ChiefRays:
-    """Trace the chief rays of a camera; kept for decoding, calibration and views of the same one."""
+    """Trace the chief rays of a camera; cached for decoding, calibration and views."""
     plate = plate_of(camera.scene)
     apexes = plate.apexes
     reach = float(np.hypot(*apexes.T).max()) + plate.lenslets.lattice.pitch
@@ -193,7 +193,7 @@ def _chief_rays(camera: SolvedCamera) -> ChiefRays:
     def landing(slopes: Array, _: NDArray[np.int64]) -> Array:
         return plate.at_apexes(*fan.trace(slopes))
 
-    # Where facets leave gaps, the nearest ray that was found stands for the one to the apex.
+    # In gaps between facets, the nearest ray found replaces the one to the apex.
     aimed = aim_rays(landing, apexes, fan.guess(apexes), fan.derivative(apexes), reach)
     _, direction = fan.trace(aimed.start)
     lattice = plate.lenslets.lattice
@@ -211,7 +211,7 @@ def _chief_rays(camera: SolvedCamera) -> ChiefRays:
 
 
 class _Fan:
-    """Rays from the middle of the stop, and the polynomial that inverts where they meet the array."""
+    """Rays from the middle of the stop, and the polynomial that maps points on the array back to their slopes."""
 
     def __init__(self, camera: SolvedCamera, plate: Plate, reach: float) -> None:
         scene, paraxial = camera.scene, camera.paraxial
@@ -219,7 +219,7 @@ class _Fan:
         lens = scene.camera.lens
         self._wavelength = scene.primary_nm
         after = lens.surfaces[paraxial.stop].thickness_mm or (scene.camera.mla and scene.camera.mla.distance_mm) or 0.0
-        # Behind the stop, which may be a surface of glass, and well before the next surface.
+        # Start behind the stop, which may be a glass surface, and well before the next surface.
         self._start = frames.points(pose_of(lens, paraxial.stop), [[0.0, 0.0, lens.vertices_mm[paraxial.stop]]])[0]
         self._ahead = after / 16.0
         self._reach = reach
@@ -239,7 +239,7 @@ class _Fan:
         self._coefficients, *_ = np.linalg.lstsq(self._terms(hit[through]), slopes[through], rcond=None)
 
     def trace(self, slopes: Array) -> tuple[Array, Array]:
-        """Return position and direction, camera frame, in the air before the array, of rays from the stop; NaN: lost.
+        """Return position and direction of rays from the stop in the air before the array, camera frame; NaN if lost.
 
         Parameters
         ----------
@@ -258,13 +258,13 @@ class _Fan:
         return position, direction
 
     def guess(self, apexes: Array) -> Array:
-        """Return the slopes behind the stop, (n, 2), of the rays that meet the array near (n, 2) points of it."""
+        """Return the slopes behind the stop, (n, 2), of rays that meet the array near (n, 2) points."""
         return self._terms(apexes) @ self._coefficients
 
     def derivative(self, apexes: Array) -> Array:
-        """Return how far rays move on the array for a change of the slopes of those that meet it at (n, 2) points.
+        """Return the derivative of points on the array by the rays' slopes, at (n, 2) points.
 
-        (n, 2, 2) mm: the inverse of the derivative of the polynomial.
+        (n, 2, 2) mm: the inverse of the polynomial's derivative.
         """
         by_x, by_y = (terms @ self._coefficients for terms in polynomial_slopes(apexes / self._reach, DEGREE))
         return np.asarray(np.linalg.inv(np.stack([by_x, by_y], axis=2) / self._reach))

@@ -1,4 +1,4 @@
-"""The main lens by itself: real rays through it to the plane of the array, and where they focus."""
+"""The main lens by itself: real rays through it to the plane of the array, and their focus."""
 
 import math
 from functools import lru_cache
@@ -11,24 +11,24 @@ from lfmesh.transport.trace import Status, trace
 from lfmesh.transport.world import World, build
 
 FAN = 64
-"""Rays that the focus is found by, at the radii of as many rings of equal area in the paraxial stop."""
+"""Rays for the focus, one per ring of equal area in the paraxial stop."""
 
 FAR = 1e3
-"""In focal lengths: stands for infinity, where a camera is focused on that or beyond."""
+"""Substitute for infinity, in focal lengths, for a camera focused at or beyond infinity."""
 
 ASIDE = 0.2
-"""Part of the distance in focus by which objects stand before and behind it, where vergences do not tell."""
+"""Relative offset of the test objects before and behind the plane in focus, if vergences give none."""
 
 NEARER = 0.1
-"""The nearer object lies this share of the way from the plane in focus to the front focal point, by vergence."""
+"""Vergence of the nearer test object: this fraction of the way from the plane in focus to the front focal point."""
 
 
 def lens_alone(scene: Scene) -> World:
-    """Build the main lens alone, with a wide plane in place of the array, in the camera frame."""
+    """Build only the main lens, with a wide plane in place of the array, in the camera frame."""
     mla, sensor = scene.camera.mla, scene.camera.sensor
     assert mla is not None
     assert mla.distance_mm is not None
-    # So wide that whatever leaves the lens towards the array meets it.
+    # Wide enough to catch everything that leaves the lens towards the array.
     wide = 100.0 * (max(mla.size_mm) + max(sensor.size_mm) + mla.distance_mm)
     alone = scene.camera_alone(
         {
@@ -47,10 +47,10 @@ def _built(camera: SolvedCamera) -> World:
 
 
 def focus_shift(scene: Scene) -> tuple[float, float]:
-    """Return the distance along the axis from the paraxial image of an axial point to its sharpest one, by real rays.
+    """Return the axial distance from the paraxial image of an axial point to its sharpest image by real rays.
 
-    Where a bundle that fills the aperture has its smallest rms radius, from the paraxial image along z, for objects
-    nearer and farther than the plane in focus; between them it goes as the inverse distance.
+    The sharpest image has the smallest rms radius of a bundle that fills the aperture. It is found for one object on
+    each side of the plane in focus, and linear in the inverse distance between.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def focus_shift(scene: Scene) -> tuple[float, float]:
     shift : float, mm
         For a distant object.
     slope : float, mm²
-        Over the object's distance from the front principal plane: added.
+        Added after division by the object's distance from the front principal plane.
     """
     return _focus_shift(solved_camera(scene))
 
@@ -80,10 +80,10 @@ def _focus_shift(camera: SolvedCamera) -> tuple[float, float]:
 
 
 def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
-    """Return the distances of two objects before the first vertex, one on each side of the plane in focus.
+    """Return the distances of two objects before the first vertex, on both sides of the plane in focus.
 
-    By vergence, reckoned from the principal plane, where that is near the lens. A relay's lies far away, and so would
-    objects at half the vergence: its own stand round the plane in focus.
+    They are chosen by vergence from the principal plane or, for relays with a remote principal plane, around the plane
+    in focus.
     """
     principal_z, focus = facts.front_principal_plane_z_mm, facts.object_distance_mm
     in_focus, focal = 1.0 / (focus + principal_z), facts.object_index * facts.efl_mm
@@ -98,18 +98,18 @@ def _probed_mm(facts: FirstOrder) -> tuple[float, float]:
 
 
 def _focus_shift_mm(camera: SolvedCamera, world: World, distance_mm: float) -> float:
-    """Return the shift of the sharpest image of a point of the axis, from rings of equal area in the stop."""
+    """Return the focus shift for a point on the axis, by rays through rings of equal area in the stop."""
     facts, lens, paraxial = camera.report, camera.scene.camera.lens, camera.paraxial
-    # Slope of the ray to the edge of the stop: finite also where the entrance pupil lies at infinity.
+    # Slope of the ray to the edge of the stop, finite even for an entrance pupil at infinity.
     stop_radius = lens.surfaces[paraxial.stop].semi_diameter_mm or 1.0
     steepest = paraxial.marginal_ray(distance_mm, stop_radius).angle / paraxial.indices[0]
-    # A lens without a real image of the object has no focus; one of negative focal length may be a relay.
+    # A lens without a real image has no focus; one of negative focal length may be a relay.
     front_focus = -facts.ffl_mm
     if not math.isfinite(steepest) or (facts.efl_mm < 0.0 and not 0.0 < distance_mm < front_focus):
         return 0.0
     share = np.sqrt((np.arange(FAN) + 0.5) / FAN)
     toward = np.column_stack([steepest * share, np.zeros(FAN), np.ones(FAN)])
-    # From close before the lens: the object may be far, and rays are as exact as the place they start from.
+    # Start close before the lens: the object may be far, and rays are only as exact as their start.
     ahead = max(distance_mm - abs(facts.efl_mm), 0.5 * distance_mm)
     start = np.array([0.0, 0.0, -distance_mm]) + toward * ahead
     paths = trace(world, start, toward, facts.wavelength_nm, split="transmit")

@@ -1,7 +1,7 @@
-"""The pixel-to-ray map: the ray in object space that a pixel sees through a lenslet.
+"""The pixel-to-ray map: the object-space ray that a pixel sees through a lenslet.
 
-The ray runs from a point of the sensor through the lenslet's apex and back through the lens. It takes no account of
-where the sensor stands, so it is as good for a sensor in the microlens focal plane as for one in front of or behind it.
+The ray runs from a point of the sensor through the lenslet's apex and back through the lens. It holds for any sensor
+position: in the microlens focal plane, in front of it or behind it.
 """
 
 from typing import NamedTuple
@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 
 
 class ObjectRays(NamedTuple):
-    """Rays in object space, world frame; NaN where the lens or its stop lets none through.
+    """Rays in object space, world frame; NaN if the lens or its stop passes none.
 
     Attributes
     ----------
     origin : (n, 3) float64, mm
-        Where it leaves the front of the lens.
+        Exit point from the front of the lens.
     direction : (n, 3) float64
         Unit, away from the camera.
     """
@@ -46,7 +46,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     lenslets : (n, 2) int
         Column and row of each ray's lenslet.
     pixels_px : (n, 2) float64
-        Column and row on the sensor, the middle of the first pixel at (0, 0).
+        Column and row on the sensor, with the centre of the first pixel at (0, 0).
 
     Returns
     -------
@@ -55,7 +55,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
     Raises
     ------
     LfmeshError
-        A conventional camera, or a lenslet that the array does not have.
+        A conventional camera, or a lenslet outside the array.
     """
     scene = solved_camera(scene).scene
     plate = plate_of(scene)
@@ -70,7 +70,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
         )
     apexes = plate.apexes[lenslets[:, 1] * lattice.columns + lenslets[:, 0]]
     entry, towards_lens = _through_apexes(scene, plate, apexes, pixels)
-    # From just before the array, which is as close to it as a ray may start.
+    # Start just before the array, as close as a ray may start.
     step = 0.01 * (scene.camera.mla.distance_mm or 0.0) if scene.camera.mla is not None else 0.0
     known = np.flatnonzero(np.isfinite(towards_lens).all(axis=1))
     paths = trace(
@@ -87,7 +87,7 @@ def object_rays(scene: Scene, lenslets: NDArray[np.integer], pixels_px: Array) -
 
 
 def _through_apexes(scene: Scene, plate: Plate, apexes: Array, pixels: Array) -> tuple[Array, Array]:
-    """Return where rays from pixels through apexes enter the air before the array, and their directions."""
+    """Return starts and directions, in the air before the array, of rays from pixels through apexes."""
     sensor = scene.camera.sensor
     on_sensor = (pixels - 0.5 * (np.asarray(sensor.pixels) - 1.0)) * sensor.pixel_mm
     glass = np.full(len(pixels), plate.lenslets.thickness if plate.curved_to_lens else 0.0)

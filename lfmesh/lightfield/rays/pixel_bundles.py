@@ -1,8 +1,7 @@
-"""Bundles of pixels: all light that a pixel takes through one lenslet, followed out into object space.
+"""Bundles of pixels: all light that a pixel receives through one lenslet, traced back into object space.
 
-A bundle is a fixed set of rays, from Gauss points of the pixel to Gauss points of the lenslet, traced through the
-sensor's cover, the array and the lens as `lf.trace` has them. Its sums are the étendue of the pixel and the first and
-second moments of its rays.
+A bundle is a fixed set of rays from Gauss points of the pixel to Gauss points of the lenslet, traced through cover,
+array and lens like `lf.trace`. It yields étendue and first and second moments of the rays.
 """
 
 from typing import NamedTuple
@@ -26,26 +25,25 @@ from lfmesh.transport.world import World
 Array = NDArray[np.float64]
 
 ON_PIXEL, ON_LENSLET = 2, 4
-"""Gauss points along each side of a pixel, and of a lenslet; half of the latter in each of a hexagon's three strips."""
+"""Gauss points per side of a pixel, and of a lenslet; half of the latter in each of a hexagon's three strips."""
 
 CHUNK = 512
-"""Pixels whose rays are in memory at a time."""
+"""Pixels with rays in memory at a time."""
 
 M2_PER_MM2 = 1e-6
 
 
 class Bundles(NamedTuple):
-    """Sums over the rays of each pixel; the moments are NaN where none gets through.
+    """Sums over the rays of each pixel; moments are NaN if none passes.
 
     Attributes
     ----------
     weight : (n,) float64, m² sr
-        Area times projected solid angle times transmittance: what the pixel receives, in W, from a radiance of
-        1 W/(m² sr) through this lenslet.
+        Area times projected solid angle times transmittance: W for a radiance of 1 W/(m² sr) through this lenslet.
     mean : (n, 4) float64
-        Mean ray: x and y where it crosses the plane of the first vertex (mm), dx/dz and dy/dz; camera frame.
+        Mean ray: x and y in the plane of the first vertex (mm), dx/dz and dy/dz; camera frame.
     covariance : (n, 4, 4) float64
-        Of the same four.
+        Of the same four quantities.
     """
 
     weight: Array
@@ -65,7 +63,7 @@ def bundles(world: World, plate: Plate, numbers: NDArray[np.int64], pixels_px: A
     numbers : (n,) int64
         Lenslet of each pixel, counted row by row.
     pixels_px : (n, 2) float64
-        Column and row of each pixel on the sensor, the middle of the first one at (0, 0).
+        Column and row of each pixel on the sensor, with the centre of the first at (0, 0).
     """
     parts = [
         _chunk(world, plate, numbers[first : first + CHUNK], pixels_px[first : first + CHUNK])
@@ -75,13 +73,13 @@ def bundles(world: World, plate: Plate, numbers: NDArray[np.int64], pixels_px: A
 
 
 def cell_points(lattice: Lattice) -> tuple[Array, Array]:
-    """Return Gauss points of a lattice's cell about its centre, (n, 2) mm, and the area that each stands for, mm²."""
+    """Return Gauss points of a lattice's cell about its centre, (n, 2) mm, and the area of each, mm²."""
     half = 0.5 * lattice.pitch
     if not lattice.hexagonal:
         nodes, weights = gauss_legendre(ON_LENSLET)
         x, y = np.meshgrid(half * nodes, half * nodes)
         return np.column_stack([x.ravel(), y.ravel()]), (half * half * np.outer(weights, weights)).ravel()
-    # Three strips along x, in each of which the width goes linearly: the middle one as wide as the pitch.
+    # Three strips along x with linearly varying widths; the middle one is as wide as the pitch.
     along, of_strip = gauss_legendre(ON_LENSLET // 2)
     across, of_row = gauss_legendre(ON_LENSLET)
     tip = lattice.circumradius
@@ -112,13 +110,13 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     before = np.full(len(sag), lenslets.thickness) if plate.curved_to_lens else -sag
     glass = lenslets.thickness - sag if plate.curved_to_lens else np.zeros(len(sag))
     _, slope, derivative = pixel_slopes(plate, places, to, before, glass)
-    # Where the face rises, the ray that meets it moves less or more for the same change of slope.
+    # On a sloping face, the ray's intersection moves more or less for the same change of slope.
     within = np.square(slope).sum(axis=1)
     last = -np.sqrt(plate.glass**2 + (plate.glass**2 - 1.0) * within) if plate.curved_to_lens else 1.0
     rise = 1.0 - np.einsum("ij,ij->i", slope, tilt) / last
     way = ahead(plate, slope)
-    # The area of the lenslet as one of slopes, the slopes as a solid angle: cos³ for its size, and the
-    # cosine at the sensor because the pixel is seen aslant.
+    # From lenslet area to slopes, and from slopes to solid angle: cos³ for its size, and the cosine at the sensor for
+    # the oblique pixel.
     along = 1.0 / np.linalg.norm(way, axis=1)
     aslant = np.abs(frames.directions(moves[MLA_FRAME, SENSOR_FRAME], way)[:, 2]) * along
     area = np.tile(cell_area, count * len(on_pixel)) * np.tile(np.repeat(pixel_share, len(on_cell)), count)
@@ -138,7 +136,7 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
     weight = M2_PER_MM2 * etendue[rays] * passed[paths.source[out]] * paths.weight[out]
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[out]), frames.directions(to_camera, paths.direction[out])
-    # Light that comes the other way; its start is moved out of the lens.
+    # Reversed light, with its start moved out of the lens.
     tables = at_wavelength(world, scene.primary_nm)
     away = float(np.linalg.norm(tables.lens.box_high - tables.lens.box_low))
     weight /= etendue_factors(tables, p + away * d, -d)
@@ -148,7 +146,7 @@ def _chunk(world: World, plate: Plate, numbers: NDArray[np.int64], pixels: Array
 
 
 def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array, Array]:
-    """Return where rays from the sensor come into the air before its cover, (n, 3) mm, and the share that does.
+    """Return the exit points of rays from the sensor's cover, (n, 3) mm, and their transmittance.
 
     Parameters
     ----------
@@ -156,7 +154,7 @@ def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array,
     places : (n, 2) float64, mm
         On the sensor.
     direction : (n, 3) float64
-        Unit, in air; array frame, as what is returned.
+        Unit, in air; array frame, like the result.
     """
     moves, cover = world.tables.frames, world.tables.cover
     on_sensor = np.column_stack([places, np.zeros(len(places))])
@@ -176,7 +174,7 @@ def _before_cover(world: World, places: Array, direction: Array) -> tuple[Array,
 
 
 def _curved_face(plate: Plate, numbers: NDArray[np.int64], at: Array) -> tuple[Array, Array]:
-    """Return the sag of lenslets, mm into the glass, at points of the array's plane, and its slopes there, (n, 2)."""
+    """Return the sag of lenslets, mm into the glass, at points of the array's plane, and its slopes, (n, 2)."""
     lenslets = plate.lenslets
     columns = lenslets.lattice.columns
     kinds = np.array([type_of(lenslets, number % columns, number // columns) for number in np.unique(numbers)])
@@ -192,7 +190,7 @@ def _curved_face(plate: Plate, numbers: NDArray[np.int64], at: Array) -> tuple[A
 
 
 def _profiled_face(lenslets: Lenslets, kinds: NDArray[np.int64], curvature: Array, aside: Array) -> tuple[Array, Array]:
-    """Return sag and slopes of lenslets that are no spheres, as `_curved_face` does."""
+    """Return sag and slopes of aspheric lenslets, like `_curved_face`."""
     sag, normals = np.empty(len(aside)), np.empty((len(aside), 3))
     for kind, c in set(zip(kinds.tolist(), curvature.tolist(), strict=True)):
         of = (kinds == kind) & (curvature == c)
@@ -201,7 +199,7 @@ def _profiled_face(lenslets: Lenslets, kinds: NDArray[np.int64], curvature: Arra
 
 
 def _moments(count: int, pixel: NDArray[np.int64], weight: Array, four: Array) -> Bundles:
-    """Return sums, means and covariances of rays by the pixel that each belongs to."""
+    """Return sums, means and covariances of rays for each pixel."""
     total = np.asarray(np.bincount(pixel, weight, count), dtype=np.float64)
     mean, covariance = np.full((count, 4), np.nan), np.full((count, 4, 4), np.nan)
     lit = total > 0.0

@@ -1,4 +1,4 @@
-"""The rays that leave points of the sensor, through its cover, for points of the array."""
+"""Rays from points of the sensor, through its cover, to points of the array."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from lfmesh.transport.packets.packet import MLA_FRAME, SENSOR_FRAME
 Array = NDArray[np.float64]
 
 MOST_STEPS = 20
-"""Steps by which the ray through a cover is found; each takes off a few digits, the more the less it is inclined."""
+"""Most iterations for the ray through a cover; each gains a few digits, more at smaller inclination."""
 
 
 class PixelSlopes(NamedTuple):
@@ -22,11 +22,11 @@ class PixelSlopes(NamedTuple):
     Attributes
     ----------
     seen : (n, 3) float64, mm
-        Where the straight line of the ray before the cover comes from: without a cover the point of the sensor.
+        Apparent origin of the ray before the cover; without one, the point of the sensor.
     slope : (n, 2) float64
-        dx/|dz| and dy/|dz| in the air before the array; NaN where no ray leads to the point.
+        dx/|dz| and dy/|dz| in the air before the array; NaN if no ray leads to the point.
     derivative : (n, 2, 2) float64, mm
-        Of the point that the ray comes to, by its slopes.
+        Of the ray's end point by its slopes.
     """
 
     seen: Array
@@ -45,12 +45,12 @@ def pixel_slopes(plate: Plate, on_sensor: Array, to: Array, before_mm: Array, gl
     to : (n, 2) float64, mm
         Array frame.
     before_mm : (n,) float64
-        How far the array reaches, from the plane of its apexes, towards the sensor.
+        Extent of the array towards the sensor, from the plane of its apexes.
     glass_mm : (n,) float64
-        Glass that the ray crosses behind a flat face before it comes to the point.
+        Glass that the ray crosses between a flat face and the point.
     """
     to_array = plate.moves[SENSOR_FRAME, MLA_FRAME]
-    # Seen through a cover, a pixel appears nearer, and off its place by what is of third order in the angle.
+    # Through a cover, a pixel appears nearer, and displaced by terms of third order in the angle.
     nearer = plate.cover_mm * (1.0 - 1.0 / plate.cover_index)
     moved = np.column_stack([on_sensor, np.full(len(on_sensor), -nearer)])
     for _ in range(MOST_STEPS if nearer > 0.0 else 1):
@@ -70,16 +70,16 @@ def pixel_slopes(plate: Plate, on_sensor: Array, to: Array, before_mm: Array, gl
 
 
 def ahead(plate: Plate, slope: Array) -> Array:
-    """Return the (n, 3) directions, not of unit length, of slopes towards the lens in the array's frame."""
-    # The array's z axis runs into the glass: towards the lens it is negative where the curved face looks there.
+    """Return the (n, 3) directions, not normalised, of slopes towards the lens in the array's frame."""
+    # The array's z axis points into the glass, away from the lens if the curved face is on the lens side.
     return np.column_stack([slope, np.full(len(slope), -1.0 if plate.curved_to_lens else 1.0)])
 
 
 def _off_its_place(plate: Plate, slope: Array) -> tuple[Array, Array]:
-    """Return how far aside of itself a pixel is seen through the cover, (n, 2) mm (sensor frame), and derivatives.
+    """Return the apparent displacement of a pixel by the cover, (n, 2) mm (sensor frame), and derivatives.
 
-    With slopes s in the sensor's frame, a plate of thickness t and index n moves a ray by t s (1 / n' − 1), where
-    n' = √(n² + (n² − 1) s²); that the pixel is seen nearer accounts for t s (1 / n − 1).
+    With slopes s in the sensor's frame, a plate of thickness t and index n displaces a ray by t s (1 / n' − 1), with n'
+    = √(n² + (n² − 1) s²). The pixel's apparent approach accounts for t s (1 / n − 1).
     """
     n, more = plate.cover_index, plate.cover_index**2 - 1.0
     turn = plate.moves[MLA_FRAME, SENSOR_FRAME][:, :3]
@@ -95,9 +95,9 @@ def _off_its_place(plate: Plate, slope: Array) -> tuple[Array, Array]:
 
 
 def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -> tuple[Array, Array]:
-    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN where none has it.
+    """Return the slopes in air, (n, 2), of rays with a given offset across air and a plate; NaN if there is none.
 
-    With them the derivatives of the offset by the slope, (n, 2, 2) mm.
+    Also return the derivatives of the offset by the slope, (n, 2, 2) mm.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def slopes_across(offset: Array, air_mm: Array, glass_mm: Array, index: float) -
         in_glass = np.sqrt(index * index + more * np.square(slope).sum(axis=1))
         return slope * (air_mm[which] + glass_mm[which] / in_glass)[:, None]
 
-    # First order gives slopes that are too small, and less is added the larger they are: steps come from below.
+    # First-order slopes are too small, and corrections shrink with the slope: iterations approach from below.
     guess = offset / (air_mm + glass_mm / index)[:, None]
 
     def derivative(slope: Array) -> Array:

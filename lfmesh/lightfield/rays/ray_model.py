@@ -1,14 +1,13 @@
-"""The two maps between the shift from view to view and a distance in object space.
+"""Maps between the shift from view to view and the distance in object space.
 
-`RayModel` is the map of first-order optics, moved to the best focus of a filled aperture: right for photographs. Views
-from near the rim of the pupil focus elsewhere than those from the middle, and depth is measured on the views that are
-used: `TracedShift` is the map fitted to their rays. Both are a `ShiftMap`.
+`RayModel`, for photographs, is the first-order map, moved to the best focus of a filled aperture. Views near the rim of
+the pupil focus elsewhere, so depth uses `TracedShift`, fitted to the rays of its views.
 
-A pixel seen through its lenslet's principal points belongs to one point of the exit pupil and one of the array: the
-two planes between which a light field is measured. Views a pixel apart are `view_step_mm` apart on the pupil. An
-object whose image lies ε behind the array crosses it, from view to view, by shift = k ε / (1 + ε/D) with k = pixel/d.
-This is the model of C. Hahne et al., "Refocusing distance of a standard plenoptic camera", Opt. Express 24 (2016)
-21521, whose shift parameter `a` is the shift in lenslets.
+A pixel seen through its lenslet's principal points belongs to one point of the exit pupil and one of the array, the two
+planes of a light field. Views a pixel apart are `view_step_mm` apart on the pupil. An object imaged ε behind the array
+crosses it, from view to view, by shift = k ε / (1 + ε/D) with k = pixel/d. This is the model of C. Hahne et al.,
+"Refocusing distance of a standard plenoptic camera", Opt. Express 24 (2016) 21521; their shift parameter `a` is the
+shift in lenslets.
 """
 
 import math
@@ -28,17 +27,17 @@ from lfmesh.scene.first_order.lenslets import lenslet_to_sensor_mm
 Array = NDArray[np.float64]
 
 ROUNDS = 10
-"""Of successive approximation, for the distance of a shift."""
+"""Iterations of successive approximation for the distance of a shift."""
 
 ROUNDING = 2.0**-50
-"""Relative difference below which two vergences are equal, as each is known to a few units in its last place."""
+"""Relative difference below which two vergences are equal; their last digits are uncertain."""
 
 
 class ShiftMap(Protocol):
-    """Map between the distance of a plane and its shift on the array from one view to the next."""
+    """Map between the distance of a plane and its shift on the array from view to view."""
 
     def shift_mm(self, distance_mm: float) -> float:
-        """Return how far a point moves on the array from one view to the next; positive nearer than the focus.
+        """Return the shift of a point on the array from view to view; positive nearer than the focus.
 
         Parameters
         ----------
@@ -51,7 +50,7 @@ class ShiftMap(Protocol):
     @overload
     def distance_mm(self, shift_mm: Array) -> Array: ...
     def distance_mm(self, shift_mm: Any) -> Any:
-        """Return the distances before the first vertex whose points move so far: the inverse of `shift_mm`.
+        """Return the distances before the first vertex for given shifts: the inverse of `shift_mm`.
 
         Parameters
         ----------
@@ -66,17 +65,17 @@ class ShiftMap(Protocol):
 
 @dataclass(frozen=True)
 class RayModel:
-    """A light-field camera by its cardinal points. All z are in the camera frame, whose origin is the first vertex.
+    """A light-field camera by its cardinal points. All z are in the camera frame, with the first vertex as origin.
 
     Attributes
     ----------
     efl_mm : float
-        Focal length of the main lens, on the side of the image.
+        Focal length of the main lens, on the image side.
     front_principal_z_mm, rear_principal_z_mm : float
     array_z_mm : float
         The lenslets' front principal points.
     pupil_to_array_mm : float
-        D, from the exit pupil to the lenslets' front principal points; inf for a telecentric lens, negative where the
+        D, from the exit pupil to the lenslets' front principal points; inf for a telecentric lens, negative if the
         pupil lies behind the array.
     lenslet_to_sensor_mm : float
         d, from the lenslets' rear principal points to the sensor, in air.
@@ -84,11 +83,11 @@ class RayModel:
     f_number : float
         Of the main lens, on the image side, at its focus.
     focus_shift_mm, focus_shift_mm2 : float
-        From where first-order optics images a point of the axis to where the rays of the full aperture come closest
-        together, along z: what spherical aberration does to the focus. The second is divided by the object's distance
-        from the front principal plane and added.
+        Shift of the focus along z by spherical aberration, from an axial point's first-order image to the closest
+        approach of the full aperture's rays. The second is divided by the object's distance from the front principal
+        plane and added.
     object_index : float
-        Refractive index of the medium before the lens, in which objects have their distances.
+        Refractive index of object space.
     """
 
     efl_mm: float
@@ -106,7 +105,7 @@ class RayModel:
 
     @classmethod
     def of(cls, scene: Scene) -> "RayModel":
-        """Read a scene's camera, with the shifts along z and the pitch error of its array, and trace its real focus.
+        """Read a scene's camera, with the array's z shift and pitch error, and trace its real focus.
 
         Parameters
         ----------
@@ -119,7 +118,7 @@ class RayModel:
         Raises
         ------
         LfmeshError
-            A conventional camera, one with cylindrical lenslets, an afocal lens, or an exit pupil on the array.
+            A conventional camera, cylindrical lenslets, an afocal lens, or an exit pupil on the array.
         """
         known = solved_camera(scene)
         scene, facts = known.scene, known.report
@@ -157,7 +156,7 @@ class RayModel:
 
     @property
     def paraxial(self) -> "RayModel":
-        """The same camera by first-order optics alone: without what aberrations do to its focus."""
+        """The same camera by first-order optics, without the focus shift by aberrations."""
         return replace(self, focus_shift_mm=0.0, focus_shift_mm2=0.0)
 
     @property
@@ -188,7 +187,7 @@ class RayModel:
         return self.object_index * self.efl_mm - self.front_principal_z_mm
 
     def image_excess_mm(self, distance_mm: float) -> float:
-        """Return ε, how far behind the array an object this far before the first vertex is imaged most sharply.
+        """Return ε, the distance of an object's sharpest image behind the array.
 
         Parameters
         ----------
@@ -204,7 +203,7 @@ class RayModel:
         LfmeshError
             The object has no real image, or lies in the front principal plane of a lens with aberrations.
         """
-        # With a negative focal length, a relay's, objects on either side of it may have one.
+        # With a relay's negative focal length, objects on either side of it may have a real image.
         if not (distance_mm > self.nearest_mm or (self.efl_mm < 0.0 and distance_mm < self.nearest_mm)):
             raise LfmeshError(
                 f"distance_mm = {distance_mm:g}: must lie before the front focal point, {self.nearest_mm:.6g} mm in "
@@ -222,7 +221,7 @@ class RayModel:
         return self.rear_principal_z_mm + image - self.array_z_mm
 
     def shift_mm(self, distance_mm: float) -> float:
-        """Return how far an object point moves on the array from one view to the next; positive nearer than focus.
+        """Return the shift of an object point on the array from view to view; positive nearer than the focus.
 
         Parameters
         ----------
@@ -242,12 +241,12 @@ class RayModel:
     @overload
     def distance_mm(self, shift_mm: Array) -> Array: ...
     def distance_mm(self, shift_mm: Any) -> Any:
-        """Return the distances whose points move so far; see `ShiftMap`.
+        """Return the distances for given shifts; see `ShiftMap`.
 
         Parameters
         ----------
         shift_mm : float or array
-            On the array from one view to the next.
+            On the array, from view to view.
 
         Returns
         -------
@@ -259,19 +258,19 @@ class RayModel:
             excess = shift / (self.slope_step - shift / self.pupil_to_array_mm)
             sharpest = self.array_z_mm - self.rear_principal_z_mm + excess
             vergence = np.zeros_like(shift)
-            # What aberrations add depends on the vergence by so little that every round settles two digits more.
+            # The focus shift depends so little on the vergence that every round gains two digits.
             for _ in range(ROUNDS):
                 image = sharpest - self.focus_shift_mm - self.focus_shift_mm2 * vergence
                 of_lens, of_image = 1.0 / self.efl_mm, 1.0 / image
-                # A difference below its own rounding is that of an object at infinity.
+                # A difference below its rounding error means an object at infinity.
                 left = of_lens - of_image
                 vergence = np.where(abs(left) <= ROUNDING * abs(of_lens), 0.0, left) / self.object_index
             return _alike(shift_mm, 1.0 / (vergence + 0.0) - self.front_principal_z_mm)
 
     def object_scale(self, distance_mm: float) -> float:
-        """Return the size of an object over that of its image in the middle view, where that crosses the array.
+        """Return the size of an object over that of its image in the middle view, on the array.
 
-        The refocused picture keeps the middle view's place and size whatever it is focused on.
+        A refocused picture keeps the middle view's place and size.
 
         Parameters
         ----------
@@ -283,18 +282,17 @@ class RayModel:
         float
         """
         enlarged = 1.0 + self.image_excess_mm(distance_mm) / self.pupil_to_array_mm
-        # Object over image distance in a form that is finite in the principal plane and for an image at infinity.
+        # Object over image distance, in a form finite in the principal plane and for an image at infinity.
         from_principal = distance_mm + self.front_principal_z_mm
         return enlarged * (from_principal / (self.object_index * self.efl_mm) - 1.0)
 
 
 @dataclass(frozen=True)
 class TracedShift:
-    """The map between shift and distance as the lens has it on average over array and pupil, from traced rays.
+    """Map between shift and distance averaged over array and pupil, from traced rays.
 
-    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s +
-    c u, where b and c are linear in V; of t and v the same holds with −y for x. A point stays where it is if s moves by
-    −c/b from view to view.
+    A ray from place s on the array in view u crosses the plane 1/V before the first vertex at x, with x V = a + b s + c
+    u and b and c linear in V; likewise for t and v with −y. A point stays in place if s moves by −c/b per view.
 
     Attributes
     ----------
@@ -308,7 +306,7 @@ class TracedShift:
     view: tuple[float, float]
 
     def shift_mm(self, distance_mm: float) -> float:
-        """Return how far a point moves on the array from one view to the next; positive nearer than the focus."""
+        """Return the shift of a point on the array from view to view; positive nearer than the focus."""
         vergence = 1.0 / distance_mm
         return (self.view[0] + self.view[1] * vergence) / (self.place[0] + self.place[1] * vergence)
 
@@ -317,7 +315,7 @@ class TracedShift:
     @overload
     def distance_mm(self, shift_mm: Array) -> Array: ...
     def distance_mm(self, shift_mm: Any) -> Any:
-        """Return the distances whose points move so far; see `ShiftMap`."""
+        """Return the distances for given shifts; see `ShiftMap`."""
         shift = np.asarray(shift_mm, dtype=np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
             vergence = (shift * self.place[0] - self.view[0]) / (self.view[1] - shift * self.place[1])
@@ -325,7 +323,7 @@ class TracedShift:
 
 
 def _alike(given: Any, values: Array) -> Any:
-    """Return values as the argument came: a number for a number."""
+    """Return values in the type of the argument: a number for a number."""
     return values if isinstance(given, np.ndarray) else float(values)
 
 

@@ -1,8 +1,8 @@
 """Views as pinhole cameras: intrinsics, distortion and extrinsics in OpenCV's convention, fitted to traced rays.
 
 OpenCV's camera frame has x to the right, y down and z ahead: diag(1, −1, −1) of ours. The pixels of a view are its
-samples (s, t), the middle of the first one at (0, 0). The rays of a view do not meet in one point, so that a pinhole
-holds for the distances that it was fitted at, and no better than the error that is stated with it.
+samples (s, t), with the centre of the first at (0, 0). As a view's rays do not meet in one point, a pinhole holds only
+at the distances of the fit, to its stated error.
 """
 
 from typing import NamedTuple
@@ -19,16 +19,16 @@ from lfmesh.transport.trace import Status
 Array = NDArray[np.float64]
 
 ACROSS = 15
-"""Samples along each axis of a view whose rays a pinhole is fitted to."""
+"""Samples along each axis of a view used for the pinhole fit."""
 
 LEAST_RAYS = 12
-"""Fewer rays than this leave a view without a pinhole of its own."""
+"""Fewest rays for the pinhole of a view."""
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 class ViewCameras(NamedTuple):
-    """One pinhole a view, indexed (v, u) as `LightField`; NaN for views whose rays the lens stops.
+    """One pinhole per view, indexed (v, u) like `LightField`; NaN for views that the lens stops.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class ViewCameras(NamedTuple):
     rotation, translation_mm : (v, u, 3, 3) and (v, u, 3) float64
         A point X of the world frame lies at R X + t in the view's frame.
     rms_error, largest_error : (v, u) float64
-        Of the rays that the pinhole was fitted to, in samples.
+        Of the fitted rays, in samples.
     distances_mm : (n,) float64
-        Before the first vertex, of the points on the rays that count.
+        Distances of the fit before the first vertex.
     size : (2,) int64
         Height and width of a view, in samples.
     """
@@ -56,7 +56,7 @@ class ViewCameras(NamedTuple):
     size: NDArray[np.int64]
 
     def project(self, points_mm: Array, v: int, u: int) -> Array:
-        """Return where points lie in a view, (n, 2): sample s and t.
+        """Project points into a view, (n, 2): sample s and t.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class ViewCameras(NamedTuple):
 
 
 def distorted(place: Array, distortion: Array) -> Array:
-    """Return (n, 2) tangents of angles as OpenCV's k1, k2, p1, p2 distort them."""
+    """Apply OpenCV's distortion k1, k2, p1, p2 to (n, 2) tangents of angles."""
     x, y = place.T
     k1, k2, p1, p2 = distortion
     r2 = x * x + y * y
@@ -94,7 +94,7 @@ def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras
     views : int
         Along each axis.
     distances_mm : (n,) float64
-        Before the first vertex: where points on the rays are to be projected back to the samples that see them.
+        Distances of the fit before the first vertex.
     """
     shape = (views, views)
     intrinsics, rotation = np.full((2, *shape, 3, 3), np.nan)
@@ -118,7 +118,7 @@ def view_cameras(rays: ViewRays, views: int, distances_mm: Array) -> ViewCameras
         values, errors = _pinhole(at_vertex, slope, seen, distances_mm)
         intrinsics[v, u] = np.array([[values[3], 0.0, values[5]], [0.0, values[4], values[6]], [0.0, 0.0, 1.0]])
         distortion[v, u], rotation[v, u] = values[7:], turn
-        # R X + t = D (x − C), x the point in our camera frame.
+        # R X + t = D (x − C), with x the point in our camera frame.
         translation[v, u] = TO_OPENCV @ to_camera[:, 3] - values[:3]
         rms[v, u], largest[v, u] = np.sqrt(np.mean(errors**2)), errors.max()
     size = np.array([height, width])
@@ -131,9 +131,9 @@ def _pinhole(at_vertex: Array, slope: Array, seen: Array, distances: Array) -> t
     Parameters
     ----------
     at_vertex, slope : (n, 2) float64
-        Where rays cross the plane of the first vertex, and dx/dz and dy/dz; OpenCV's axes.
+        Points of the rays in the plane of the first vertex, and dx/dz and dy/dz; OpenCV's axes.
     seen : (n, 2) float64
-        Sample s and t that sees each.
+        Sample s and t of each ray.
     distances : (m,) float64, mm
 
     Returns
@@ -141,10 +141,10 @@ def _pinhole(at_vertex: Array, slope: Array, seen: Array, distances: Array) -> t
     values : (11,) float64
         Centre x, y, z; fx, fy, cx, cy; k1, k2, p1, p2.
     errors : (n · m,) float64
-        Distance, in samples, of each point on the rays from the sample that sees it.
+        Distance, in samples, of each projected point from its ray's sample.
     """
     count = len(seen)
-    # The point that rays come closest to, in the sense of least squares across the axis: x + z dx/dz = C.
+    # Point of closest approach by least squares across the axis: x + z dx/dz = C.
     one, zero = np.ones(count), np.zeros(count)
     terms = np.concatenate([np.column_stack([-slope[:, 0], one, zero]), np.column_stack([-slope[:, 1], zero, one])])
     (z, x, y), *_ = np.linalg.lstsq(terms, at_vertex.T.ravel())

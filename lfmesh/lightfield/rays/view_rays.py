@@ -1,4 +1,4 @@
-"""Rays of views, traced from lenslets to object space, and the map from shift to distance fitted to them."""
+"""Rays of views traced from lenslets to object space, and the shift-to-distance map fitted to them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,11 @@ from lfmesh.transport.world import World, build
 Array = NDArray[np.float64]
 
 ACROSS = 9
-"""Lenslets along each axis of the array whose rays the map from shift to distance is fitted to."""
+"""Lenslets along each axis of the array used to fit the shift-to-distance map."""
 
 
 class ViewRays:
-    """The rays of every view of a light-field camera, traced from the array to object space."""
+    """Rays of every view of a light-field camera, traced from the array to object space."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -48,15 +48,15 @@ class ViewRays:
         Parameters
         ----------
         v, u : float
-            Which: its direction from the chief rays, in views from the middle one, as (v, u) of `LightField`.
+            Direction of the view from the chief rays, in views from the middle one, as (v, u) of `LightField`.
         every : tuple of int
-            Only every so manieth sample along t and s.
+            Steps between the samples traced, along t and s.
 
         Returns
         -------
         Paths
         sample : (n,) int64
-            Of every packet in `Paths`, its place in the flattened (t, s) samples.
+            Index of each packet of `Paths` in the flattened (t, s) samples.
         """
         slopes = self._slopes + self._slope_step * np.array([u, v]) * self._upright.senses
         along = np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2)
@@ -68,7 +68,7 @@ class ViewRays:
         )
         starts, along = starts.reshape(-1, 3), along.reshape(-1, 3)
         known = np.flatnonzero(np.isfinite(starts).all(axis=1) & np.isfinite(along).all(axis=1))
-        # Back against the light, from well before the array, whose lenslets bulge.
+        # Back against the light, from well before the array's bulging lenslets.
         room = 0.5 * self._plate.lenslets.lattice.pitch
         transport = self.world.scene.transport
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
@@ -93,19 +93,19 @@ class ViewRays:
 
 
 def traced_shift(rays: ViewRays, usable: NDArray[np.bool_]) -> TracedShift:
-    """Fit the map from shift to distance to traced rays.
+    """Fit the shift-to-distance map to traced rays.
 
     Parameters
     ----------
     rays : ViewRays
         Of a camera with nothing before it.
     usable : (v, u) bool
-        The views whose rays count.
+        Views to use.
 
     Raises
     ------
     LfmeshError
-        The lens lets hardly any of these rays through.
+        The lens passes hardly any of these rays.
     """
     height, width = rays.size
     every = max(1, -(-height // ACROSS)), max(1, -(-width // ACROSS))
@@ -133,7 +133,7 @@ def traced_shift(rays: ViewRays, usable: NDArray[np.bool_]) -> TracedShift:
 
 
 def _in_object_space(world: World, paths: Paths, which: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return dx/dz and dy/dz of rays before the lens, and x and y where they cross the first vertex's plane, (n, 2)."""
+    """Return dx/dz and dy/dz of rays before the lens, and x and y in the first vertex's plane, (n, 2)."""
     to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     p, d = frames.points(to_camera, paths.position[which]), frames.directions(to_camera, paths.direction[which])
     slope = d[:, :2] / d[:, 2:]
@@ -141,7 +141,7 @@ def _in_object_space(world: World, paths: Paths, which: NDArray[np.bool_]) -> tu
 
 
 def image_path_engine(scene: Scene, *, tracing: bool = False) -> str:
-    """Return the quickest engine that follows a scene's image path, or with `tracing` given rays along it."""
+    """Return the fastest engine that follows a scene's image path, or with `tracing`, given rays along it."""
     transport = scene.transport
     obstacle = obstacle_of(scene, transport.surface, transport.max_events, tracing=tracing)
     return "sequential" if obstacle is None else "mesh"

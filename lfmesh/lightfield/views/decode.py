@@ -1,4 +1,4 @@
-"""Decoding: sort the pixels of a raw image into views, the same part of every micro-image into one."""
+"""Decoding: sort the pixels of a raw image into views, one for each position in the micro-images."""
 
 import math
 from typing import NamedTuple
@@ -22,24 +22,24 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 DARK = 0.1
-"""A sample is not divided by white, and unknown, where white is below this share of its brightest samples."""
+"""White level, over that of the brightest samples, below which a divided sample is unknown."""
 
 BRIGHT_PERCENTILE = 99.0
 
 
 class Sampling(NamedTuple):
-    """Samples of upright views from lenslets: each from a row, as a mean of two neighbours of it.
+    """Samples of upright views from lenslets, each a weighted mean of two neighbours in a row.
 
     Attributes
     ----------
     t_mm : (t,) float64
     s_mm : (s,) float64
     rows : (t,) int64
-        Of the array.
+        Rows of the array.
     columns : (2, s) int64
-        The first one of the two lenslets, for even and odd rows of the array.
+        First of the two lenslets, for even and odd rows of the array.
     share : (2, s) float64
-        Weight of the other one, the next column.
+        Weight of the second, in the next column.
     words : str
     """
 
@@ -61,24 +61,23 @@ def decode(
 ) -> LightField:
     """Sort the pixels of a raw image into the views of a light field.
 
-    A sample is interpolated (bilinearly) at a whole number of pixels, or of halves, from the centre of its
-    micro-image, wherever that lies between the pixels. Where another micro-image's centre is nearer, as for the views
-    in the corners of a hexagonal array, it is unknown: NaN. A hexagonal array is resampled, along its rows, to the
-    square grid that has the distance of its rows.
+    A sample is interpolated bilinearly at a whole or half-integer number of pixels from the centre of its micro-image.
+    It is unknown (NaN) if another micro-image's centre is nearer, as in the corner views of a hexagonal array. A
+    hexagonal array is resampled along its rows to a square grid with the spacing of the rows.
 
     Parameters
     ----------
     image : Image
         From `lf.render` or `lf.open_run`.
     scene : Scene, optional
-        Whose camera made the image; its own scene if omitted.
+        Scene of the image (default: its own).
     white : Image, optional
         From `lf.white_image`, of the same camera; the raw image is divided by it.
     calibration : Calibration, optional
-        Centres of the micro-images; traced (`lf.calibrate`) if omitted.
+        Centres of the micro-images (default: traced by `lf.calibrate`).
     views : int, optional
-        Along each axis; as many whole pixels as a micro-image is wide, if omitted. At most as many as have samples
-        that are nearer to their own micro-image's centre than to another's.
+        Along each axis (default: whole pixels in the width of a micro-image). The outermost views need samples of their
+        own.
 
     Returns
     -------
@@ -87,8 +86,7 @@ def decode(
     Raises
     ------
     LfmeshError
-        A conventional camera; an image, white image or calibration of another camera; a number of views that makes
-        no sense.
+        A conventional camera; an image, white image or calibration of another camera; or an invalid number of views.
     """
     scene = solved_camera(image.scene if scene is None else scene).scene
     model = RayModel.of(scene)
@@ -135,18 +133,18 @@ def _refuse_strangers(image: Image, white: Image | None, scene: Scene, calibrati
 
 
 def view_count(calibration: Calibration, views: int | None) -> int:
-    """Return the number of views along each axis: as given, or as many whole pixels as a micro-image is wide.
+    """Return the number of views along each axis, by default the whole pixels in the width of a micro-image.
 
     Raises
     ------
     LfmeshError
-        The number makes no sense.
+        The number is out of range.
     """
-    # A pitch that is a whole number of pixels but for rounding is that number.
+    # Allow for rounding errors of a pitch of whole pixels.
     whole = max(1, math.floor(calibration.pitch_px * (1.0 + 1e-6)))
     if views is None:
         return whole
-    # The outermost row or column of views has samples of its own.
+    # The outermost row or column of views must have its own samples.
     most = max(count for count in range(whole, 2 * whole + 2) if count == whole or _reaches(calibration, count))
     if not 1 <= views <= most:
         raise LfmeshError(
@@ -161,7 +159,7 @@ def _reaches(calibration: Calibration, count: int) -> bool:
 
 
 def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
-    """Return how the samples of the views come from the lenslets of a camera."""
+    """Return the sampling of the views by the lenslets of a camera."""
     rows, columns = calibration.known.shape
     pitch = calibration.lenslet_pitch_mm
     t_mm, of_array = _centred(rows, calibration.row_pitch_mm), upright.rows(rows)
@@ -187,7 +185,7 @@ def sampling_of(calibration: Calibration, upright: Upright) -> Sampling:
 
 
 def _centred(count: int, step: float) -> Array:
-    """Return an axis of equal steps with its zero in the middle."""
+    """Return an axis of equal steps centred on zero."""
     return step * (np.arange(count, dtype=np.float64) - 0.5 * (count - 1))
 
 
@@ -210,23 +208,23 @@ def _as_views(
 
 
 def _are_own(calibration: Calibration, count: int, senses: tuple[float, float]) -> NDArray[np.bool_]:
-    """Tell of which views, (v, u), a lenslet has samples: no other micro-image's centre is nearer to them."""
+    """Return a mask (v, u) of views with samples nearer to their own micro-image's centre than to any other."""
     sense_u, sense_v = senses
     u, v = np.meshgrid(sense_u * _centred(count, 1.0), sense_v * _centred(count, 1.0))
     neighbours = 6 if calibration.layout == "hexagonal" else 4
     turns = calibration.rotation_rad + 2.0 * np.pi / neighbours * np.arange(neighbours)
-    # In the direction of the neighbour, half of the way to it; rounding decides nothing.
+    # At most half of the distance to each neighbour, with a tolerance for rounding.
     ahead = u[..., None] * np.cos(turns) + v[..., None] * np.sin(turns)
     return np.asarray((ahead <= 0.5 * calibration.pitch_px * (1.0 + 1e-6)).all(axis=-1))
 
 
 def sorted_views(light: Array, calibration: Calibration, count: int, sampling: Sampling, upright: Upright) -> Array:
-    """Return a raw image of one channel as views, (v, u, t, s); NaN where the sensor has no pixel.
+    """Return a single-channel raw image as views, (v, u, t, s); NaN outside the sensor.
 
     Parameters
     ----------
     light : (H, W) float64
-        As it lies on the sensor.
+        As on the sensor.
     calibration : Calibration
     count : int
         Views along each axis.
@@ -239,7 +237,7 @@ def sorted_views(light: Array, calibration: Calibration, count: int, sampling: S
 
 
 def _sharing(calibration: Calibration, count: int, sampling: Sampling) -> Samples:
-    """Return 1 over the sum of the squared weights of the pixels in a sample, the same for all views of a lenslet."""
+    """Return 1 over the sum of squared pixel weights in a sample, the same for all views of a lenslet."""
     fraction = (calibration.centres_px + 0.5 * (count - 1)) % 1.0
     squares = np.prod((1.0 - fraction) ** 2 + fraction**2, axis=-1)[sampling.rows]
     odd = sampling.rows & 1
@@ -255,7 +253,7 @@ def _sort_pixels(
     mean: Array, spread: Array, centres: Array, rows: NDArray[np.int64], columns: NDArray[np.int64], share: Array,
     sense_u: float, sense_v: float, own: NDArray[np.bool_], data: Samples, stderr: Samples,
 ) -> None:  # fmt: skip
-    """Fill (v, u, t, s, c) samples of the views that are own, and their standard errors, from the raw image."""
+    """Fill in (v, u, t, s, c) samples and standard errors of the `own` views from the raw image."""
     count, _, height, width, channels = data.shape
     for t in range(height):
         row = rows[t]
@@ -281,7 +279,7 @@ def _sort_pixels(
 
 
 def _divide(data: Samples, stderr: Samples, white: Samples, white_stderr: Samples) -> None:
-    """Divide a light field by the white one in place, channel by channel; what was dark becomes NaN."""
+    """Divide a light field by the white one in place, channel by channel; dark samples become NaN."""
     for c in range(data.shape[-1]):
         lit = white[..., c][np.isfinite(white[..., c])]
         limit = DARK * float(np.percentile(lit, BRIGHT_PERCENTILE)) if lit.size else 0.0

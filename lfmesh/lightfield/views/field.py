@@ -1,4 +1,4 @@
-"""The 4D light field: a view of the scene for every part of the exit pupil, with the standard error of every sample."""
+"""The 4D light field: a view of the scene for every part of the exit pupil, with standard errors."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,36 +22,34 @@ Samples = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class LightField(Pictured):
-    """Samples of a light field, upright as an observer behind the camera sees it, views and pictures alike.
+    """Samples of a light field, upright for an observer behind the camera.
 
-    An object further to the right (+x) lies at larger s, one further down (−y) at larger t. Larger u looks from further
-    right, larger v from further down, through the entrance pupil: from there, what is nearer than the focus moves
-    towards smaller s and t.
+    In object space, s grows to the right (+x) and t downwards (−y). u grows as the viewpoint in the entrance pupil
+    moves to the right, v as it moves down. As u and v grow, objects nearer than the focus move towards smaller s and t.
 
     Attributes
     ----------
     data : (v, u, t, s, c) float32
-        NaN where the sensor has no pixel for a sample or, divided by a white image, that was dark.
+        NaN outside the sensor or, after division by a white image, if that was dark.
     stderr : (v, u, t, s, c) float32
-        Standard error of `data`, pixels taken as independent.
+        Standard error of `data`, for independent pixels.
     v_rad, u_rad : (v,), (u,) float64
-        Direction of each view at a lenslet against its chief ray, as a slope; ascending, v_rad positive for views from
-        −y and u_rad for views from +x in object space. Times the distance of the exit pupil from the array it is, but
-        for its sign, a place on the exit pupil.
+        Slope of each view at a lenslet against its chief ray; ascending, v_rad positive for views from −y and u_rad
+        from +x in object space. Multiplied by the distance from exit pupil to array, it is a place on the exit pupil,
+        except for its sign.
     t_mm, s_mm : (t,), (s,) float64
-        Place on the array, from its middle, along its columns and rows; ascending, t_mm positive where −y and s_mm
-        where +x is in object space.
+        Place on the array, from its middle; ascending, t_mm positive towards −y and s_mm towards +x in object space.
     wavelengths_nm : tuple of float
-        One a channel.
+        One per channel.
     unit : str
-        Of `data`: "W per pixel", or "W/(m² sr)" where it was divided by the white image.
+        Of `data`: "W per pixel", or "W/(m² sr)" after division by the white image.
     scene : Scene
         Solved.
     sampling : str
-        How (t, s) come from the lenslets, in words.
+        Relation of (t, s) to the lenslets, in words.
     sharing : (t, s) float32
-        By what factor the variance of a mean over neighbouring views of a lenslet exceeds that of independent samples:
-        they are interpolated between pixels that neighbours share. 1 where the centre falls on a pixel.
+        Variance of a mean over neighbouring views of a lenslet, over that of independent samples: above 1 because they
+        share pixels, 1 if the centre falls on a pixel.
     """
 
     data: Samples
@@ -72,7 +70,7 @@ class LightField(Pictured):
 
     @cached_property
     def model(self) -> RayModel:
-        """The camera's map between shift and distance: first-order optics, moved to the best focus of its bundles."""
+        """The camera's map between shift and distance, for photographs."""
         return RayModel.of(self.scene)
 
     @property
@@ -102,12 +100,12 @@ class LightField(Pictured):
         Returns
         -------
         (t, s, c) float32
-            W.
+            In `unit`.
 
         Raises
         ------
         LfmeshError
-            There is no such view.
+            The view does not exist.
         """
         rows, columns = self.views
         _refuse_index("v", v, rows)
@@ -120,20 +118,20 @@ class LightField(Pictured):
         Parameters
         ----------
         t, s : int
-            One of them: a row `t` gives the horizontal EPI (u, s, c) of the views of row `v`, a column `s` the
-            vertical EPI (v, t, c) of the views of column `u`.
+            Give one. A row `t` gives the horizontal EPI (u, s, c) of the views of row `v`, a column `s` the vertical
+            EPI (v, t, c) of the views of column `u`.
         v, u : int, optional
-            The middle one if omitted.
+            Default: the middle one.
 
         Returns
         -------
         (u, s, c) or (v, t, c) float32
-            W.
+            In `unit`.
 
         Raises
         ------
         LfmeshError
-            Neither or both of t and s, or an index beyond the light field.
+            Neither or both of t and s, or an index outside the light field.
         """
         if (t is None) == (s is None):
             raise LfmeshError(f"epi(t={t}, s={s}): give a row t or a column s, one of them")
@@ -151,12 +149,12 @@ class LightField(Pictured):
         return self.data[:, column, :, s]
 
     def views_mosaic(self) -> Samples:
-        """Return all views side by side, (v·t, u·s, c).
+        """Return all views side by side.
 
         Returns
         -------
         (v·t, u·s, c) float32
-            W.
+            In `unit`.
         """
         return mosaic(self.data)
 
@@ -198,7 +196,7 @@ def mosaic(samples: Samples) -> Samples:
 
 
 def from_mosaic(picture: Samples, views: tuple[int, int]) -> Samples:
-    """Return what `mosaic` was made from, given the number of views, rows and columns."""
+    """Invert `mosaic`, given the number of views, rows and columns."""
     height, width, channels = picture.shape
     v, u = views
     return np.ascontiguousarray(picture.reshape(v, height // v, u, width // u, channels).transpose(0, 2, 1, 3, 4))

@@ -1,10 +1,10 @@
-"""The focused plenoptic camera (2.0): lenslets that image the main lens's image, instead of its pupil, onto the sensor.
+"""The focused plenoptic camera (2.0), with lenslets that image the main image, not the pupil, onto the sensor.
 
 A. Lumsdaine, T. Georgiev, "The focused plenoptic camera", ICCP 2009. The main image lies a before the lenslets
-(Keplerian) or behind them (Galilean), and the sensor b behind: 1/a + 1/b = 1/f, with a negative in the latter case.
-A lenslet reduces by a/b, so that every point of the main image is seen by some (a/b)² lenslets: fewer views than in a
-standard plenoptic camera, and more pixels for each. Several focal lengths on one array are sharp at as many distances
-(C. Perwass, L. Wietzke, "Single lens 3D-camera with extended depth-of-field", Proc. SPIE 8291, 2012).
+(Keplerian) or behind them (Galilean), and the sensor b behind: 1/a + 1/b = 1/f, with a negative in the latter case. A
+lenslet reduces by a/b, so about (a/b)² lenslets see each point of the main image: fewer views than in a standard
+plenoptic camera, with more pixels each. Several focal lengths on one array are sharp at as many distances (C. Perwass,
+L. Wietzke, "Single lens 3D-camera with extended depth-of-field", Proc. SPIE 8291, 2012).
 """
 
 from collections.abc import Sequence
@@ -26,17 +26,16 @@ def focused(
 ) -> Scene:
     """Turn a standard plenoptic camera into a focused one with the same sensor, lenslet pitch and aperture.
 
-    The array moves away from the image of the plane in focus, the sensor with it, and the lenslets get the focal
-    length that images this plane onto the sensor. Micro-images stay as large as they were, but for the change of the
-    array's distance from the pupil.
+    Array and sensor move away from the image of the plane in focus, and the lenslets get the focal length that images
+    it onto the sensor. Micro-images keep their size, except for the array's new distance from the pupil.
 
     Parameters
     ----------
     scene : Scene
-        Of a camera whose array stands in the image of the plane in focus.
+        With the array at the image of the plane in focus.
     reduction : float or sequence of up to 3 floats
-        a/b, above 1: by how much lenslets reduce the main image. Several make a multi-focus array, which stands so
-        that lenslets of the middle one are focused on the plane in focus, and the others beyond and before it.
+        a/b, above 1, the reduction of the main image by lenslets. Several make a multi-focus array, with the middle
+        lenslets focused on the plane in focus and the others beyond and before it.
     kind : {"keplerian", "galilean"}
         The main image lies before the lenslets, or behind them as a virtual object.
 
@@ -48,7 +47,7 @@ def focused(
     Raises
     ------
     LfmeshError
-        A conventional camera, a reduction out of its range, or no room for the array behind the lens.
+        A conventional camera, a reduction out of range, or no room for the array behind the lens.
     """
     scene = solved_camera(scene).scene
     model = RayModel.of(scene)
@@ -78,7 +77,7 @@ def focused(
     return solved(
         scene.changed(
             {
-                # The distances say it all: the focus is no longer on the lenslets.
+                # The distances define the camera; the focus is no longer on the lenslets.
                 "camera.focus_mm": None,
                 "camera.mla.distance_mm": distance,
                 "camera.mla.radius_mm": None,
@@ -89,16 +88,16 @@ def focused(
 
 
 def lenslet_blur_px(scene: Scene, excess_mm: float) -> tuple[float, ...]:
-    """Return the width of the blur of a point of the main image on the sensor, for each type of lenslet, in pixels.
+    """Return the blur width of a main-image point on the sensor, in pixels, for each type of lenslet.
 
-    By first-order optics, for lenslets filled with light; one value a type.
+    By first-order optics, for filled lenslets.
 
     Parameters
     ----------
     scene : Scene
         Solved.
     excess_mm : float
-        How far behind the lenslets the main lens images the point: `RayModel.image_excess_mm`.
+        Distance of the main image of the point behind the lenslets: `RayModel.image_excess_mm`.
     """
     mla, model = scene.camera.mla, RayModel.of(scene)
     if mla is None:

@@ -1,10 +1,10 @@
-"""Patch rendering of a focused plenoptic image: from each micro-image the part that continues its neighbours'.
+"""Patch rendering of a focused plenoptic image: from each micro-image, the part that continues its neighbours'.
 
 A pixel o pixels from the centre of its micro-image belongs to the point A + o·shift of the main image, seen from the
-middle of the exit pupil: A is the lenslet's place, and the shift, `TracedShift`'s, depends on the distance. So the
-patch that a lenslet contributes is pitch/shift pixels wide (T. Georgiev, A. Lumsdaine, "Focused plenoptic camera and
-rendering", J. Electronic Imaging 19 (2010) 021106); what neighbours see of the same point is averaged, and its spread
-tells whether the patches have the right size.
+middle of the exit pupil, with the lenslet's place A and `TracedShift`'s shift for the distance. A lenslet thus
+contributes a patch pitch/shift pixels wide (T. Georgiev, A. Lumsdaine, "Focused plenoptic camera and rendering", J.
+Electronic Imaging 19 (2010) 021106). Neighbours' views of the same point are averaged; their spread tells whether the
+patch size is right.
 """
 
 import math
@@ -36,17 +36,17 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 LAST_RESORT = 1e-9
-"""Weight of lenslets of another type than the sharpest: they count where no other sees a point."""
+"""Weight of lenslet types other than the sharpest, so that they count only if no other sees a point."""
 
 FINEST = 4096
-"""Samples along an axis of a picture, at most."""
+"""Most samples along an axis of a picture."""
 
 WINDOW = 1.0
-"""Standard deviation of the window in which planes are compared, in lenslets."""
+"""Standard deviation of the window for the comparison of planes, in lenslets."""
 
 
 class _Focused(NamedTuple):
-    """Camera and raw image as patch rendering takes them."""
+    """Camera and raw image for patch rendering."""
 
     scene: Scene
     calibration: Calibration
@@ -64,7 +64,7 @@ def render_patches(
 ) -> Photograph:
     """Render the raw image of a focused plenoptic camera for one object distance.
 
-    Of a multi-focus array those lenslets are used that are sharpest there, and others where none of them sees a point.
+    A multi-focus array contributes its sharpest lenslets; others fill in points that these miss.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def render_patches(
     white : Image, optional
         Of the same camera; the raw image is divided by it.
     sample_mm : float, optional
-        Step of the picture, on the array; if omitted a pixel of the patches.
+        Step of the picture, on the array (default: a pixel of the patches).
 
     Returns
     -------
@@ -83,8 +83,7 @@ def render_patches(
     Raises
     ------
     LfmeshError
-        A conventional camera; a distance whose patches would be larger than the micro-images, as at the focus of a
-        standard plenoptic camera.
+        A conventional camera, or patches larger than the micro-images, as at the focus of a standard plenoptic camera.
     """
     camera = _focused(image, white)
     step = _sample_mm(camera, [distance_mm]) if sample_mm is None else sample_mm
@@ -92,7 +91,7 @@ def render_patches(
 
 
 def patch_stack(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> FocalStack:
-    """Render the raw image of a focused plenoptic camera for several distances, on the samples of the finest.
+    """Render the raw image of a focused plenoptic camera for several distances, with the samples of the finest.
 
     Parameters
     ----------
@@ -103,14 +102,14 @@ def patch_stack(image: Image, distances_mm: Sequence[float], *, white: Image | N
     Raises
     ------
     LfmeshError
-        As `render_patches`, or there is no distance.
+        As from `render_patches`, or no distance is given.
     """
     camera, step = _for_distances(image, distances_mm, white)
     return FocalStack(tuple(_photograph(camera, distance, step) for distance in distances_mm))
 
 
 def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Image | None = None) -> AllInFocus:
-    """Render with patches of the size that fits each place: of these distances the one at which lenslets agree best.
+    """Render each place with the patch size for which lenslets agree best.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def patches_in_focus(image: Image, distances_mm: Sequence[float], *, white: Imag
     Raises
     ------
     LfmeshError
-        As `render_patches`, or there is no distance.
+        As from `render_patches`, or no distance is given.
     """
     camera, step = _for_distances(image, distances_mm, white)
     window = WINDOW * camera.calibration.lenslet_pitch_mm / step
@@ -154,7 +153,7 @@ def patch_px(scene: Scene, distance_mm: float) -> float:
 
 
 def _for_distances(image: Image, distances_mm: Sequence[float], white: Image | None) -> tuple[_Focused, float]:
-    """Return a camera and the finest pixel, on the array, of its patches of several distances."""
+    """Return the camera and the finest patch pixel, on the array, over several distances."""
     if not len(distances_mm):
         raise LfmeshError("distances_mm is empty: give a distance at least")
     camera = _focused(image, white)
@@ -183,13 +182,13 @@ def _focused(image: Image, white: Image | None) -> _Focused:
 
 @lru_cache(maxsize=4)
 def _geometry(scene: Scene) -> tuple[Calibration, ShiftMap, float]:
-    """Return a camera's calibration, its map of distances, and the radius in pixels of what micro-images hold.
+    """Return a camera's calibration, its distance map, and the usable radius of micro-images in pixels.
 
-    Kept for the next picture, since tracing it takes longer than rendering one.
+    Cached, as tracing takes longer than rendering.
     """
     rays = ViewRays.of_camera(scene)
     model, calibration = RayModel.of(scene), rays.calibration
-    # Pixels that the pupil fills, as `TracedShift` weighs them.
+    # Pixels that the pupil fills, as for the fit of `TracedShift`.
     radius = min(0.5 * calibration.pitch_px, 0.5 / model.f_number / model.slope_step) - BORDER
     count = view_count(calibration, None)
     places = np.arange(count) - 0.5 * (count - 1)
@@ -202,7 +201,7 @@ def _geometry(scene: Scene) -> tuple[Calibration, ShiftMap, float]:
 
 
 def _divided(image: Image, white: Image, scene: Scene) -> tuple[Array, Array]:
-    """Return the raw image over the white one, and its standard error; NaN where that is dark."""
+    """Return the raw image over the white one, with standard error; NaN where white is dark."""
     refuse_other_white(white, image, scene.camera)
     level = DARK * np.percentile(white.mean, BRIGHT_PERCENTILE, axis=(0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -212,12 +211,12 @@ def _divided(image: Image, white: Image, scene: Scene) -> tuple[Array, Array]:
 
 
 def _sample_mm(camera: _Focused, distances_mm: Sequence[float]) -> float:
-    """Return the finest pixel, on the array, of the patches of several distances."""
+    """Return the finest patch pixel, on the array, over several distances."""
     return min(abs(camera.geometry.shift_mm(distance)) for distance in distances_mm)
 
 
 def _rendered(camera: _Focused, distance_mm: float, step_mm: float) -> tuple[Array, Array, Array]:
-    """Return mean, standard error (t, s, c), and the variance over the lenslets (t, s); upright."""
+    """Return mean and standard error (t, s, c), and the variance over the lenslets (t, s); upright."""
     shift = camera.geometry.shift_mm(distance_mm)
     calibration = camera.calibration
     patch = calibration.lenslet_pitch_mm / abs(shift) if shift else math.inf
@@ -250,14 +249,14 @@ def _gather(
     sense_x: float, sense_y: float, shift: float, radius: float, step: float, pitch: float, row_pitch: float,
     mean: Array, stderr: Array, variance: Array,
 ) -> None:  # fmt: skip
-    """Average for every sample of the picture the pixels of all lenslets that see its point."""
+    """Average the pixels of all lenslets that see each sample's point."""
     height, width, channels = mean.shape
     rows, columns = kinds.shape
     reach = abs(shift) * radius
     for t in range(height):
         for s in range(width):
             x, y = sense_x * step * (s - 0.5 * (width - 1)), sense_y * step * (t - 0.5 * (height - 1))
-            # Rows of hexagonal arrays stand half a pitch aside, and form errors move apexes a little.
+            # Rows of hexagonal arrays are offset by half a pitch, and form errors shift apexes a little.
             left = max(int((x - reach) / pitch + 0.5 * (columns - 1)) - 1, 0)
             right = min(int((x + reach) / pitch + 0.5 * (columns - 1)) + 2, columns - 1)
             top = max(int((y - reach) / row_pitch + 0.5 * (rows - 1)) - 1, 0)
@@ -268,7 +267,7 @@ def _gather(
                 for r in range(top, bottom + 1):
                     for k in range(left, right + 1):
                         du, dv = (x - apexes[r, k, 0]) / shift, (y - apexes[r, k, 1]) / shift
-                        # Less towards the rim, so that patches join without seams.
+                        # Fades towards the rim, so that patches join without seams.
                         share = 1.0 - (du * du + dv * dv) / (radius * radius)
                         if share <= 0.0:
                             continue

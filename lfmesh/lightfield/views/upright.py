@@ -1,14 +1,14 @@
-"""Upright pictures: turn what lies on the sensor to how an observer behind the camera sees the scene.
+"""Upright pictures: turn sensor images to the orientation seen by an observer behind the camera.
 
-The camera frame has x to the right and y up for somebody who stands behind the camera and looks at the objects, along
-−z. In an upright picture, columns run along +x and rows along −y of object space. A lens that inverts (negative
-magnification) has turned both axes, and rows count along +y: so columns are to be reversed, and rows are right already.
-A relay that does not invert has its rows reversed instead. No other place in lfmesh turns pictures.
+In the camera frame, x points right and y up for an observer behind the camera who looks at the objects, along −z.
+Columns of an upright picture run along +x, rows along −y of object space. A lens that inverts (negative magnification)
+turns both axes: rows on the sensor are then upright, and columns must be reversed. A relay that does not invert needs
+its rows reversed. No other module turns pictures.
 
-Pixels within a micro-image are reversed with everything else, and so views come out right too: as ray optics is
-symplectic, the sense in which the exit pupil runs over a micro-image against the entrance pupil, whatever the sign of
-the pupil magnification, is that in which the scene runs over the array. (Behind a hypercentric lens, whose entrance
-pupil lies beyond the objects, (u, v) tell from which side objects are seen.)
+Pixels within a micro-image are reversed too, which also turns the views correctly. As ray optics is symplectic, the
+entrance pupil runs over a micro-image in the same sense as the scene over the array, for either sign of the pupil
+magnification. (Behind a hypercentric lens, with its entrance pupil beyond the objects, (u, v) give the side of the
+view.)
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from lfmesh.scene.first_order.solve import image_plane_mm
 Array = NDArray[np.float64]
 
 UPRIGHT = "upright"
-"""Label in files of pictures whose columns run along +x and whose rows run along −y of object space."""
+"""Label in files of pictures with columns along +x and rows along −y of object space."""
 
 ON_SENSOR = (
     "as on the sensor: the middle of row r and column c lies at y = (r - (rows - 1) / 2) * pixel and "
@@ -35,21 +35,21 @@ ON_SENSOR = (
 
 @dataclass(frozen=True)
 class Upright:
-    """Maps that turn pictures on the sensor upright; each is its own inverse.
+    """Maps that turn sensor images upright; each is its own inverse.
 
     Attributes
     ----------
     inverts : bool
-        Whether the lens images the scene upside down onto array or sensor, as all but relays do.
+        True if the lens images the scene upside down onto array or sensor, as all but relays do.
     """
 
     inverts: bool
 
     @classmethod
     def of(cls, scene: Scene) -> "Upright":
-        """Find by first-order optics whether a scene's lens inverts.
+        """Determine by first-order optics whether a scene's lens inverts.
 
-        The plane in focus decides; where it lies at infinity or is virtual, the chief rays of distant objects do.
+        By the plane in focus or, if it is at infinity or virtual, by chief rays of distant objects.
         """
         camera = solved_camera(scene)
         lens = camera.paraxial
@@ -57,31 +57,31 @@ class Upright:
         distance = lens.object_mm(image)
         if 0.0 < distance < np.inf:
             return cls(lens.magnification(distance) < 0.0)
-        # A chief ray that rises comes from a distant object at negative heights.
+        # A rising chief ray comes from a distant object at negative height.
         return cls(lens.chief_scale_mm(np.inf, image) < 0.0)
 
     @property
     def senses(self) -> tuple[float, float]:
-        """1 or −1: how columns and rows of a picture run against those of the sensor, and (u, v) against pixels."""
+        """Directions, 1 or −1, of a picture's columns and rows on the sensor, and of (u, v) over pixels."""
         return (-1.0, 1.0) if self.inverts else (1.0, -1.0)
 
     def picture(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """Return a view of a raw image (rows, columns, ...) as an upright picture; or back again.
+        """Turn a raw image (rows, columns, ...) upright, or back, as a view.
 
-        What belongs to the lenslets, (rows, columns, ...) of the array, is turned in the same way.
+        Arrays over the lenslets, (rows, columns, ...), are turned in the same way.
         """
         return pixels[:, ::-1] if self.inverts else pixels[::-1]
 
     def rows(self, count: int) -> NDArray[np.int64]:
-        """Return the row of the sensor, or of the array, that each row of a picture shows, from the top."""
+        """Return the row of the sensor, or of the array, for each row of a picture, from the top."""
         return np.arange(count) if self.inverts else np.arange(count)[::-1]
 
     def columns(self, count: int) -> NDArray[np.int64]:
-        """Return the column of the sensor, or of the array, that each column of a picture shows, from the left."""
+        """Return the column of the sensor, or of the array, for each column of a picture, from the left."""
         return np.arange(count)[::-1] if self.inverts else np.arange(count)
 
     def pixel(self, row: int, column: int, shape: tuple[int, int]) -> tuple[int, int]:
-        """Return where a pixel of an image with `shape` (rows, columns) lies in the picture; or back again.
+        """Return the picture's pixel for a pixel of an image with `shape`, or back.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Upright:
         return (row, columns - 1 - column) if self.inverts else (rows - 1 - row, column)
 
     def box(self, rows: range, columns: range, shape: tuple[int, int]) -> tuple[range, range]:
-        """Return the rows and columns of the picture that a box of pixels fills; or back again.
+        """Return the picture's rows and columns for a box of pixels, or back.
 
         Parameters
         ----------
@@ -107,13 +107,13 @@ class Upright:
         return range(height - rows.stop, height - rows.start), columns
 
     def points_px(self, points: Array, shape: tuple[int, int]) -> Array:
-        """Return where points (..., 2) of an image, (column, row) in pixels, lie in the picture; or back again."""
+        """Map points (..., 2) of an image, (column, row) in pixels, to the picture, or back."""
         rows, columns = shape
         (along_x, along_y), last = self.senses, np.array([columns - 1.0, rows - 1.0])
         return np.where(np.array([along_x, along_y]) < 0.0, last - points, points)
 
     @property
     def raw_in_words(self) -> str:
-        """Orientation of raw images, and the map that turns them upright, in words, for files of raw images."""
+        """Orientation of raw images and the map that turns them upright, in words, for their files."""
         turn = "columns reversed, [:, ::-1]" if self.inverts else "rows reversed, [::-1]"
         return f"{ON_SENSOR}; an upright picture is this with its {turn}"

@@ -1,1 +1,1 @@
-"""Volumes that emit: the projection matrix of a camera, and reconstruction by it."""
+"""Emitting volumes: the projection matrix of a camera, and reconstruction by it."""

@@ -1,7 +1,7 @@
-"""Iterative methods of reconstruction that know no noise: MART, Richardson and Lucy's, SART and least squares.
+"""Iterative reconstruction without a noise model: MART, Richardson–Lucy, SART and least squares.
 
-Each takes a matrix by rows and an image in units in which entries and pixels are near 1, and returns the volume and the
-relative residual at the start and after each iteration.
+Solvers take a matrix by rows and an image, with entries and pixels near 1. They return the volume and the relative
+residual at the start and after each iteration.
 """
 
 from typing import TYPE_CHECKING
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ITERATIONS: dict[str, int] = {"mart": 20, "rl": 100, "sart": 100, "nnls": 2000}
-"""Iterations that are done where none are given; of "nnls", the most that are."""
+"""Default number of iterations; for "nnls" the maximum."""
 
 LEAST_STEP = 0.1
-"""Ratio of a pixel to what the volume shows it, and its inverse, at which a step of MART is limited."""
+"""Limit, with its inverse, of the ratio of a pixel to its model value in a MART step."""
 
 MOST_DENSE = 4_000_000
-"""Entries of a matrix, zeros included, up to which "nnls" is Lawson and Hanson's method, which takes a full one."""
+"""Matrix entries, zeros included, up to which "nnls" uses the method of Lawson and Hanson on a dense matrix."""
 
 CONVERGED = 1e-12
-"""Change of the squared residual, relative, below which "nnls" ends for larger matrices."""
+"""Relative change of the squared residual at which "nnls" ends for larger matrices."""
 
 
 def relative_residual(rows: "csr_array", b: Array, x: Array) -> float:
@@ -48,7 +48,7 @@ def relative_residual(rows: "csr_array", b: Array, x: Array) -> float:
 
 def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, step: float) -> tuple[Array, Array]:
     b = np.maximum(b, 0.0)
-    # The flat volume as bright as the image.
+    # Start from a uniform volume as bright as the image.
     sums = np.asarray(rows.sum(axis=1)).ravel()
     x = np.where(seen, b.sum() / sums.sum(), 0.0)
     if not b.any():
@@ -64,7 +64,7 @@ def _mart(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, ste
 def mart_round(
     first: NDArray[np.int32], column: NDArray[np.int32], entry: Array, b: Array, step: float, x: Array
 ) -> None:
-    """Multiply a volume, row after row, by b_i / Σ a_ik x_k to the power of the step times a_ij.
+    """Multiply a volume, row after row, by (b_i / Σ a_ik x_k) to the power of step · a_ij.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def mart_round(
     b : (pixels,) float64
     step : float
     x : (voxels,) float64
-        Is changed.
+        Changed in place.
     """
     for i in range(len(b)):
         shown = 0.0
@@ -90,7 +90,7 @@ def _richardson_lucy(
     rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: float
 ) -> tuple[Array, Array]:  # fmt: skip
     sums, columns = np.asarray(rows.sum(axis=0)).ravel(), rows.T.tocsr()
-    # What no voxel shows is no part of the likelihood.
+    # Pixels that see no voxel are not part of the likelihood.
     b = np.where(np.diff(rows.indptr) > 0, np.maximum(b, 0.0), 0.0)
     x = np.where(seen, b.sum() / sums.sum(), 0.0)
     if not b.any():
@@ -125,7 +125,7 @@ def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: 
 
     lit = np.flatnonzero(np.diff(rows.indptr))
     part = rows[lit][:, np.flatnonzero(seen)]
-    # Columns of length 1, so that weakly seen voxels are found as soon as others.
+    # Normalise columns, so that weakly seen voxels converge as fast as others.
     length = np.sqrt(np.asarray(part.power(2).sum(axis=0)).ravel())
     part = part.multiply(1.0 / length[None, :]).tocsr()
     if part.shape[0] * part.shape[1] <= MOST_DENSE:
@@ -151,4 +151,4 @@ def _nnls(rows: "csr_array", b: Array, seen: NDArray[np.bool_], rounds: int, _: 
 
 
 SOLVERS = {"mart": _mart, "rl": _richardson_lucy, "sart": _sart, "nnls": _nnls}
-"""By the name of the method: takes rows, image, voxels that are seen, iterations and relaxation."""
+"""Solvers by method: each takes rows, image, mask of seen voxels, iterations and relaxation."""

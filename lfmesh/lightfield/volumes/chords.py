@@ -1,7 +1,7 @@
 """Chords of rays through voxels, summed into rows of a sparse matrix.
 
-The walk from voxel to voxel is that of J. Amanatides & A. Woo, "A fast voxel traversal algorithm for ray tracing",
-Eurographics 1987. Distances to faces are computed from the voxel's number, not summed up, so that no error grows.
+The walk from voxel to voxel follows J. Amanatides & A. Woo, "A fast voxel traversal algorithm for ray tracing",
+Eurographics 1987. Distances to faces are computed from voxel numbers, so rounding errors do not accumulate.
 """
 
 from typing import Any, NamedTuple
@@ -16,18 +16,18 @@ Array = NDArray[np.float64]
 
 
 class Room(NamedTuple):
-    """Working memory of `sum_rows`; all but `first_touched` and `touched` is 0 between two calls."""
+    """Working memory of `sum_rows`; all but `first_touched` and `touched` is 0 between calls."""
 
-    own: Array  # (voxels,) of the replicate
-    total: Array  # (voxels,) of the row
+    own: Array  # (voxels,) sums of the replicate
+    total: Array  # (voxels,) sums of the row
     squares: Array  # (voxels,)
-    first_touched: NDArray[np.int64]  # (voxels,) voxels that the replicate has met
-    touched: NDArray[np.int64]  # (voxels,) voxels that the row has met
+    first_touched: NDArray[np.int64]  # (voxels,) voxels met by the replicate
+    touched: NDArray[np.int64]  # (voxels,) voxels met by the row
     met: NDArray[np.uint8]  # (voxels,) 1 for voxels in `touched`
 
 
 def room_for(voxels: int) -> Room:
-    """Return working memory for a grid of some voxels."""
+    """Return working memory for a grid."""
     numbers = np.zeros(voxels, np.int64)
     return Room(
         np.zeros(voxels), np.zeros(voxels), np.zeros(voxels), numbers, numbers.copy(), np.zeros(voxels, np.uint8)
@@ -35,31 +35,31 @@ def room_for(voxels: int) -> Room:
 
 
 class Rows(NamedTuple):
-    """Rows of a sparse matrix as they are filled."""
+    """Rows of a sparse matrix under construction."""
 
     column: NDArray[np.int32]  # (capacity,)
     value: Array  # (capacity,)
     error: NDArray[np.float32]  # (capacity,) standard error
-    end: NDArray[np.int64]  # (rows,) number of entries up to the end of each row
-    row_error: Array  # (rows,) standard error of the sum of the row
-    dropped: Array  # (rows,) sum of the entries that were left out
+    end: NDArray[np.int64]  # (rows,) number of entries up to and including each row
+    row_error: Array  # (rows,) standard error of the row's sum
+    dropped: Array  # (rows,) sum of the dropped entries
 
 
 class Haze(NamedTuple):
-    """Light that rays lose to media, glass and liquids; `volumes` is None where media are left out."""
+    """Attenuation of rays by media, glass and liquids; `volumes` is None without media."""
 
     volumes: Any
-    origin: Array  # (n, 3) of the rays, mm, object frame
+    origin: Array  # (n, 3) ray origins, mm, object frame
     direction: Array  # (n, 3)
-    colour: NDArray[np.int64]  # (n,) number of each ray's wavelength
-    book: Array  # (0,) no light is booked
-    place: NDArray[np.int64]  # (n,) rank of the body that each is in; 0: air
-    per_mm: Array  # (n,) absorption coefficient of the glass or liquid round each, 1/mm
+    colour: NDArray[np.int64]  # (n,) index of each ray's wavelength
+    book: Array  # (0,) nothing is booked
+    place: NDArray[np.int64]  # (n,) rank of each ray's body; 0: air
+    per_mm: Array  # (n,) absorption coefficient of the glass or liquid around each ray, 1/mm
 
 
 @kernel
 def _passed(volumes: Any, haze: Haze, ray: int, begin: float, end: float) -> float:
-    """Return the share of the light that media, which may be None, and glass let through on a piece of a ray."""
+    """Return the transmittance of media, which may be None, and glass along a piece of a ray."""
     clear = np.exp(-haze.per_mm[ray] * (end - begin))
     if volumes is None:
         return clear
@@ -75,16 +75,16 @@ def walk(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, length: float, weight: float,
     nx: int, ny: int, nz: int, haze: Haze, ray: int, room: Room, touched: int,
 ) -> int:  # fmt: skip
-    """Add weight times chord to every voxel that a ray passes; return how many voxels its replicate has met so far.
+    """Add weight times chord to every voxel that a ray crosses; return the replicate's number of voxels so far.
 
-    What media take on the way counts too: of a voxel's own light as if it took evenly all along the chord.
+    Attenuation is included, as if uniform along the chord in the emitting voxel.
 
     Parameters
     ----------
     px, py, pz, dx, dy, dz : float
         Ray in units of voxels, see `VoxelBox.in_voxels`.
     length : float, mm
-        Where it ends.
+        End of the ray.
     weight : float
     nx, ny, nz : int
         Voxels of the grid.
@@ -93,7 +93,7 @@ def walk(
         Number of the ray.
     room : Room
     touched : int
-        How many voxels the replicate has met before.
+        Number of voxels that the replicate has met before.
     """
     enter, leave = 0.0, length
     for axis in range(3):
@@ -131,7 +131,7 @@ def walk(
                 room.own[voxel] += weight * (there - here)
             else:
                 passed = _passed(haze.volumes, haze, ray, here, there)
-                # The mean of exp(-τ) over the chord.
+                # Mean of exp(-τ) over the chord.
                 mean = (passed - 1.0) / np.log(passed) if 0.0 < passed < 1.0 else passed
                 room.own[voxel] += left * mean * (there - here)
                 left *= passed
@@ -157,7 +157,7 @@ def sum_rows(
     begin: int, p: Array, d: Array, length: Array, weight: Array, first: NDArray[np.int64], replicates: int,
     nx: int, ny: int, nz: int, threshold: float, haze: Haze, room: Room, rows: Rows,
 ) -> int:  # fmt: skip
-    """Sum the rays of rows into sparse rows: means over replicates with their standard errors.
+    """Sum the rays of each row into sparse entries: means over replicates with standard errors.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def sum_rows(
     replicates : int
     nx, ny, nz : int
     threshold : float
-        Entries smaller than this share of the largest one of their row are dropped.
+        Entries below this fraction of their row's largest are dropped.
     haze : Haze
     room : Room
     rows : Rows
@@ -179,7 +179,7 @@ def sum_rows(
     Returns
     -------
     int
-        The first row that has no room in `rows`; their number if all have.
+        First row that does not fit into `rows`, or the number of rows if all do.
     """
     for row in range(begin, len(rows.end)):
         filled = rows.end[row - 1] if row > 0 else 0
@@ -234,7 +234,7 @@ def sum_rows(
 
 @inlined
 def _spread(total: float, squares: float, count: int) -> float:
-    """Return the standard error of the mean of numbers, by the sums of them and of their squares; NaN for one."""
+    """Return the standard error of a mean from sums of numbers and squares; NaN for one number."""
     if count < 2:
         return np.nan
     mean = total / count

@@ -1,4 +1,4 @@
-"""Straight pieces of rays in object space, from pixels through the camera to where they end."""
+"""Straight segments of rays in object space, from the camera to their ends."""
 
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ Numbers = NDArray[np.int64]
 
 
 class Segments(NamedTuple):
-    """Straight pieces of rays in object space.
+    """Straight segments of rays in object space.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Segments(NamedTuple):
         World frame, mm; unit directions.
     length : (n,) float64, mm
     weight : (n,) float64, m² sr
-        Over the square of the index of the medium.
+        Divided by the square of the medium's index.
     pixel : (n,) int64
     colour : (n,) int64
-        Number of the wavelength.
+        Index of the wavelength.
     place : (n,) int64
-        Rank of the body of glass or liquid that each is in; 0: air.
+        Rank of the surrounding body of glass or liquid; 0 for air.
     per_mm : (n,) float64
         Absorption coefficient of that body, 1/mm.
     """
@@ -63,14 +63,14 @@ class Segments(NamedTuple):
 
 
 def object_segments(work: Workspace, part: Part) -> Segments:
-    """Trace packets from their pixels out of the camera, and return the pieces of their paths in object space.
+    """Trace packets from their pixels out of the camera, and return the segments of their paths in object space.
 
     Parameters
     ----------
     work : Workspace
         Holds the packets at their pixels.
     part : Part
-        Whose paths count.
+        Selects the paths that count.
     """
     elsewhere = np.arange(STATIONS) != OBJECTS
     while (work.tops[:STATIONS] * elsewhere).any():
@@ -90,9 +90,9 @@ def object_segments(work: Workspace, part: Part) -> Segments:
 
 
 def _onward(options: Options) -> Options:
-    """Return the options by which packets go on in object space.
+    """Return the options for packets in object space.
 
-    One child of each interface survives with the whole weight, so that each piece of a path has an end.
+    One child of each interface survives with the whole weight, so that each segment has an end.
     """
     split = TRANSMIT if options.thinning.split == TRANSMIT else ROULETTE
     options = with_thinning(options, split=split)
@@ -100,7 +100,7 @@ def _onward(options: Options) -> Options:
 
 
 def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], counts: NDArray[np.bool_]) -> Segments:
-    """Return rays without an end, one for each packet."""
+    """Return one ray without an end for each packet."""
     p = np.stack([packets[axis] for axis in ("x", "y", "z")], axis=-1)
     d = np.stack([packets[axis] for axis in ("dx", "dy", "dz")], axis=-1)
     for number in np.unique(frame):
@@ -109,24 +109,24 @@ def _pieces(packets: NDArray[np.void], work: Workspace, frame: NDArray[Any], cou
         p[some], d[some] = frames.points(to_world, p[some]), frames.directions(to_world, d[some])
     index = work.tables.objects.media.indices[packets["medium"], packets["colour"]]
     weight = packets["weight"] / (index * index)
-    # The other paths belong to other parts.
+    # Other paths belong to other parts.
     weight = np.where(counts[packets["path"]], weight, 0.0)
     pixel, colour = packets["source"] & PIXEL_MASK, packets["colour"].astype(np.int64)
     absorption = work.tables.objects.media.absorption
     per_mm = np.zeros(len(p)) if absorption is None else absorption.per_mm[packets["medium"], packets["colour"]]
-    # Only packets in object space are in bodies, whose numbers have the place of a cell of the array.
+    # Only packets in object space are in bodies; elsewhere the field holds a cell of the array.
     place = np.where((frame == OBJECT_FRAME) & (packets["bodies"] >= 0), packets["bodies"] & RANK, 0)
     return Segments(p, d, np.full(len(p), np.inf), weight, pixel, colour, place.astype(np.int64), per_mm)
 
 
 def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
-    """Trace packets on from target to target until they have ended, and return the pieces of their paths.
+    """Trace packets from target to target until they end, and return the segments of their paths.
 
-    A packet's `node` holds the number of its piece. A packet that asks Embree again starts where it started before; a
-    child starts where its parent's piece ends.
+    A packet's `node` numbers its segment. A packet that queries Embree again keeps its origin; a child starts at its
+    parent's end.
     """
     found = _pieces(work.stacks.waiting(OBJECTS)[:0], work, np.zeros(0, np.int8), counts)
-    # Starts of the pieces in the object frame, as the packets hold them.
+    # Origins of the segments in the object frame, as the packets hold them.
     starts = np.zeros((0, 3))
     known = 0
     while top := int(work.tops[OBJECTS]):
@@ -146,17 +146,18 @@ def _followed(work: Workspace, counts: NDArray[np.bool_]) -> Segments:
         found = Segments(*(np.concatenate(pair) for pair in zip(found, own, strict=True)))
         starts = np.concatenate([starts, p[is_child]])
         known = top - work.advance(OBJECTS)
-        # What comes back to the lens is followed no further; the grid lies before the lens.
+        # Rays that return to the lens are dropped; the grid lies in front of it.
         work.tops[LENS] = 0
     ended = work.ended[: work.tops[ENDED]]
     stopped = np.isin(ended["status"], (S_TARGET, S_ABSORBED))
     if (volumes := work.tables.objects.volumes) is not None:
-        # Of what media take whole, as fog without bounds does, the end is where the piece began; it goes on, and dims.
+        # A medium that absorbs a packet entirely, like unbounded fog, ends it at its origin; the segment continues and
+        # dims.
         faded = stopped & (ended["body"] == volumes.rows["slot"][0])
         found.length[ended["node"][faded]] = np.inf
         ended, stopped = ended[~faded], stopped[~faded]
     way = ended["position"] - found.origin[ended["node"]]
     found.length[ended["node"][stopped]] = np.linalg.norm(way[stopped], axis=1)
-    # The last piece of what is lost, or cut off after too many events, has no known end: it is left out.
+    # The last segment of lost packets, or of packets with too many events, has no known end and is left out.
     found.length[ended["node"][~stopped & (ended["status"] != S_ESCAPED)]] = 0.0
     return found

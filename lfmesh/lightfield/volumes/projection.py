@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 ENTRY_BYTES = 16
-"""Of an entry: number of its voxel, value and standard error."""
+"""Bytes per entry: voxel number, value and standard error."""
 
 
 def projection_matrix(
@@ -28,37 +28,38 @@ def projection_matrix(
     absorption: bool = False, inside: str | None = None, tolerance: float = TOLERANCE,
     say: Callable[[str], None] | None = None,
 ) -> ProjectionMatrix:  # fmt: skip
-    """Trace what every pixel of a camera detects of every voxel of an emitting grid.
+    """Trace the power on every pixel of a camera from every voxel of an emitting grid.
 
-    The rays are those of the adjoint image: `transport.samples`, `replicates`, `split` and `seed` hold. With
-    `split = "transmit"` they follow the image path alone; else reflections in lens and array are in the matrix, too,
-    and fill it. Targets hide what lies behind them; light that they scatter is no part of it. Glass in front of the
-    camera refracts, and what it absorbs is missing from the entries. With `transport.diffraction` each voxel shows
-    the point spread of its centre, by `lf.point_spread`, coherent over all lenslets, and what that refuses is refused:
-    media, bodies of glass, hidden voxels, voxels out of the field. As with `[[media]]`, voxels count where they are
-    outside all bodies or, with `inside`, in one body of glass or liquid.
+    Rays are traced as for the adjoint image, with `transport.samples`, `replicates`, `split` and `seed`. With `split =
+    "transmit"` they follow only the image path; otherwise the matrix includes reflections in lens and array, which fill
+    it. Targets hide voxels behind them; light that they scatter is left out. Glass in front of the camera refracts and
+    absorbs.
+
+    With `transport.diffraction` each voxel has the point spread of its centre, by `lf.point_spread`, coherent over all
+    lenslets. Media, bodies of glass, and voxels hidden or out of the field are then refused.
+
+    Voxels count outside all bodies or, with `inside`, in one body of glass or liquid.
 
     Parameters
     ----------
     scene : Scene
     grid : VoxelBox, or a voxel grid in the world frame
-        Each voxel emits evenly.
+        Each voxel emits uniformly.
     channel : int
-        Number of the wavelength or band. Of bands the emission is that over the whole range of wavelengths that they
-        reach, spread evenly.
+        Index of the wavelength or band. For bands, the emission is spread evenly over all wavelengths that they reach.
     pixels : (rows,) int, optional
-        Numbers of the pixels, row by row of the sensor, increasing; all if left out.
+        Pixel numbers, counted row by row of the sensor, increasing (default: all).
     threshold : float
-        Entries smaller than this share of the largest one of their row are dropped, and booked.
+        Entries below this fraction of their row's largest are dropped; their sum is recorded.
     absorption : bool
-        Take from the entries what the scene's `[[media]]` absorb and scatter on the way to the camera. Left out, air
-        is clear. Light that is scattered into a ray is in no entry.
+        Attenuate entries by the absorption and scattering of the scene's `[[media]]` on the way to the camera (default:
+        clear air). Light scattered into a ray is left out.
     inside : str, optional
-        Name of the body of glass or liquid that the grid is in, such as "tanks[0] liquid". Left out, it is in none.
+        Name of the body of glass or liquid that contains the grid, such as "tanks[0] liquid" (default: none).
     tolerance : float
-        With diffraction, the largest error of a column over its light, as of `lf.point_spread`.
+        With diffraction, largest error of a column over its light, as for `lf.point_spread`.
     say : callable, optional
-        Called with lines for the user: the expected size, first of all.
+        Called with messages, the expected size first.
 
     Returns
     -------
@@ -67,12 +68,12 @@ def projection_matrix(
     Warns
     -----
     PictureWarning
-        The matrix is or may be wrong, as an image of the scene would be; `ProjectionMatrix.warnings` keeps them.
+        The matrix is or may be wrong, like an image of the scene; `ProjectionMatrix.warnings` keeps them.
 
     Raises
     ------
     LfmeshError
-        The grid is not in front of the lens or not seen by the camera, the matrix would not fit into memory
+        The grid is not in front of the lens or not seen by the camera, the matrix does not fit into memory
         (`lf.write_projection_matrix` streams it to a file), or a setting is out of range.
     """
     from scipy.sparse import csr_array
@@ -105,7 +106,7 @@ def projection_matrix(
 
 
 def not_seen(projector: Projector) -> str:
-    """Say that a matrix would be empty."""
+    """Return the message for an empty matrix."""
     names = ", ".join(
         f'"{name}"' for name in {number: name for name, number in projector.world.scene.bodies()}.values()
     )
@@ -118,7 +119,7 @@ def not_seen(projector: Projector) -> str:
 
 
 class Size(NamedTuple):
-    """The expected size of a matrix."""
+    """Expected size of a matrix."""
 
     entries: float
     bytes: float
@@ -138,7 +139,7 @@ def size_in_words(projector: Projector, pixels: Numbers) -> Size:
 
 
 def computed(projector: Projector, blocks: list[Numbers]) -> Iterator[Block]:
-    """Yield the rows of blocks of pixels in their order, traced in threads; only a few are kept at a time."""
+    """Yield the rows of blocks of pixels in order, traced in threads; only a few are kept at a time."""
     threads = projector.tracer.threads
     rooms: list[Room] = []
 
@@ -161,7 +162,7 @@ def computed(projector: Projector, blocks: list[Numbers]) -> Iterator[Block]:
 
 
 def pixels_of(projector: Projector, pixels: ArrayLike | None) -> Numbers:
-    """Return the numbers of the pixels that were asked for; all of them for None."""
+    """Return the requested pixel numbers, or all for None."""
     if pixels is None:
         return projector.all_pixels
     given = np.asarray(pixels)

@@ -28,25 +28,25 @@ class ProjectionMatrix:
     Attributes
     ----------
     matrix : (rows, voxels) scipy.sparse csr_array of float64, W/(W mm⁻³ sr⁻¹) = mm³ sr
-        Power in W on each pixel for an emission of 1 W/(mm³ sr) of a voxel: A in b = A x.
+        Power in W on each pixel for a voxel that emits 1 W/(mm³ sr): A in b = A x.
     stderr : (entries,) float32
-        Standard error of each entry, in the order of `matrix.data`; NaN from a single replicate. Entries of a row come
-        from the same rays, and their errors are not independent. 0 of point spreads, which have no noise.
+        Standard error of each entry, ordered like `matrix.data`; NaN for a single replicate, 0 for point spreads.
+        Errors of a row are not independent, as its entries share rays.
     row_stderr : (rows,) float64
-        Standard error of the sum of each row: of a pixel that looks at even emission.
+        Standard error of each row's sum, a pixel's view of uniform emission.
     dropped : (rows,) float64
-        Sum of the entries of each row that were left out.
+        Sum of each row's dropped entries.
     pixels : (rows,) int64
-        Number of the pixel of each row, row by row of the sensor.
+        Pixel number of each row, counted row by row of the sensor.
     grid : VoxelBox
     threshold : float
-        Entries smaller than this share of the largest one of their row were left out.
+        Entries below this fraction of their row's largest were dropped.
     wavelength_nm : float
-        Of a band its centroid.
+        For a band, its centroid.
     warnings : tuple of PictureWarning
-        By which it is or may be wrong.
+        Reasons why it is or may be wrong.
     sensor_pixels : (int, int), optional
-        Columns and rows of the sensor that the pixels are numbered on.
+        Columns and rows of the sensor of the pixel numbers.
     """
 
     matrix: "csr_array"
@@ -67,7 +67,7 @@ class ProjectionMatrix:
 
     @property
     def image_shape(self) -> tuple[int, int] | None:
-        """Rows and columns of the rectangle that the pixels fill, row by row; None if they fill none, or unknown."""
+        """Rows and columns of the rectangle that the pixels fill, row by row; None if there is none or unknown."""
         if self.sensor_pixels is None:
             return None
         y, x = np.divmod(self.pixels, self.sensor_pixels[0])
@@ -76,13 +76,13 @@ class ProjectionMatrix:
 
     @property
     def dropped_share(self) -> float:
-        """Part of the sum of all entries that was left out."""
+        """Dropped fraction of the sum of all entries."""
         left_out = float(self.dropped.sum())
         return left_out / (left_out + float(self.matrix.data.sum())) if left_out > 0.0 else 0.0
 
     @cached_property
     def resolved_mm(self) -> Array:
-        """Distance along each axis of the grid at which the images of two voxels are half alike, (3,) float64, mm.
+        """Distance between two voxels with half-alike images, along each axis of the grid, (3,) float64, mm.
 
         See `lfmesh.lightfield.volumes.resolution.resolved_lengths`.
         """
@@ -90,14 +90,14 @@ class ProjectionMatrix:
 
     @cached_property
     def effective_rank(self) -> int:
-        """Number of independent features of a volume that stand out of noise of 1 % of the brightest one.
+        """Number of independent features of a volume above noise of 1 % of the brightest one.
 
         Singular values above 1/100 of the largest; see `lfmesh.lightfield.volumes.resolution.effective_rank`.
         """
         return effective_rank(self.matrix)
 
     def image(self, emission: ArrayLike) -> Array:
-        """Return the image of an emission, (rows,) W.
+        """Return the image of an emission.
 
         Parameters
         ----------

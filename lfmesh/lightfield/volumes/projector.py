@@ -1,9 +1,8 @@
-"""Tracer of the rows of a projection matrix: what pixels detect of each voxel of an emitting grid.
+"""Tracer of the rows of a projection matrix: power on pixels from each voxel of an emitting grid.
 
-Rays start at the pixels and pass array and lens exactly as those of the adjoint image do, with the same random numbers;
-in object space each runs on, through glass, to the target that it meets. Where it crosses a voxel, the voxel adds
-chord times weight, divided by the square of the refractive index there, as radiance over n² is what a ray keeps.
-With `transport.diffraction` there are no rays: each voxel shows the point spread of its centre.
+Rays start at the pixels and pass array and lens like the adjoint image's, with the same random numbers. In object space
+each continues, through glass, to a target. Every voxel on the way adds chord times weight over n², as rays conserve
+radiance over n². With `transport.diffraction` each voxel has the point spread of its centre instead.
 """
 
 from collections.abc import Iterator, Mapping
@@ -53,18 +52,18 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 THRESHOLD = 1e-6
-"""Share of the largest entry of its row below which an entry is dropped, where none is given."""
+"""Default fraction of a row's largest entry below which entries are dropped."""
 
 RAYS_AT_ONCE = 1 << 18
-"""Rays of a block of pixels, about: their segments take some 100 bytes each."""
+"""Approximate number of rays in a block of pixels; their segments take some 100 bytes each."""
 SAMPLED = 128
-"""Pixels by which the size of a matrix is estimated."""
+"""Pixels used to estimate the size of a matrix."""
 ENTRIES_AT_FIRST = 64
-"""For each row of a block, before its memory grows."""
+"""Entries per row of a block before its memory grows."""
 
 
 class Block(NamedTuple):
-    """The finished rows of some pixels."""
+    """Finished rows of some pixels."""
 
     entries: Numbers  # (rows,)
     column: NDArray[np.int32]
@@ -72,23 +71,23 @@ class Block(NamedTuple):
     error: NDArray[np.float32]
     row_error: Array
     dropped: Array
-    book: Array  # (slots,), sum over the replicates
+    book: Array  # (slots,) sum over the replicates
 
 
 class Projector:
-    """Traces rows of the projection matrix of a scene, at one of its channels.
+    """Tracer of rows of a scene's projection matrix for one channel.
 
     Parameters
     ----------
     scene : Scene
     grid : VoxelBox, or a voxel grid
     channel : int
-        Number of the wavelength or band.
+        Index of the wavelength or band.
     threshold : float
     absorption : bool
-        Whether what media absorb and scatter on the way to the camera is missing from its entries.
+        Attenuate entries by absorption and scattering of media on the way to the camera.
     inside : str, optional
-        Name of the body of glass or liquid that the grid is in; left out, it is in none.
+        Name of the body of glass or liquid that contains the grid (default: none).
     tolerance : float
         Of point spreads, see `lf.point_spread`.
 
@@ -118,7 +117,7 @@ class Projector:
         self.waves = scene.transport.diffraction != "none"
         self._scene = scene
         self._of_centres: Array | None = None
-        # What lights, targets, media and particles of the scene send is no part of the matrix.
+        # Light from the scene's lights, targets, media and particles is not part of the matrix.
         alone: dict[str, Any] = {
             "transport.method": "adjoint", "transport.diffraction": "none", "lights": (), "particles": (),
         }  # fmt: skip
@@ -136,7 +135,7 @@ class Projector:
         self.parts = [_without_scattered(part) for part in self.tracer.parts if part.options.adjoint]
         self.replicates = self.world.scene.transport.replicates
         self.wavelength_nm = self.world.scene.wavelengths_nm[self.channel]
-        # Emission of 1 W/(mm³ sr), of a band over the whole range of wavelengths, as lines have it.
+        # Emission of 1 W/(mm³ sr); for a band, over the whole range of its lines.
         self._power = self.world.lines.power(1.0)
         self._launchers = {part.number: Launcher(partial(_workspace, self.world, part)) for part in self.parts}
 
@@ -147,7 +146,7 @@ class Projector:
 
     @property
     def pixels_at_once(self) -> int:
-        """Pixels of a block."""
+        """Pixels per block."""
         rays = sum(part.samples(self.tracer.samples) for part in self.parts) * self.replicates
         return max(1, min(1 << 16, RAYS_AT_ONCE // rays))
 
@@ -157,12 +156,12 @@ class Projector:
             yield pixels[first : first + self.pixels_at_once]
 
     def entries_of_sample(self, pixels: Numbers) -> float:
-        """Return the mean number of entries of a row, from some of the rows."""
+        """Return the mean number of entries per row, from a sample of rows."""
         some = pixels[np.unique(np.linspace(0, len(pixels) - 1, SAMPLED).astype(np.int64))]
         return float(self.rows(some).entries.mean())
 
     def warnings(self, book: Array) -> tuple[PictureWarning, ...]:
-        """Return the warnings of a matrix, and warn of those that were not known before it was traced.
+        """Return the warnings of a matrix, and issue those found by tracing.
 
         Parameters
         ----------
@@ -175,7 +174,7 @@ class Projector:
         return in_order([*self._known, *found])
 
     def rows(self, pixels: Numbers, room: Room | None = None) -> Block:
-        """Return the rows of increasing pixel numbers, whatever pixels they are traced with."""
+        """Return the rows of increasing pixel numbers, independent of the other pixels in the block."""
         if self.waves:
             return self._wave_rows(pixels)
         book = np.zeros(len(self.world.slots))
@@ -236,7 +235,7 @@ class Projector:
                 error=np.resize(rows.error, larger),
             )  # fmt: skip
         filled = int(rows.end[-1])
-        # Each row by the numbers of its voxels, as readers of sparse matrices expect.
+        # Sort each row by voxel, as readers of sparse matrices expect.
         row = np.repeat(np.arange(count), np.diff(rows.end, prepend=0))
         order = np.lexsort((rows.column[:filled], row))
         return Block(
@@ -245,7 +244,7 @@ class Projector:
         )  # fmt: skip
 
     def _segments(self, pixels: Numbers, replicate: int, book: Array) -> Iterator[Segments]:
-        """Yield the pieces of the rays that a replicate sends from pixels; add what became of them to a book."""
+        """Yield the segments of a replicate's rays from pixels; add the fate of the rays to a book."""
         key = descendant(self.tracer.seed, replicate)
         lines = self.world.lines
         for part in self.parts:
@@ -261,7 +260,7 @@ class Projector:
 
 
 def _place_of(world: World, inside: str | None) -> int:
-    """Return the rank of the body that a grid is in; 0: air."""
+    """Return the rank of the body that contains the grid; 0 for air."""
     if inside is None:
         return 0
     try:
@@ -271,7 +270,7 @@ def _place_of(world: World, inside: str | None) -> int:
 
 
 def _without_scattered(part: Part) -> Part:
-    """Return a part in which what media scatter is lost, as what they absorb is."""
+    """Return a part that loses light scattered by media, like absorbed light."""
     objects = part.tables.objects
     if objects.volumes is None:
         return part

@@ -1,7 +1,7 @@
-"""Reconstruction of what a volume emits from one image of it, by the projection matrix of the camera.
+"""Reconstruction of a volume's emission from one image, by the projection matrix of the camera.
 
-Image b, matrix A and emission x belong together as b = A x, with x ≥ 0. One camera sees a volume from few directions,
-so that many volumes give the same image: the method says which of them is taken.
+Image b, matrix A and emission x satisfy b = A x, with x ≥ 0. One camera sees a volume from few directions, so many
+volumes give the same image; the method selects one.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Method = Literal["mart", "rl", "sart", "nnls", "tikhonov", "tv"]
 
 REGULARISED = ("tikhonov", "tv")
-"""Methods that weight the pixels by their noise, and choose how smooth the volume is."""
+"""Methods that weight pixels by their noise and choose the smoothness of the volume."""
 
 MOST_RELAXED = 2.0
 """Relaxation below which MART and SART converge."""
@@ -39,34 +39,31 @@ class Reconstruction:
     Attributes
     ----------
     volume : (nx, ny, nz) or (voxels,) float64
-        Emission of each voxel, in the unit that the matrix is per, never negative; 0 where no pixel looks. In the
-        shape of the grid, where the matrix brings one.
+        Emission of each voxel, in the matrix's unit of emission, never negative; 0 for unseen voxels. In the grid's
+        shape, if the matrix has a grid.
     seen : like `volume`, bool
-        Whether the matrix has any entry for a voxel.
+        True for voxels with a matrix entry.
     residual : (iterations + 1,) float64
-        ‖b − A x‖ / ‖b‖ at the start and after each iteration; of "nnls", "tikhonov" and "tv" at the end only.
+        ‖b − A x‖ / ‖b‖ at the start and after each iteration; for "nnls", "tikhonov" and "tv" only at the end.
     method : str
     warnings : tuple of PictureWarning
-        By which the volume is or may be wrong; empty for a matrix without a grid.
+        Reasons why the volume is or may be wrong; empty for a matrix without a grid.
     strength : float
-        Regularisation of "tikhonov" and "tv", of the others NaN, as are the rest of the numbers.
+        Regularisation of "tikhonov" and "tv". NaN for other methods, like the numbers below.
     tried : (n, 2) float64
-        Strengths that were tried, and the score of each: `total_error` as it is to be expected, where that is what the
-        strength is chosen by; else over the number of pixels and the noise's variance, of "half-sets" the squared
-        difference of each half from what the other predicts, of "discrepancy" the squared residual.
+        Strengths tried, and their scores: the expected `total_error`; for "half-sets" the squared difference of each
+        half from the other's prediction, for "discrepancy" the squared residual, both per pixel and noise variance.
     misfit : float
-        Squared residual over the noise, by the number of pixels: 1 where noise explains it. NaN where no noise is
-        known.
+        Squared residual over the noise, per pixel: 1 if noise explains it. NaN for unknown noise.
     error : like `volume`
-        Standard error of each voxel by noise, from volumes of halves of the pixels. What no pixel tells, such as depth
-        that is not resolved, is not in it. Of two ways to halve them, so that one voxel's is known to 50 % only.
+        Standard error of each voxel by noise, without unresolved parts such as depth, from volumes of halves of the
+        pixels. With two ways of halving, a single voxel's error is known to 50 %.
     total_error : float
-        Norm of the difference from the truth that is to be expected, all voxels together, in the unit of `volume`:
-        noise, and what is not resolved. No image tells the latter. It is that of a truth which is, in voxels, as deep
-        along the worst-resolved axis as it is wide along another, the narrower of the two. Where the volume is larger
-        than what such a truth and its noise lead to, the error grows as it does. Single bright voxels are no such
-        truth: there it may be a third of the true error. NaN of a matrix without a grid, for which only `error` is
-        known, and where it cannot be told: an UnknownErrorWarning says why.
+        Expected norm of the difference from the truth over all voxels, in the unit of `volume`: noise and unresolved
+        parts. The image cannot show the latter. They are taken from a test truth that is, in voxels, as deep along the
+        worst-resolved axis as wide along another, the narrower of the two. If the volume is larger than the test truth
+        and its noise explain, the error grows in proportion. For single bright voxels it may be a third of the true
+        error. NaN without a grid, or if it cannot be determined (an UnknownErrorWarning gives the reason).
     """
 
     volume: Array
@@ -102,10 +99,10 @@ class Reconstruction:
 
 
 def volume_quality(found: ArrayLike, true: ArrayLike) -> float:
-    """Return the normalised correlation Q of two volumes: 1 where they differ by a factor only.
+    """Return the normalised correlation Q of two volumes: 1 if they differ only by a factor.
 
     Q = Σ E₁E₀ / √(ΣE₁² ΣE₀²), by G. E. Elsinga, F. Scarano, B. Wieneke & B. W. van Oudheusden, "Tomographic particle
-    image velocimetry", Exp. Fluids 41 (2006) 933-947; particle volumes with Q above 0.75 count as good there.
+    image velocimetry", Exp. Fluids 41 (2006) 933-947; they consider particle volumes with Q above 0.75 good.
 
     Parameters
     ----------
@@ -142,43 +139,42 @@ def reconstruct(
     matrix : ProjectionMatrix, or (pixels, voxels) scipy.sparse array or matrix
         From `lf.projection_matrix`; no entry may be negative.
     image : Image, or (pixels,), (H, W) or (H, W, 1) float64, W
-        One value for each row of the matrix: what `lf.render(scene)` returns, or its `mean`. H and W are those of the
-        rectangle that the pixels of a ProjectionMatrix fill. Negative ones, which noise makes, count as 0 for "mart"
-        and "rl".
+        One value for each row of the matrix: the result of `lf.render(scene)`, or its `mean`. H and W are the sides of
+        the rectangle that a ProjectionMatrix's pixels fill. Negative values, due to noise, count as 0 for "mart" and
+        "rl".
     method : {"mart", "rl", "sart", "nnls", "tikhonov", "tv"}
-        "mart": the multiplicative algebraic reconstruction of Gordon, Bender & Herman (1970), row after row, with
-        weights over the largest of the matrix. For an image that a volume can have, it goes to the volume of largest
-        entropy (Lent 1977; Herman & Lent 1976). No step multiplies by less than 0.1 or more than 10, so that a pixel
-        that is dark by noise puts out no voxel that others see.
-        "rl": Richardson (1972) and Lucy (1974): all pixels at once, x ← x · Aᵀ(b / A x) / Aᵀ1. It raises the likelihood
-        of counts with Poisson's noise at each step (Shepp & Vardi 1982), and keeps the light of the image.
-        "sart": the simultaneous algebraic reconstruction of Andersen & Kak (1984), all rows of the image at once, with
-        negative voxels set to 0 after each iteration. From zero it goes to least squares, a row weighted with the
-        inverse of its sum (Jiang & Wang 2003).
-        "nnls": least squares with x ≥ 0: scipy's `nnls`, for large matrices its L-BFGS-B.
-        "tikhonov": the smallest of ½‖(A x − b)/σ‖² + ½ λ Σ(differences of neighbouring voxels)² with x ≥ 0; of a
-        matrix without a grid, of the voxels themselves.
+        "mart": multiplicative algebraic reconstruction (Gordon, Bender & Herman 1970), row after row, with weights over
+        the largest of the matrix. For consistent images it converges to the volume of largest entropy (Lent 1977;
+        Herman & Lent 1976). Steps multiply by 0.1 to 10, so a pixel dark by noise erases no voxel that others see.
+        "rl": Richardson (1972) and Lucy (1974): all pixels at once, x ← x · Aᵀ(b / A x) / Aᵀ1. Each step raises the
+        likelihood of counts with Poisson noise (Shepp & Vardi 1982) and keeps the light of the image.
+        "sart": simultaneous algebraic reconstruction (Andersen & Kak 1984), all rows at once, with negative voxels set
+        to 0 after each iteration. From zero it converges to least squares with rows weighted by their inverse sums
+        (Jiang & Wang 2003).
+        "nnls": least squares with x ≥ 0, by scipy's `nnls` or, for large matrices, its L-BFGS-B.
+        "tikhonov": minimum of ½‖(A x − b)/σ‖² + ½ λ Σ(differences of neighbouring voxels)² with x ≥ 0; without a grid,
+        Σ(voxels)².
         "tv": the same with λ Σ|gradient|, which keeps edges: total variation.
-        Of both, the strength is chosen by the image, and the error stated.
+        For the last two, the image determines the strength, and the error is stated.
     iterations : int, optional
-        20 for "mart", 100 for "rl" and "sart"; 2000 at most for "nnls". "tikhonov" and "tv" end when they are settled.
+        20 for "mart", 100 for "rl" and "sart"; at most 2000 for "nnls". "tikhonov" and "tv" run to convergence.
     relaxation : float, optional
-        Factor of each step, 0 to 2; 1 if left out. Of "mart" and "sart" only.
+        Factor of each step of "mart" and "sart", 0 to 2 (default: 1).
     noise : float or like `image`, optional
-        Standard error σ of the pixels, W, of "tikhonov" and "tv": that of an Image if left out, else the same for all,
-        and not known. Pixels with 0 or NaN count as the median one. Few samples that found little light by chance seem
-        to be certain of the dark: no pixel has less than a quarter of the noise, root of the mean square, of those that
-        a first volume shows about as bright, of an Image no less than that noise. Where the noise is known, what the
-        matrix's own standard errors make of this volume is added by squares.
+        Standard error σ of the pixels, W, for "tikhonov" and "tv". Default: that of an Image, else equal for all pixels
+        and unknown. Pixels with 0 or NaN get the median. Few samples that found little light seem too certain, so σ is
+        at least a quarter of the rms noise of pixels equally bright in a first volume (for an Image, at least all of
+        it). If noise is known, the matrix's own standard errors for this volume are added in quadrature.
     strength : float, "half-sets" or "discrepancy", optional
-        Of "tikhonov" and "tv": λ over that at which data and penalty weigh the same, by the sums of their diagonals.
-        If left out, the one of which the least `total_error` is to be expected; of a matrix without a grid "half-sets".
-        "half-sets": the one with which two halves of the pixels predict each other best.
-        "discrepancy": the largest one that leaves a squared residual of the noise's, which must be known; where none
-        does, 3 standard deviations more are allowed. The matrix's own errors count as noise, so that for an image that
-        this very matrix has made "discrepancy" is far too strong.
+        For "tikhonov" and "tv": λ over the value that gives data and penalty equal weight, by the sums of their
+        diagonals. Default: the strength with the smallest expected `total_error`; for a matrix without a grid,
+        "half-sets".
+        "half-sets": two halves of the pixels predict each other best.
+        "discrepancy": the largest strength with a squared residual equal to the noise's, which must be known; if there
+        is none, 3 standard deviations more are allowed. The matrix's own errors count as noise, so the strength is far
+        too large for an image made by this very matrix.
     say : callable, optional
-        Called with lines for the user: each strength that is tried, and what came of it.
+        Called with messages on each strength tried.
 
     Returns
     -------
@@ -189,7 +185,7 @@ def reconstruct(
     FineVoxelsWarning
         The voxels are finer than the camera resolves.
     UnknownErrorWarning
-        Of "tikhonov" and "tv": the image does not determine the volume, or noise does not explain what is left of it.
+        For "tikhonov" and "tv": the image does not determine the volume, or noise does not explain the residual.
 
     Raises
     ------
@@ -205,7 +201,7 @@ def reconstruct(
         raise LfmeshError("the matrix has no entry above 0: its camera does not see the grid")
     warned = tuple(fine_voxels(matrix, int(seen.sum()))) if isinstance(matrix, ProjectionMatrix) else ()
     warn_caller(warned)
-    # By rounding alone a unit could decide: the steps are computed with entries and pixels near 1.
+    # Scale entries and pixels to about 1, so that results do not depend on units through rounding.
     scale, level = float(rows.data.max()), float(np.abs(b).max())
     if level == 0.0:
         unknown = _unknown_error("the image is dark" if method in REGULARISED else "")
@@ -214,7 +210,7 @@ def reconstruct(
     unit = level / scale
     rows, b = rows / scale, b / level
     if method in REGULARISED:
-        # That of an Image is estimated from few samples of each pixel.
+        # The error of an Image is estimated from few samples per pixel.
         certain = regularised.CERTAIN
         if noise is None and isinstance(image, Image):
             noise, certain = image.error, 1.0
@@ -271,7 +267,7 @@ def _noise(noise: ArrayLike, b: Array, matrix: Any) -> Array:
 
 @dataclass(frozen=True)
 class _Task:
-    """A volume that is to be found by regularised least squares, in units in which entries and pixels are near 1."""
+    """Regularised least squares for a volume, with entries and pixels scaled to about 1."""
 
     matrix: Any
     rows: "csr_array"
@@ -284,10 +280,10 @@ class _Task:
     say: Callable[[str], None]
 
     def solved(self, noise: Array | None, strength: float | str | None) -> Reconstruction:
-        """Return the volume, for noise of the pixels that is known or not."""
+        """Return the volume, for known or unknown noise of the pixels."""
         if noise is None and strength == "discrepancy":
             raise LfmeshError('strength = "discrepancy": needs noise, the standard error of the pixels')
-        # Pixels that weigh the same: by errors of their own those that chance left dark would decide.
+        # Start with equal weights; pixels dark by chance would dominate with their own errors.
         problem = self._problem(np.full(len(self.b), 1.0 if noise is None else np.sqrt(np.mean(noise**2))))
         if noise is not None:
             first = self._whole(problem.path(1.0))
@@ -321,7 +317,7 @@ class _Task:
         )  # fmt: skip
 
     def _chosen(self, problem: regularised.Problem, strength: float | str | None) -> tuple[float, Array]:
-        """Return the strength that is given or chosen, and what was tried."""
+        """Return the given or chosen strength, and the strengths tried."""
         if strength == "discrepancy":
             return regularised.strength_by_discrepancy(problem, self.say)
         if isinstance(strength, int | float | np.number):
@@ -334,7 +330,7 @@ class _Task:
         return best, tried * np.array([1.0, self.unit])
 
     def _trials(self, problem: regularised.Problem, x: Array) -> volume_error.Trials:
-        """Return trials with volumes as deep as wide that have about the image of a volume."""
+        """Return trials with volumes as deep as wide that have about the same image as a volume."""
         coarse = np.nan_to_num(self.matrix.resolved_mm / self.matrix.grid.spacing_mm)
         alike = volume_error.as_deep_as_wide(self._whole(x).reshape(self.shape), int(np.argmax(coarse)))
         return volume_error.Trials.of(problem, x, (each.reshape(-1)[self.seen] for each in alike))
@@ -345,19 +341,19 @@ class _Task:
         return regularised.Problem.of(self.rows[lit][:, np.flatnonzero(self.seen)], self.b[lit], noise[lit], penalty)
 
     def _whole(self, x: Array) -> Array:
-        """Return a volume of the voxels that are seen with the others dark."""
+        """Return a full volume from its seen voxels, with the others dark."""
         whole = np.zeros(len(self.seen))
         whole[self.seen] = x
         return whole
 
 
 def _unknown_error(why: str) -> tuple[UnknownErrorWarning, ...]:
-    """Return the warning that nobody can tell how far a volume is from the truth, if there is a reason."""
+    """Return the warning of an unknown error, if there is a reason."""
     return (UnknownErrorWarning(f"the error of the volume cannot be told: {why}"),) if why else ()
 
 
 def _rows_of(matrix: Any) -> tuple["csr_array", tuple[int, ...]]:
-    """Return a matrix by its rows, float64, without duplicates, and the shape of its volume."""
+    """Return a matrix by rows, float64, without duplicates, and the shape of its volume."""
     from scipy import sparse
 
     sparse_one = getattr(matrix, "matrix", matrix)

@@ -1,9 +1,8 @@
-"""Regularised least squares for a volume, and how much regularisation the image asks for.
+"""Regularised least squares for a volume, and the choice of its strength by the image.
 
-The volume is the smallest of ½‖(A x − b)/σ‖² + λ R(x) with x ≥ 0. R is half the sum of squared differences of
-neighbouring voxels (Tikhonov's), or the sum of the lengths of gradients (total variation). One solver does both: total
-variation is a sum of squares whose weights follow the volume. Everything here is in units in which matrix, image and
-volume are near 1.
+The volume minimises ½‖(A x − b)/σ‖² + λ R(x) with x ≥ 0. R is half the sum of squared differences of neighbouring
+voxels (Tikhonov), or the sum of gradient lengths (total variation). One solver does both: total variation is a sum of
+squares with weights that depend on the volume. Matrix, image and volume are scaled to about 1.
 """
 
 from collections.abc import Callable
@@ -25,37 +24,37 @@ Say = Callable[[str], None]
 Choice = Literal["half-sets", "discrepancy"]
 
 STRONGEST, WEAKEST, STEP = 1024.0, 1e-7, 4.0
-"""Strengths from which and to which the path leads, and the factor between them."""
+"""Strengths at the start and the end of the path, and the factor between steps."""
 
 LARGEST = 1e6
-"""Strength that may be given: beside a larger penalty rounding hides what the image says."""
+"""Largest strength accepted; rounding hides the data next to a larger penalty."""
 
 SIGMAS = 3.0
-"""Standard errors by which chance may explain something."""
+"""Standard errors that chance may explain."""
 
 POOL = 100
-"""Pixels that count as equally bright."""
+"""Pixels in a group of equal brightness."""
 
 CERTAIN = 0.25
-"""Least standard error of a pixel, of noise that is given, over that of pixels equally bright."""
+"""Least standard error of a pixel, for given noise, over that of equally bright pixels."""
 
 WORSE = 2
-"""Strengths in a row that predict worse than the best one, after which the path ends."""
+"""Steps in a row with worse predictions than the best, after which the path ends."""
 
 BISECTIONS = 5
-"""Of the last step of the path, by the discrepancy principle."""
+"""Bisections of the path's last step, by the discrepancy principle."""
 
 SETTLED = 1e-5
-"""Length of the projected gradient over that of the dark volume, at which a minimum is found."""
+"""Norm of the projected gradient at the minimum, over that of the dark volume."""
 
 MOST_STEPS = 2000
-"""Of the solver, for each strength."""
+"""Most steps of the solver for each strength."""
 
 REWEIGHTINGS = 4
-"""Of total variation, for each strength."""
+"""Reweightings of total variation for each strength."""
 
 ROUNDED = 0.1
-"""Gradient, over the mean emission, below which total variation turns into squares."""
+"""Gradient, over the mean emission, below which total variation becomes quadratic."""
 
 
 class Penalty(NamedTuple):
@@ -64,9 +63,9 @@ class Penalty(NamedTuple):
     Attributes
     ----------
     differences : (edges, voxels) csr_array
-        Differences of neighbouring voxels; of a matrix without a grid the voxels themselves.
+        Differences of neighbouring voxels; for a matrix without a grid, the voxels themselves.
     cell : (edges,) int64
-        Voxel that each difference starts at.
+        First voxel of each difference.
     total_variation : bool
     """
 
@@ -75,7 +74,7 @@ class Penalty(NamedTuple):
     total_variation: bool
 
     def matrix(self, x: Array, mean: float) -> "csr_array":
-        """Return P of R(x) = ½ xᵀ P x; of total variation with the weights of the volume x."""
+        """Return P of R(x) = ½ xᵀ P x; for total variation, with the weights of the volume x."""
         from scipy import sparse
 
         if not self.total_variation:
@@ -86,7 +85,7 @@ class Penalty(NamedTuple):
 
 
 def penalty(shape: tuple[int, ...], seen: NDArray[np.bool_], total_variation: bool) -> Penalty:
-    """Return the penalty of the voxels that are seen.
+    """Return the penalty of the seen voxels.
 
     Parameters
     ----------
@@ -120,13 +119,13 @@ class Problem:
     Attributes
     ----------
     rows : (pixels, voxels) csr_array
-        Over the noise of each pixel, as `b` is.
+        Divided by the noise of each pixel, like `b`.
     b : (pixels,) float64
     penalty : Penalty
     scale : float
-        Penalty, by λ, that weighs as much as the data: strengths are relative to it.
+        λ that gives penalty and data equal weight; strengths are relative to it.
     mean : float
-        Mean emission of a volume that is as bright as the image, or as noise that is as strong.
+        Mean emission of a volume as bright as the image, or as equally strong noise.
     """
 
     rows: "csr_array"
@@ -148,16 +147,16 @@ class Problem:
         penalty : Penalty
         """
         sums = np.asarray(rows.sum(axis=1)).ravel()
-        # Without light the sum may be anything near 0, or below; noise of this strength adds up to about its norm.
+        # Without light the sum may be near 0 or negative; noise of this strength sums to about its norm.
         mean = max(float(b.sum()), float(np.linalg.norm(b))) / float(sums.sum())
         weighted = rows.multiply(1.0 / noise[:, None]).tocsr()
         own = float((penalty.differences.power(2)).sum())
-        # Of voxels without neighbours nothing can be smoothed.
+        # Voxels without neighbours cannot be smoothed.
         scale = float(weighted.power(2).sum()) / own if own > 0.0 else 0.0
         return cls(weighted, b / noise, penalty, scale, mean)
 
     def of_pixels(self, some: NDArray[np.int64], weight: float = 1.0) -> "Problem":
-        """Return the problem of some pixels, their squares weighted."""
+        """Return the problem of some pixels, with their squares weighted."""
         root = np.sqrt(weight)
         return replace(self, rows=self.rows[some] * root, b=self.b[some] * root)
 
@@ -167,16 +166,16 @@ class Problem:
         return float(off @ off)
 
     def solved(self, strength: float, x: Array) -> Array:
-        """Return the volume for a strength, from one that is near."""
+        """Return the volume for a strength, starting from a nearby one."""
         variation = self.penalty.total_variation
         for _ in range(REWEIGHTINGS if variation else 1):
             x = self._least(strength * self.scale * self.penalty.matrix(x, self.mean), x)
         return x
 
     def _least(self, penalty: "csr_array", x: Array) -> Array:
-        # Diagonal scaling, so that weakly seen voxels are found as soon as others.
+        # Diagonal scaling, so that weakly seen voxels converge as fast as others.
         size = np.asarray(self.rows.power(2).sum(axis=0)).ravel() + penalty.diagonal()
-        # Voxels that neither these pixels nor neighbours tell anything about stay as they are.
+        # Voxels without information from pixels or neighbours stay unchanged.
         unit = 1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))
         across = self.rows.T
 
@@ -187,7 +186,7 @@ class Problem:
         return unit * nonnegative_minimum(times, unit * (across @ self.b), x / unit)
 
     def path(self, strength: float) -> Array:
-        """Return the volume for a strength by way of stronger ones, so that it depends on nothing else."""
+        """Return the volume for a strength by way of stronger ones, independent of any start."""
         x = np.full(self.rows.shape[1], self.mean)
         for each in steps_to(strength):
             x = self.solved(each, x)
@@ -195,7 +194,7 @@ class Problem:
 
 
 def steps_to(strength: float) -> list[float]:
-    """Return falling strengths, of which the last is the one given."""
+    """Return falling strengths that end with the given one."""
     if strength <= 0.0:
         return [*steps_to(WEAKEST), 0.0]
     above = max(0, int(np.ceil(np.log(STRONGEST / strength) / np.log(STEP))))
@@ -203,7 +202,7 @@ def steps_to(strength: float) -> list[float]:
 
 
 def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) -> Array:
-    """Return the smallest of ½ xᵀ H x − g0ᵀ x with x ≥ 0, by conjugate gradients in the faces of its bounds.
+    """Minimise ½ xᵀ H x − g0ᵀ x with x ≥ 0, by conjugate gradients in the faces of the bounds.
 
     Z. Dostál & J. Schöberl, "Minimizing quadratic functions over non-negative cone with the rate of convergence and
     finite termination", Comput. Optim. Appl. 30 (2005) 23-43 (MPRGP).
@@ -211,9 +210,9 @@ def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) ->
     Parameters
     ----------
     times : callable
-        H times a vector; H is symmetric and has no negative eigenvalue.
+        Product of H and a vector; H is symmetric without negative eigenvalues.
     g0, x : (n,) float64
-        x is where the search begins.
+        x is the start of the search.
     """
     x = np.maximum(x, 0.0)
     largest = _largest_eigenvalue(times, len(x))
@@ -248,7 +247,7 @@ def nonnegative_minimum(times: Callable[[Array], Array], g0: Array, x: Array) ->
 
 
 def _gradients(x: Array, g: Array, fixed: float) -> tuple[Array, Array, Array]:
-    """Return the gradient of free voxels, that of dark ones that would rise, and the first as far as voxels reach."""
+    """Return the gradient of free voxels, of dark voxels that would rise, and of free voxels within their bounds."""
     is_free = x > 0.0
     free = np.where(is_free, g, 0.0)
     return free, np.where(is_free, 0.0, np.minimum(g, 0.0)), np.where(is_free, np.minimum(x / fixed, free), 0.0)
@@ -266,31 +265,31 @@ def _largest_eigenvalue(times: Callable[[Array], Array], n: int) -> float:
 
 
 class Halves(NamedTuple):
-    """A random half of the pixels, and the other."""
+    """A random half of the pixels, and the other half."""
 
     one: NDArray[np.int64]
     other: NDArray[np.int64]
 
 
 def halves(pixels: int, number: int) -> Halves:
-    """Return the pixels of one of several ways to halve them."""
+    """Halve the pixels in one of several ways."""
     order = np.random.default_rng([7, number]).permutation(pixels)
     return Halves(np.sort(order[: pixels // 2]), np.sort(order[pixels // 2 :]))
 
 
 def strength_by_halves(problem: Problem, say: Say) -> tuple[float, Array]:
-    """Return the strength with which two halves of the pixels predict each other best, and what was tried.
+    """Return the strength for the best mutual prediction of two halves of the pixels, and the strengths tried.
 
-    The score is the squared difference, over the noise, of each half from what the volume of the other shows it. It
-    needs the noise of pixels only as ratios. Of strengths that differ from the best by no more than the standard error
-    of that difference, from pixel to pixel, the largest is taken (the one-standard-error rule of Breiman et al., 1984):
-    prediction hardly tells noise that the camera sees badly.
+    The score is the squared difference, over the noise, of each half from the other volume's prediction. Only ratios of
+    the pixels' noise matter. The largest strength within a standard error (over pixels) of the best is taken
+    (one-standard-error rule, Breiman et al., 1984), as prediction is hardly sensitive to noise that the camera sees
+    badly.
 
     Returns
     -------
     strength : float
     tried : (n, 2) float64
-        Strength, and score over the number of pixels.
+        Strength, and score per pixel.
     """
     parts = [problem.of_pixels(some) for some in halves(len(problem.b), 0)]
     found = [np.full(problem.rows.shape[1], problem.mean)] * 2
@@ -311,16 +310,16 @@ def strength_by_halves(problem: Problem, say: Say) -> tuple[float, Array]:
 
 
 def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
-    """Return the largest strength whose volume explains the image within its noise, and what was tried.
+    """Return the largest strength that explains the image within its noise, and the strengths tried.
 
-    V. A. Morozov's principle (1966): ‖(A x − b)/σ‖² is the number n of pixels. It scatters from image to image: where
-    no strength brings it there, it may be larger by 3 √(2n).
+    V. A. Morozov's principle (1966): ‖(A x − b)/σ‖² equals the number n of pixels. If no strength reaches n, 3 √(2n)
+    more is allowed for scatter between images.
 
     Returns
     -------
     strength : float
     tried : (n, 2) float64
-        Strength, and squared residual over the number of pixels.
+        Strength, and squared residual per pixel.
 
     Raises
     ------
@@ -360,21 +359,21 @@ def strength_by_discrepancy(problem: Problem, say: Say) -> tuple[float, Array]:
 
 
 def chance(count: int) -> float:
-    """Return how far noise may bring a mean of squares, over its variance, from 1."""
+    """Return the deviation from 1 that noise may cause in a mean of squares over its variance."""
     return SIGMAS * float(np.sqrt(2.0 / count))
 
 
 def not_too_certain(variance: Array, shown: Array, certain: float) -> Array:
-    """Return the variance of pixels, none below a share of the mean of those that a volume shows about as bright.
+    """Return the variance of pixels, at least a fraction of the mean over pixels equally bright in a volume.
 
-    The error of a pixel that is estimated from its own samples is small where these found little light by chance: its
-    weight would hold that place dark.
+    A pixel's error from its own samples is too small if these found little light by chance; its weight would keep that
+    place dark.
 
     Parameters
     ----------
     variance : (pixels,) float64
     shown : (pixels,) float64
-        What a volume shows them.
+        Image of a volume.
     certain : float
         Least standard error over the root of that mean.
     """
@@ -386,10 +385,10 @@ def not_too_certain(variance: Array, shown: Array, certain: float) -> Array:
 
 
 def noise_of_matrix(matrix: "ProjectionMatrix", x: Array) -> Array:
-    """Return the variance that a matrix, which is an estimate itself, gives to the image of a volume, (pixels,).
+    """Return the variance of a volume's image due to the matrix's own noise, (pixels,).
 
-    The mean that a pixel sees comes with the error of the row's sum, and differences from that mean with those of the
-    entries. Errors of entries count as independent, which makes the variance rather too large.
+    The mean emission seen by a pixel has the error of the row's sum; differences from it have the errors of the
+    entries, taken as independent, which overestimates the variance slightly.
     """
     a = matrix.matrix
     sums = np.asarray(a.sum(axis=1)).ravel()

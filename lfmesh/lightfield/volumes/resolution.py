@@ -11,30 +11,30 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 ALIKE = 0.5
-"""Cosine of the images of two voxels from which they are not resolved: half of their light falls on the same pixels."""
+"""Cosine of the images of two voxels above which they are unresolved: half of their light falls on the same pixels."""
 
 PAIRS = 256
-"""Pairs of voxels, at most, by which the likeness of images at one distance is found."""
+"""Most pairs of voxels used for the likeness of images at one distance."""
 
 NOISE = 0.01
-"""Share of the largest singular value above which others count."""
+"""Fraction of the largest singular value above which others count."""
 
 MOST_EXACT = 2_000
-"""Voxels or pixels, the fewer of both, up to which all singular values are computed."""
+"""Number of voxels or pixels, the smaller one, up to which all singular values are computed."""
 
 PROBED, STEPS = 30_000, 160
-"""Voxels of all random starts together, and steps from each, by which singular values of larger ones are counted."""
+"""For larger matrices: voxels times random starts, and Lanczos steps from each start."""
 
 MOST_KEPT = 50_000_000
-"""Numbers that are kept of all steps; of very large matrices there are fewer steps."""
+"""Most numbers kept over all steps; very large matrices get fewer steps."""
 
 
 def resolved_lengths(matrix: "csr_array", shape: tuple[int, ...], spacing_mm: Array) -> Array:
-    """Return the distance along each axis of a grid at which the images of two voxels are half alike.
+    """Return the distance between two voxels with half-alike images, along each axis of a grid.
 
-    Likeness is the cosine of two columns of the matrix, its median over up to 256 pairs. The largest distance in the
-    grid at which it is still above 1/2 gives the length, by a Gaussian fall; beyond the grid that is an extrapolation.
-    Where not even neighbours are so much alike, the length is the voxel's.
+    Likeness is the cosine of two columns of the matrix, as the median over up to 256 pairs. A Gaussian through the
+    largest distance in the grid with a likeness above 1/2 gives the length, beyond the grid by extrapolation. If
+    neighbours are less alike, the length is the voxel's.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def resolved_lengths(matrix: "csr_array", shape: tuple[int, ...], spacing_mm: Ar
     Returns
     -------
     (3,) float64, mm
-        Infinite where the images do not differ at all; NaN along an axis with one voxel.
+        Infinite if the images do not differ at all; NaN along an axis with one voxel.
     """
     columns = matrix.tocsc()
     length = np.sqrt(np.asarray(columns.power(2).sum(axis=0)).ravel())
@@ -66,7 +66,7 @@ def resolved_lengths(matrix: "csr_array", shape: tuple[int, ...], spacing_mm: Ar
 
 
 def _likeness(columns: Any, length: Array, number: NDArray[np.int64], axis: int, lag: int) -> float:
-    """Return the median cosine of the images of voxels a number of voxels apart; 0 where no two are seen."""
+    """Return the median cosine of the images of voxels `lag` voxels apart; 0 if no two are seen."""
     one = np.take(number, range(number.shape[axis] - lag), axis=axis).ravel()
     other = np.take(number, range(lag, number.shape[axis]), axis=axis).ravel()
     both = np.flatnonzero((length[one] > 0.0) & (length[other] > 0.0))
@@ -79,12 +79,12 @@ def _likeness(columns: Any, length: Array, number: NDArray[np.int64], axis: int,
 
 
 def effective_rank(matrix: "csr_array") -> int:
-    """Return how many singular values of a matrix are above 1/100 of the largest.
+    """Count the singular values of a matrix above 1/100 of the largest.
 
-    So many independent features of a volume stand out of noise of 1 % of the brightest one. The matrix's own noise
-    counts as features, too, so that too few samples make the number too large. Small matrices are decomposed; of larger
-    ones the values are counted by stochastic Lanczos quadrature (L. Lin, Y. Saad & C. Yang, "Approximating spectral
-    densities of large matrices", SIAM Review 58 (2016) 34-65), to some per cent.
+    They are the independent features of a volume above noise of 1 % of the brightest one. Noise of the matrix adds
+    features, so too few samples give too large a number. Small matrices are decomposed. In larger ones, stochastic
+    Lanczos quadrature (L. Lin, Y. Saad & C. Yang, "Approximating spectral densities of large matrices", SIAM Review 58
+    (2016) 34-65) counts to within some per cent.
     """
     rows = matrix[np.flatnonzero(np.diff(matrix.indptr))]
     if min(rows.shape) <= MOST_EXACT:
@@ -95,7 +95,7 @@ def effective_rank(matrix: "csr_array") -> int:
 
 
 def _count_above(rows: "csr_array") -> float:
-    """Return the expected number of singular values above the noise, by Lanczos's recurrence from random starts."""
+    """Return the expected number of singular values above the noise, by Lanczos recurrence from random starts."""
     n = rows.shape[1]
     starts = max(1, PROBED // n)
     steps = int(np.clip(MOST_KEPT // (starts * n), 2, STEPS))
@@ -105,7 +105,7 @@ def _count_above(rows: "csr_array") -> float:
     for step in range(steps):
         w = (rows.T @ (rows @ basis[step].T)).T
         diagonal[:, step] = (w * basis[step]).sum(axis=1)
-        # Orthogonal to all before, twice: rounding would bring the largest values back.
+        # Orthogonalise twice against all before; rounding would bring the largest values back.
         for _ in range(2):
             inner = np.einsum("kpn,pn->kp", basis[: step + 1], w)
             w = w - np.einsum("kp,kpn->pn", inner, basis[: step + 1])
@@ -115,7 +115,7 @@ def _count_above(rows: "csr_array") -> float:
     for a, b in zip(diagonal, beside, strict=True):
         squares, vectors = np.linalg.eigh(np.diag(a) + np.diag(b[:-1], 1) + np.diag(b[:-1], -1))
         share = vectors[0] ** 2
-        # The distribution passes each value of the quadrature with half of its share.
+        # The cumulative distribution at a node includes half of the node's weight.
         roots = np.sqrt(np.maximum(squares, 0.0))
         below.append(np.interp(NOISE * roots[-1], roots, np.cumsum(share) - 0.5 * share))
     return n * (1.0 - float(np.mean(below)))

@@ -6,17 +6,17 @@ from lfmesh.errors import FineVoxelsWarning
 from lfmesh.lightfield.volumes.projection_matrix import ProjectionMatrix
 
 MOST_HIDDEN = 0.1
-"""Share of the features of a volume that may be below the noise before voxels count as too fine."""
+"""Fraction of a volume's features below the noise above which voxels count as too fine."""
 
 
 def fine_voxels(matrix: ProjectionMatrix, seen: int) -> list[FineVoxelsWarning]:
-    """Return the warning of voxels that are finer than the camera resolves.
+    """Return a warning if voxels are finer than the camera resolves.
 
     Parameters
     ----------
     matrix : ProjectionMatrix
     seen : int
-        Number of voxels that some pixel looks at.
+        Number of voxels seen by any pixel.
     """
     if matrix.effective_rank >= (1.0 - MOST_HIDDEN) * seen:
         return []

@@ -1,4 +1,4 @@
-"""Error of a regularised volume: by noise, by what is not resolved, whether it can be told, and its least."""
+"""Error of a regularised volume by noise and unresolved parts, its validity, and the strength with the least error."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -21,26 +21,26 @@ from lfmesh.lightfield.volumes.regularised import (
 TINY = float(np.finfo(np.float64).tiny)
 
 HALVINGS = 2
-"""Ways to halve the pixels."""
+"""Number of ways to halve the pixels."""
 
 LEFT = 2.0
-"""Noise variances of the residual above which something else than noise is left."""
+"""Residual, in noise variances, above which noise does not explain it."""
 
 KEPT = 0.85
-"""Share of what a weaker strength predicts that a strength predicts which is not too large."""
+"""Prediction gain, over a weaker strength's, below which a strength is too large."""
 
 RADII = 2
-"""Radii a voxel at which a round emission may change its slope."""
+"""Radii per voxel at which a round emission may change its slope."""
 
 PARTS = 4
-"""Parts of a voxel's side at whose middles a round emission is averaged."""
+"""Parts of a voxel's side over which a round emission is averaged."""
 
 SMOOTH = 0.01
-"""Weight of the bends of a round emission over that of its sums."""
+"""Weight of a round emission's curvature over that of its sums."""
 
 
 class Halved(NamedTuple):
-    """Two halves of the pixels, weighted twice, and the volume of each."""
+    """Two halves of the pixels, with double weight, and the volume of each."""
 
     parts: list[Problem]
     volumes: list[Array]
@@ -55,8 +55,8 @@ class Halved(NamedTuple):
 def error_by_halves(halved: list[Halved]) -> Array:
     """Return the standard error of each voxel by noise, from volumes of halves of the pixels.
 
-    Half of the pixels, weighted twice, have twice the variance of all, so that half the difference of two halves has
-    that of all. Each way to halve them is a draw of its own.
+    Half of the pixels, with double weight, have twice the variance of all, so half the difference of two halves has the
+    variance of all. Each way of halving is an independent draw.
     """
     return np.asarray(np.sqrt(np.mean([0.25 * (one - other) ** 2 for _, (one, other) in halved], axis=0)))
 
@@ -67,9 +67,9 @@ class Prediction(NamedTuple):
     Attributes
     ----------
     gain : float
-        Fall of the squared residual from that of an even volume, of a single voxel from that of the dark.
+        Reduction of the squared residual from a uniform volume's; for a single voxel, from the dark's.
     by_chance : float
-        Standard error of the gain, where there is nothing to gain.
+        Standard error of the gain, if there is nothing to gain.
     """
 
     gain: float
@@ -92,20 +92,19 @@ class Prediction(NamedTuple):
 
 
 def why_unknown(problem: Problem, strength: float, x: Array, halved: Halved, *, is_noise_known: bool) -> str:
-    """Return in words why nobody can tell how far a volume is from the truth; nothing if it can be told.
+    """Return the reason why a volume's error cannot be determined, in words; empty if it can.
 
-    Three things are looked at. Noise that is known must explain what is left of the image. Volumes of half of the
-    pixels must predict the other half nearly as well as those of a weaker strength do, and better than an even volume
-    by more than chance.
+    Known noise must explain the residual. Volumes of half of the pixels must predict the other half nearly as well as
+    with a weaker strength, and better than a uniform volume by more than chance.
 
     Parameters
     ----------
     problem : Problem
     strength : float
     x : (voxels,) float64
-        The volume of all pixels.
+        Volume of all pixels.
     halved : Halved
-        Volumes of halves of them for the same strength.
+        Volumes of halves of the pixels for the same strength.
     is_noise_known : bool
     """
     parts, volumes = halved
@@ -129,9 +128,9 @@ def why_unknown(problem: Problem, strength: float, x: Array, halved: Halved, *, 
 
 
 class Trials(NamedTuple):
-    """Volumes that are known, and problems of their images with the noise that an image has.
+    """Known test volumes, and problems of their images with an image's noise.
 
-    What is found of them from these shows how far what is found of the image may be from the truth.
+    The errors of their reconstructions show how far the image's reconstruction may be from the truth.
     """
 
     known: list[Array]
@@ -145,9 +144,9 @@ class Trials(NamedTuple):
         ----------
         problem : Problem
         x : (voxels,) float64
-            A volume found from the image: what it leaves is the noise.
+            Volume found from the image; its residual is the noise.
         known : iterable of (voxels,) float64
-            With about the image that there is, see `as_deep_as_wide`.
+            Volumes with about the same image, see `as_deep_as_wide`.
         """
         volumes, noise = list(known), np.sqrt(problem.misfit(x) / len(problem.b))
         draw = np.random.default_rng(11)
@@ -160,10 +159,10 @@ class Trials(NamedTuple):
         return max(TINY, *(float(np.linalg.norm(each)) for each in self.known))
 
     def error(self, x: Array, found: list[Array]) -> float:
-        """Return the norm of the difference of a volume from the truth that is to be expected, with what is unresolved.
+        """Return the expected norm of a volume's difference from the truth, unresolved parts included.
 
-        It is the largest error of the known volumes with the same strength. Where x is larger than what was found of
-        them it holds something that noise and camera do not explain, and the error grows as it does.
+        It is the largest error of the known volumes at the same strength. If x is larger than their reconstructions,
+        noise and camera do not explain all of it, and the error grows in proportion.
         """
         size = float(np.linalg.norm(x))
         errors = [
@@ -173,7 +172,7 @@ class Trials(NamedTuple):
         return max(errors)
 
     def why_no_better_than_dark(self, error: float) -> str:
-        """Return in words that an error is larger than that of an empty volume; nothing if it is smaller."""
+        """Return a message if an error is larger than that of an empty volume, else an empty one."""
         times = error / self.size
         if times <= 1.0:
             return ""
@@ -181,11 +180,10 @@ class Trials(NamedTuple):
 
 
 def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple[float, Array]:
-    """Return the strength of which the least error is to be expected, and what was tried.
+    """Return the strength with the least expected error, and the strengths tried.
 
-    What predicts the image best is not what is nearest to the truth. Depth that is hardly resolved shows in the image
-    less than noise does, so that a prediction hardly asks for it; errors of the model that pixels share are predicted
-    as well as light is.
+    The volume that best predicts the image is not nearest to the truth. Barely resolved depth shows in the image less
+    than noise, so prediction hardly requires it. Model errors shared by pixels are predicted like light.
 
     Parameters
     ----------
@@ -197,11 +195,11 @@ def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple
     -------
     strength : float
     tried : (n, 2) float64
-        Strength, and the error that is to be expected.
+        Strength, and expected error.
     """
     x, *found = [np.full(problem.rows.shape[1], problem.mean)] * (1 + len(trials.known))
     tried: list[tuple[float, float]] = []
-    # All of the path: the error hardly changes over many strengths before depth begins to show.
+    # Follow the whole path: the error is almost constant over many strengths before depth appears.
     for strength in steps_to(WEAKEST):
         x = problem.solved(strength, x)
         found = [each.solved(strength, volume) for each, volume in zip(trials.problems, found, strict=True)]
@@ -213,14 +211,14 @@ def strength_of_least_error(problem: Problem, trials: Trials, say: Say) -> tuple
 def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:
     """Return volumes with the same sums along the worst-resolved axis, as deep as they are wide along the others.
 
-    Each row of the sums along another axis becomes round in the plane of that axis and the depth, in voxels: an
-    emission by the distance from the middle of its light, whose sums are nearest to the row.
+    Each row of the sums along another axis becomes round, in voxels, in the plane of that axis and the depth: an
+    emission by radius about the centre of its light, with sums nearest to the row.
 
     Parameters
     ----------
     volume : (nx, ny, nz) float64
     depth : int
-        Number of the worst-resolved axis.
+        Index of the worst-resolved axis.
     """
     sums = volume.sum(axis=depth)
     found = []
@@ -233,9 +231,9 @@ def as_deep_as_wide(volume: Array, depth: int) -> list[Array]:
 
 
 def _round(row: Array, depth: int) -> Array:
-    """Return a round emission, (along the row, along the depth), whose sums over the depth are nearest to a row.
+    """Return a round emission, (along the row, along the depth), with sums over the depth nearest to a row.
 
-    It is linear between its radii, and averaged over each voxel, so that a thin mantle has the sums of a thin mantle.
+    It is linear between radii and averaged over each voxel, so that a thin shell has a thin shell's sums.
     """
     from scipy import optimize, sparse
 

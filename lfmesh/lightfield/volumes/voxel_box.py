@@ -1,4 +1,4 @@
-"""A box of voxels in the world, each of which emits evenly: the columns of a projection matrix."""
+"""A box of uniformly emitting voxels in the world: the columns of a projection matrix."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from lfmesh.scene.literals import literal
 Array = NDArray[np.float64]
 
 MOST_VOXELS = 2**31 - 1
-"""Voxels of a box: their numbers have 32 bits."""
+"""Most voxels of a box, with 32-bit numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class VoxelBox:
     origin_mm : (3,) float64
         Centre of voxel (0, 0, 0) in the box's own frame.
     position_mm, rotation_deg : (3,) float64
-        Where its own origin lies in the world, and its rotation about x, then y, then z.
+        World position of its origin, and its rotation about x, then y, then z.
     """
 
     shape: tuple[int, int, int]
@@ -52,7 +52,7 @@ class VoxelBox:
         cls, counts: ArrayLike, size_mm: ArrayLike, position_mm: ArrayLike = (0.0, 0.0, 0.0),
         rotation_deg: ArrayLike = (0.0, 0.0, 0.0),
     ) -> "VoxelBox":  # fmt: skip
-        """Return a box of some size about a position.
+        """Return a box of given size centred at a position.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class VoxelBox:
         Raises
         ------
         LfmeshError
-            There is no voxel, or a number is not valid.
+            There is no voxel, or a number is invalid.
         """
         shape = _counts(counts)
         spacing = _numbers("size_mm", size_mm, positive=True) / shape
@@ -81,13 +81,13 @@ class VoxelBox:
     def of(
         cls, grid: Any, position_mm: ArrayLike = (0.0, 0.0, 0.0), rotation_deg: ArrayLike = (0.0, 0.0, 0.0)
     ) -> "VoxelBox":
-        """Return the box of a voxel grid, which has `shape`, `spacing_mm`, `origin_mm`, in a pose; or a box as it is.
+        """Return the box of a voxel grid (`shape`, `spacing_mm`, `origin_mm`) in a pose; a box is returned as is.
 
         Parameters
         ----------
         grid : VoxelBox, or a voxel grid
         position_mm, rotation_deg : (3,) float
-            Of a voxel grid's own origin.
+            Of a voxel grid's origin.
 
         Returns
         -------
@@ -96,7 +96,7 @@ class VoxelBox:
         Raises
         ------
         LfmeshError
-            It is neither, has no voxels, or a number is not valid.
+            It is neither, has no voxels, or a number is invalid.
         """
         if isinstance(grid, cls):
             return grid
@@ -119,7 +119,7 @@ class VoxelBox:
 
     @property
     def to_world(self) -> Frame:
-        """The box's own frame in the world's, (3, 4)."""
+        """Transformation from the box's frame to the world, (3, 4)."""
         return frames.frame(self.rotation_deg, self.position_mm)
 
     @property
@@ -129,7 +129,7 @@ class VoxelBox:
         return x, y, z
 
     def centres_mm(self) -> Array:
-        """Return the centres of all voxels, (nx, ny, nz, 3), world frame.
+        """Return the centres of all voxels, world frame.
 
         Returns
         -------
@@ -140,7 +140,7 @@ class VoxelBox:
         return frames.points(self.to_world, own.reshape(-1, 3)).reshape(own.shape)
 
     def corners_mm(self) -> Array:
-        """Return the corners of the box, (8, 3), world frame.
+        """Return the corners of the box, world frame.
 
         Returns
         -------
@@ -153,12 +153,12 @@ class VoxelBox:
         return frames.points(self.to_world, own)
 
     def in_voxels(self, p: Array, d: Array) -> tuple[Array, Array]:
-        """Return rays in units of voxels: a corner of the box is (0, 0, 0), the opposite one `shape`.
+        """Return rays in units of voxels, from one corner of the box at (0, 0, 0) to the opposite one at `shape`.
 
         Parameters
         ----------
         p, d : (n, 3) float64
-            Position, mm, and direction, world frame; the direction's length stays that in mm.
+            Position, mm, and direction, world frame. Lengths along the ray stay in mm.
 
         Returns
         -------
@@ -175,7 +175,7 @@ _PLACE = ("spacing_mm", "origin_mm")
 
 
 class GridFile(NamedTuple):
-    """Place and number of the voxels of a grid in a file."""
+    """Position and number of the voxels of a grid in a file."""
 
     shape: tuple[int, ...]
     spacing_mm: Array
@@ -183,21 +183,21 @@ class GridFile(NamedTuple):
 
 
 def read_box(path: Path) -> GridFile:
-    """Read where the voxels of a grid lie from a `.npz` file: `spacing_mm`, `origin_mm`, and arrays [x, y, z].
+    """Read the voxel positions of a grid from a `.npz` file: `spacing_mm`, `origin_mm`, and arrays [x, y, z].
 
     Raises
     ------
     FileError
-        The file cannot be read, or does not say.
+        The file cannot be read, or lacks them.
     """
     try:
         with open_arrays(path) as arrays:
             shapes = {shape for name in arrays.names if len(shape := arrays.header(name).shape) == 3}
-            # The numbers in the voxels are not asked for.
+            # The values in the voxels are not needed.
             place = {name: arrays[name] for name in _PLACE if name in arrays.names and _is_place(arrays, name)}
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
-    except Exception:  # of a damaged file numpy's readers, and those of zip archives below them, may raise anything
+    except Exception:  # numpy's and zip's readers may raise anything for a damaged file
         raise FileError(f"{path}: cannot be read as numpy's .npz") from None
     if "spacing_mm" not in place or len(shapes) != 1:
         missing = "spacing_mm" if "spacing_mm" not in place else "one shape of its arrays [x, y, z]"
@@ -209,7 +209,7 @@ def read_box(path: Path) -> GridFile:
 
 
 def _is_place(arrays: Arrays, name: str) -> bool:
-    """Tell whether an array holds one or three numbers, as its header says."""
+    """Tell from its header whether an array holds one or three numbers."""
     header = arrays.header(name)
     return header.size in (1, 3) and header.nbytes <= 3 * np.dtype(np.complex128).itemsize
 

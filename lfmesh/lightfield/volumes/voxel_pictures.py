@@ -1,4 +1,4 @@
-"""Pictures of voxels by the point spreads of their centres, where a camera is followed as waves."""
+"""Pictures of voxels by the point spreads of their centres, for cameras treated with waves."""
 
 import math
 
@@ -21,13 +21,13 @@ from lfmesh.waves.point_spread import warnings_of
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 WIDE_VOXELS = 0.02
-"""Difference of a voxel's picture from that of its centre, over its light, above which a wave matrix warns."""
+"""Difference between pictures of a voxel and of its centre, over the light, above which a wave matrix warns."""
 
 
 def voxel_pictures(
     scene: Scene, grid: VoxelBox, to_camera: Array, wavelength_nm: float, tolerance: float
 ) -> tuple[Array, list[PictureWarning]]:
-    """Compute the power on each pixel for each voxel by the point spread of its centre, and warn where it is wrong.
+    """Compute the power on each pixel for each voxel by the point spread of its centre, with warnings.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def voxel_pictures(
 
 
 def _within_middle_voxel(grid: VoxelBox) -> Array:
-    """Return Gauss's two points in the middle voxel, along each axis of one or two voxels, (n, 3) mm, world frame."""
+    """Return two Gauss points in the middle voxel along each axis of one or two voxels, (n, 3) mm, world frame."""
     middle = grid.centres_mm()[tuple(count // 2 for count in grid.shape)]
     step = grid.to_world[:, :3] * grid.spacing_mm / np.sqrt(12.0)
     few = [axis for axis, count in enumerate(grid.shape) if count < 3]
@@ -73,10 +73,10 @@ def _within_middle_voxel(grid: VoxelBox) -> Array:
 
 
 def _wide_voxels(pictures: Array, shape: tuple[int, int, int]) -> list[DiffractionWarning]:
-    """Warn of voxels whose light is not that of their centres.
+    """Warn if pictures of whole voxels and of their centres differ.
 
-    A voxel's mean differs from its centre by a 24th of the second differences between neighbours, along each axis; of
-    one or two voxels that of the middle one is known by Gauss's two points.
+    The mean over a voxel differs from its centre by 1/24 of the second differences between neighbours, along each axis.
+    Along axes of one or two voxels, two Gauss points in the middle voxel give the difference.
 
     Parameters
     ----------

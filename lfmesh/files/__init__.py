@@ -1,1 +1,1 @@
-"""Runs on disk: raw images, previews and reports. Only this package knows OpenEXR."""
+"""Run folders: raw images, previews and reports. Only this package imports OpenEXR."""

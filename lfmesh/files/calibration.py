@@ -1,4 +1,4 @@
-"""calibration.json: the geometry of a light-field camera, every number with its unit and what it means."""
+"""calibration.json: the geometry of a light-field camera, each number with its unit and meaning."""
 
 import json
 import math
@@ -15,10 +15,10 @@ from lfmesh.lightfield.views.upright import ON_SENSOR
 from lfmesh.regular_file import read_text
 
 FORMAT = 2
-"""Of the file; a reader refuses any other."""
+"""Version of the file format; readers refuse any other."""
 
 MOST_PIXELS = 2**31
-"""Above the columns or rows of any sensor."""
+"""More columns or rows than any sensor has."""
 
 ABOUT = (
     "Where every micro-image of a light-field camera lies on its sensor, and the first-order optics that say what its "
@@ -55,11 +55,11 @@ DERIVED = {
     "pitch_px": ("pixel", "Mean distance of neighbouring micro-images, from all known centres."),
     "rotation_rad": ("rad", "Turn of the rows of micro-images against those of the sensor, from columns to rows."),
 }
-"""Follow from the fields above; not read back."""
+"""Derived from the fields above; not read back."""
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration as JSON that explains itself.
+    """Write a calibration as self-explanatory JSON.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read what `write_calibration` wrote.
+    """Read a file made by `write_calibration`.
 
     Raises
     ------
@@ -125,12 +125,12 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _is_whole(calibration: Calibration) -> bool:
-    """Tell whether arrays fit together, and numbers are such as a camera has.
+    """Tell whether the arrays fit together and the numbers are possible for a camera.
 
     Raises
     ------
     TypeError, ValueError, OverflowError, ZeroDivisionError
-        They are not even numbers, or too large or small to compute with.
+        A value is not a number, or is too large or too small.
     """
     c = calibration
     above_zero = (c.lenslet_pitch_mm, c.pixel_mm, c.f_number, c.wavelength_nm)

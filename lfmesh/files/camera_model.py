@@ -1,4 +1,4 @@
-"""Camera models on disk: the ray map as OpenEXR or HDF5, with the pinholes of the views."""
+"""Camera models on disk: the ray map as OpenEXR or HDF5, with the pinhole camera of each view."""
 
 import json
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from lfmesh.lightfield.rays.camera_model import CameraModel
 from lfmesh.lightfield.views.upright import ON_SENSOR
 
 FORMAT = 1
-"""Of the file."""
+"""Version of the file format."""
 
 OPENEXR, HDF5 = (".exr",), (".h5", ".hdf5")
 
@@ -36,18 +36,17 @@ ABOUT = {
     "the lens stops the view's rays",
     "orientation": f"maps {ON_SENSOR}",
 }
-"""Meaning of the arrays."""
+"""Meaning of each array."""
 
 COORDINATES = "xyab"
-"""Names of the four coordinates of a ray in the channels of the footprint."""
+"""Letters of the four ray coordinates in the footprint's channel names."""
 
 
 def write_camera_model(model: CameraModel, path: str | Path) -> Path:
-    """Write a camera model, and its views in OpenCV's terms as ``cameras.json`` beside it.
+    """Write a camera model, and its views as OpenCV cameras in ``cameras.json`` beside it.
 
-    An OpenEXR file has the ray map as channels of 32 bits (origin.x, direction.x, footprint.xa, weight, ...) and the
-    views as JSON in the attribute `lfmesh`; HDF5 has the arrays of `CameraModel` in 64 bits, those of the views in the
-    group `views`.
+    OpenEXR stores the ray map as 32-bit channels (origin.x, direction.x, footprint.xa, weight, ...) and the views as
+    JSON in the attribute `lfmesh`. HDF5 stores the arrays of `CameraModel` in 64 bits, the views in the group `views`.
 
     Parameters
     ----------
@@ -58,14 +57,13 @@ def write_camera_model(model: CameraModel, path: str | Path) -> Path:
     Returns
     -------
     Path
-        Of the file.
 
     Raises
     ------
     FileError
         The file cannot be written.
     LfmeshError
-        HDF5 without h5py.
+        HDF5 needs h5py, which is missing.
     """
     path = Path(path)
     check_model_path(path)
@@ -88,14 +86,14 @@ def write_camera_model(model: CameraModel, path: str | Path) -> Path:
 
 
 def check_model_path(path: Path) -> None:
-    """Refuse a path that a camera model cannot be written to.
+    """Refuse a path where a camera model cannot be written.
 
     Raises
     ------
     FileError
-        Its ending is not known, its folder is not there, or holds ``cameras.json`` of another model.
+        The extension is unknown, or the folder is missing or holds ``cameras.json`` of another model.
     LfmeshError
-        HDF5 without h5py.
+        HDF5 needs h5py, which is missing.
     """
     if path.suffix.lower() not in (*OPENEXR, *HDF5):
         raise FileError(f"{path}: a camera model ends in one of {', '.join((*OPENEXR, *HDF5))}")
@@ -143,7 +141,7 @@ def _metadata(model: CameraModel) -> dict[str, Any]:
 
 
 def _plain(values: NDArray[np.float64]) -> list[Any]:
-    """Return an array as lists, with None for what is no number."""
+    """Return an array as nested lists, with None for values that are not finite."""
     plain = values.astype(object)
     plain[~np.isfinite(values)] = None
     return list(plain.tolist())

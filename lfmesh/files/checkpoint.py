@@ -1,4 +1,4 @@
-"""The checkpoint in a run folder: the state of an interrupted render, from which it goes on to the same bits."""
+"""Checkpoint in a run folder: the state of an interrupted render, which resumes bit for bit."""
 
 import time
 import warnings
@@ -18,13 +18,13 @@ from lfmesh.transport.render.tally import RenderState, arrays_of
 CHECKPOINT = "lfmesh-checkpoint.npz"
 
 FORMAT = 3
-"""Of the file; a reader refuses any other."""
+"""Version of the file format; readers refuse any other."""
 
 SECONDS = 10.0
-"""Between two checkpoints at least."""
+"""Shortest time between two checkpoints."""
 
 SHARE = 0.01
-"""Of the time that checkpoints may take."""
+"""Largest fraction of the run time spent on checkpoints."""
 
 
 class CheckpointWarning(UserWarning):
@@ -32,18 +32,18 @@ class CheckpointWarning(UserWarning):
 
 
 class Checkpoints:
-    """Keeps the state of a render in the folder of its run, seldom enough to cost nothing that one notices.
+    """Writer of a render's checkpoints, which take a negligible part of the time.
 
     Parameters
     ----------
     folder : Path
     facts : dict
-        The scene, as `lfmesh.files.image_file.scene_metadata` gives it.
+        Scene, as returned by `lfmesh.files.image_file.scene_metadata`.
 
     Attributes
     ----------
     written : bool
-        Whether there is a checkpoint of this render.
+        Whether a checkpoint of this render exists.
     """
 
     def __init__(self, folder: Path, facts: dict[str, Any]) -> None:
@@ -52,7 +52,7 @@ class Checkpoints:
         self._due = time.monotonic() + SECONDS
 
     def __call__(self, state: RenderState, *, last: bool) -> None:
-        """Write the state, if it is time or the last chance."""
+        """Write the state if a checkpoint is due or this is the last chance."""
         began = time.monotonic()
         if began < self._due and not last:
             return
@@ -67,27 +67,27 @@ class Checkpoints:
                 write_sealed(file, FORMAT, self._facts, _settled(arrays_of(state)))
             self.written = True
         except OSError as error:
-            # Work that is done is not given up for that.
+            # A failed checkpoint must not end the render.
             reason = error.strerror or error
             place = self._folder / CHECKPOINT
             warnings.warn(f"{place} cannot be written: {reason}; the render goes on", CheckpointWarning, stacklevel=2)
 
 
 def _settled(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a state with copies of those that other threads may be adding light to."""
+    """Return the arrays of a state, copying the ones to which other threads may still add light."""
     return {name: array.copy() if name.startswith("partial.") else array for name, array in arrays.items()}
 
 
 @dataclass
 class Checkpoint:
-    """A checkpoint as it was read.
+    """Checkpoint read from a file.
 
     Attributes
     ----------
     scene : Scene
-        As it was given to the render.
+        Scene as passed to the render.
     arrays : dict of arrays
-        For `render`'s `saved`.
+        Argument `saved` of `render`.
     """
 
     scene: Scene
@@ -100,7 +100,7 @@ def read(folder: Path, scene_from: Callable[[dict[str, Any], Path], Scene]) -> C
     Raises
     ------
     FileError
-        There is none, it is damaged, or another program wrote it.
+        No checkpoint exists, it is damaged, or another program wrote it.
     """
     try:
         facts, arrays = read_sealed(folder / CHECKPOINT, FORMAT)

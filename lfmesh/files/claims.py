@@ -1,4 +1,4 @@
-"""Claims on run folders: one process at a time renders into a folder or saves a run there."""
+"""Claims on run folders: one process at a time renders or saves a run there."""
 
 import os
 import platform
@@ -12,19 +12,19 @@ from lfmesh.files.locks import fcntl, locked, opened_and_locked
 from lfmesh.regular_file import read_text
 
 CLAIM = ".lfmesh-rendering"
-"""Stands in a run folder and is locked while a run is saved there, or rendered that will be; it names the process."""
+"""File in a run folder that names the owning process; locked while that process renders or saves."""
 
 
 def refuse_claimed(folder: Path) -> None:
-    """Refuse a folder into which another process renders or saves a run.
+    """Refuse a folder in which another process is rendering or saving a run.
 
     Raises
     ------
     FileError
-        Naming the process.
+        Another process, named in the message, owns the folder.
     """
     try:
-        # Under the folder's lock nobody else tries the claim's own.
+        # Under the folder's lock nobody else tries to lock the claim.
         with locked(folder), locked(folder / CLAIM, wait=False) as free:
             owner = read_text(folder / CLAIM) if free is False else ""
     except (OSError, ValueError):
@@ -35,20 +35,20 @@ def refuse_claimed(folder: Path) -> None:
 
 @contextmanager
 def claimed(folder: Path, *, again: bool = False) -> Iterator[None]:
-    """Claim a folder for a run of this process while the body renders or saves it.
+    """Claim a folder for this process while the body renders or saves a run.
 
     Parameters
     ----------
     folder : Path
     again : bool
-        Let this process in where it has claimed the folder already, as a render that saves.
+        Accept a claim that this process already holds.
 
     Raises
     ------
     OSError
-        It cannot be written.
+        The folder cannot be written.
     FileError
-        Another process has claimed it, or this one has.
+        The folder is claimed by another process, or by this one without `again`.
     """
     handle = _claim(folder)
     if isinstance(handle, str):
@@ -61,14 +61,14 @@ def claimed(folder: Path, *, again: bool = False) -> Iterator[None]:
         yield
     finally:
         if handle is not None:
-            # Nobody opens the claim before it is gone and locks it afterwards.
+            # Under the folder's lock nobody opens the claim before it is removed and locks it afterwards.
             with suppress(OSError), locked(folder):
                 (folder / CLAIM).unlink()
             os.close(handle)
 
 
 def _claim(folder: Path) -> int | str | None:
-    """Return the handle of a new claim, or the process that has claimed a folder; None where there are no locks."""
+    """Return the handle of a new claim, the process that holds one, or None without locks."""
     if fcntl is None:
         return None
     path = folder / CLAIM

@@ -1,4 +1,4 @@
-"""From channels of an image to a picture for the eye: grey, or linear sRGB where the channels span colours."""
+"""Conversion of image channels to a picture for the eye: grey, or linear sRGB if the channels span colours."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +12,25 @@ _XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], 
 """IEC 61966-2-1."""
 
 ALIKE = 1e-4
-"""Responses whose correlations have an eigenvalue below this do not tell three colours apart."""
+"""Smallest eigenvalue of the responses' correlation matrix at which channels still distinguish three colours."""
 
 LEAST = 0.05
-"""Least share of white that every primary must have, or the picture is grey."""
+"""Smallest share of white in each primary; below it the picture is grey."""
 
 
 def srgb_weights(wavelengths_nm: tuple[float, ...]) -> Array | None:
     """Return the (3, n) weights that turn n channels into linear sRGB, or None for a grey picture.
 
-    Of single wavelengths equal power in every sample comes out white: few samples say nothing of the illuminant, and a
-    picture that is tinted by their choice would mislead. Of bands illuminant D65, the white of sRGB, comes out white,
-    and the weights bring their responses as near as they can to the CIE 1931 observer, by least squares under that
-    light; of the bands "xyz" they are the standard's matrix. Grey: fewer than three channels, or such as leave a
-    primary empty, as infrared ones do.
+    For single wavelengths, equal power in every channel appears white, as a few samples do not determine the
+    illuminant. For bands, illuminant D65 (the white of sRGB) appears white; the weights fit the band responses to the
+    CIE 1931 observer by least squares under D65. For the bands "xyz" they are the matrix of the standard.
+
+    The picture is grey with fewer than three channels or a nearly empty primary, as with infrared bands.
 
     Parameters
     ----------
     wavelengths_nm : tuple of float
-        Of the channels; of bands their `Centroids`.
+        Wavelengths of the channels; for bands, their `Centroids`.
     """
     if len(wavelengths_nm) < 3:
         return None
@@ -44,28 +44,28 @@ def srgb_weights(wavelengths_nm: tuple[float, ...]) -> Array | None:
 
 
 def white_in_words(wavelengths_nm: tuple[float, ...]) -> str:
-    """Return what light pictures show as white."""
+    """Return a description of the light that pictures show as white."""
     if srgb_weights(wavelengths_nm) is None:
         return "grey picture"
     return "D65" if isinstance(wavelengths_nm, Centroids) else "equal power in every channel"
 
 
 def fitted_weights(signals: Array, wanted: Array, white: Array) -> Array | None:
-    """Return the (3, n) weights that bring n signals as near as they can to wanted colours, and exactly for white.
+    """Return the (3, n) weights that fit n signals to wanted colours, exactly for white.
 
     Parameters
     ----------
     signals : (n, m) float64
         Responses to m lights.
     wanted : (3, m) float64
-        Colours of these.
+        Colours of the lights.
     white : (m,) float64
-        Their amounts in a light that must come out white: all primaries as much as the mean signal.
+        Amounts of the lights that together appear white: all primaries equal the mean signal.
 
     Returns
     -------
     (3, n) float64
-        None if the signals do not tell three colours apart.
+        None if the signals do not distinguish three colours.
     """
     amounts = np.sqrt(white)
     s, t = signals * amounts, wanted * amounts
@@ -86,12 +86,12 @@ def fitted_weights(signals: Array, wanted: Array, white: Array) -> Array | None:
 
 
 def white_signals(wavelengths_nm: tuple[float, ...]) -> Array:
-    """Return what each channel detects of the light that pictures show as white, (n,), in any unit.
+    """Return each channel's signal (n,), in arbitrary units, for the light that pictures show as white.
 
     Parameters
     ----------
     wavelengths_nm : tuple of float
-        As for `srgb_weights`.
+        See `srgb_weights`.
     """
     if not isinstance(wavelengths_nm, Centroids):
         return np.ones(len(wavelengths_nm))
@@ -100,7 +100,7 @@ def white_signals(wavelengths_nm: tuple[float, ...]) -> Array:
 
 
 def _under_d65(bands: tuple[Passband, ...]) -> tuple[Array, Array, Array]:
-    """Return visible wavelengths (m,), the power of D65 there, and the responses of bands, (n, m)."""
+    """Return visible wavelengths (m,), the power of D65 there (m,), and the responses of the bands (n, m)."""
     w = np.arange(VISIBLE_NM[0], VISIBLE_NM[1] + 1.0)
     responses = [
         np.interp(w, band.response.wavelengths_nm, band.response.values, left=0.0, right=0.0) for band in bands
@@ -122,7 +122,7 @@ def _of_bands(bands: tuple[Passband, ...]) -> Array | None:
 
 
 def to_display(power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]) -> NDArray[np.float64]:
-    """Turn (H, W, channels) power into (H, W) grey or (H, W, 3) linear sRGB in the same unit."""
+    """Convert (H, W, channels) power to (H, W) grey or (H, W, 3) linear sRGB in the same unit."""
     if len(wavelengths_nm) == 1:
         return power[:, :, 0]
     weights = srgb_weights(wavelengths_nm)
@@ -139,10 +139,10 @@ def srgb_encode(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def spectral_srgb(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, 3) sRGB from 0 to 1 for lines in a picture, (n,) wavelengths in nm: hue as seen, all alike bright.
+    """Return (n, 3) sRGB line colours, 0 to 1, for (n,) wavelengths in nm: the perceived hue at uniform brightness.
 
-    Spectral colours lie outside what a screen can show, so white is added until none is negative, and a little more so
-    that deep blue and red stay visible. Ultraviolet and infrared are shown as the ends of the spectrum.
+    Spectral colours lie outside the sRGB gamut, so white is added until no component is negative, plus a little to keep
+    deep blue and red visible. Ultraviolet and infrared take the colours of the spectrum's ends.
     """
     visible = np.clip(wavelength_nm, 400.0, 680.0)
     rgb = (_XYZ_TO_SRGB @ observer(visible)).T

@@ -1,4 +1,4 @@
-"""Depth in a run folder: the traced truth, the estimate from the light field, and a figure that holds them together."""
+"""Depth in a run folder: the traced truth, the estimate from the light field, and a figure that compares them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,13 +29,13 @@ ABOUT = (
 def save_truth(truth: DepthTruth, folder: Path) -> list[Path]:
     """Add the true depth to a run folder; return the files.
 
-    ``depth_views.exr`` holds the views side by side as ``lightfield.exr`` does; ``depth_pixels.exr`` the mean, the
-    spread and the share that meets a target of every raw pixel's bundle.
+    ``depth_views.exr`` holds the views side by side, as in ``lightfield.exr``; ``depth_pixels.exr`` the mean depth, its
+    spread and the fraction that meets a target, for the ray bundle of each raw pixel.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     rows, columns = truth.views_mm.shape[:2]
     views = {"Z": mosaic(truth.views_mm[..., None])[..., 0]}
@@ -49,21 +49,21 @@ def save_truth(truth: DepthTruth, folder: Path) -> list[Path]:
 def save_depth(
     depth: DepthMap, truth_mm: NDArray[np.floating], folder: Path, without_depth: Sequence[str] = ()
 ) -> list[Path]:
-    """Add the depth found in the light field as ``depth.exr``, and its error as ``depth.png``; return the files.
+    """Add the depth estimate as ``depth.exr`` and its error as ``depth.png``; return the files.
 
     Parameters
     ----------
     depth : DepthMap
     truth_mm : (t, s) float
-        `DepthTruth.middle_mm`.
+        See `DepthTruth.middle_mm`.
     folder : Path
     without_depth : sequence of str, optional
-        `DepthTruth.without_depth`, named in the figure.
+        `DepthTruth.without_depth`, listed in the figure.
 
     Raises
     ------
     LfmeshError
-        As `save_truth`, or the truth is of another size.
+        As for `save_truth`, or the truth has another size.
     """
     maps = {"Z": depth.distance_mm, "confidence": depth.confidence, "truth": truth_mm}
     error = depth.error(truth_mm)
@@ -81,7 +81,7 @@ def _draw(
     path: Path, depth: DepthMap, truth_mm: NDArray[np.floating], error: NDArray[np.float64],
     without_depth: Sequence[str],
 ) -> None:  # fmt: skip
-    """Draw truth, estimate, error and confidence side by side, and the error's distribution."""
+    """Draw truth, estimate, error and confidence side by side, and the distribution of the error."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -105,8 +105,7 @@ def _draw(
         axes.set_yticks([])
         axes.set_facecolor("#dddddd")
     if without_depth:
-        # The names are the user's: matplotlib takes what stands between two $ for mathematics, unless they are escaped,
-        # where it wraps lines in any case.
+        # Escape $ in the user's names, between which matplotlib expects mathematics.
         words = f"without true depth: {', '.join(without_depth)}"
         panels[0].set_xlabel(words.replace("$", r"\$"), fontsize=8, wrap=True)
     _draw_against_truth(panels[4], depth, true)
@@ -115,12 +114,12 @@ def _draw(
 
 
 def shown_range(distance_mm: NDArray[np.floating], truth_mm: NDArray[np.floating]) -> tuple[float, float] | None:
-    """Return the depths that colours span: all of the truth, and nine of ten of what was found; None without any.
+    """Return the colour scale's depth range: the whole truth and 5 % to 95 % of the estimate; None without data.
 
     Parameters
     ----------
     distance_mm, truth_mm : (t, s) float
-        What was found, and the truth.
+        Estimate and truth.
     """
     found, ends = distance_mm[np.isfinite(distance_mm)], truth_mm[np.isfinite(truth_mm)]
     if found.size:
@@ -133,7 +132,7 @@ def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) 
     x, y = true[both], depth.distance_mm[both]
     axes.plot(x, y, ".", ms=2, alpha=0.4, color="#1f4e8c")
     if len(x):
-        # All of the truth, and at least half of what was found.
+        # The whole truth, and at least the middle half of the estimates.
         quarters = np.percentile(y, [25.0, 75.0])
         ends = np.array([min(x.min(), quarters[0]), max(x.max(), quarters[1])])
         axes.plot(ends, ends, color=GREY, lw=0.8, zorder=0)
@@ -146,7 +145,7 @@ def _draw_against_truth(axes: Any, depth: DepthMap, true: NDArray[np.floating]) 
 
 
 def _draw_distribution(axes: Any, error: NDArray[np.float64]) -> None:
-    """Draw which share of the samples errs by less than what."""
+    """Draw the cumulative distribution of the absolute error."""
     known = np.sort(np.abs(100.0 * error[np.isfinite(error)]))
     if len(known):
         axes.plot(np.maximum(known, 1e-3), (np.arange(len(known)) + 1.0) / len(known), color="#1f4e8c")

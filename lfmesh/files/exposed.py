@@ -1,4 +1,4 @@
-"""An exposed image in a run folder: counts as a 16-bit grey PNG, and the data sheet of the detector."""
+"""Exposed image in a run folder: counts as a 16-bit grey PNG, and the data sheet of the detector."""
 
 import json
 from dataclasses import asdict
@@ -23,17 +23,12 @@ COUNTS, FACTS, PREVIEW = "exposed.png", "exposed.json", "exposed_preview.png"
 
 
 def save_exposed(exposed: Exposed, folder: Path) -> list[Path]:
-    """Add ``exposed.png``, the counts upright, ``exposed.json``, and ``exposed_preview.png``, the picture for the eye.
-
-    Returns
-    -------
-    list of Path
-        The files.
+    """Add ``exposed.png`` (upright counts), ``exposed.json`` and ``exposed_preview.png``; return the files.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     detector = exposed.detector
     facts = {
@@ -59,10 +54,9 @@ def save_exposed(exposed: Exposed, folder: Path) -> list[Path]:
 
 
 def preview(exposed: Exposed) -> tuple[NDArray[np.uint8], float]:
-    """Return an exposure as an upright sRGB picture, (H, W) or (H, W, 3), and the electrons that it shows as white.
+    """Return an upright sRGB picture, (H, W) or (H, W, 3), of an exposure, and the electrons shown as white.
 
-    A mosaic is demosaicked; the filters' colours become those of sRGB by the channels of the image. White is what
-    `files.colour.srgb_weights` says, with the exposure of other previews.
+    A mosaic is demosaicked. White is that of `files.colour.srgb_weights`, exposed like other previews.
 
     Parameters
     ----------
@@ -82,12 +76,12 @@ def preview(exposed: Exposed) -> tuple[NDArray[np.uint8], float]:
 
 
 def _to_srgb(signals: Array, wavelengths_nm: tuple[float, ...]) -> Array:
-    """Return the weights (3, 3) that turn what the filters see into sRGB, or (1, 3) into grey.
+    """Return the weights, (3, 3) from filter signals to sRGB or (1, 3) to grey.
 
     Parameters
     ----------
     signals : (3, channels) float64
-        Electrons of each filter by the power in each channel.
+        Electrons per filter per unit of power in each channel.
     """
     wanted = srgb_weights(wavelengths_nm)
     white = white_signals(wavelengths_nm)

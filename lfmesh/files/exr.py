@@ -1,4 +1,4 @@
-"""Spectral images in OpenEXR: several parts, one channel a wavelength, exact metadata as JSON."""
+"""Spectral images in OpenEXR: several parts, one channel per wavelength, and exact metadata as JSON."""
 
 import errno
 import io
@@ -20,7 +20,7 @@ from lfmesh.regular_file import why_no_file
 from lfmesh.scene.camera.bands import channel_labels
 
 METADATA = "lfmesh"
-"""Attribute of the first part that holds the metadata as JSON: EXR floats are float32, its lists get lost."""
+"""Attribute of the first part that holds the metadata as JSON: EXR floats are float32, and its lists get lost."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class SpectralImage:
     ----------
     parts : dict of (H, W, wavelengths) float32, or uint32 for counts
     wavelengths_nm : tuple of float
-        One a channel of every part; of bands their `Centroids`, whose names the channels take.
+        One per channel of every part; bands' `Centroids` also name the channels.
     metadata : dict
         Plain JSON values.
     """
@@ -42,10 +42,10 @@ class SpectralImage:
 
 
 def channel_name(wavelength_nm: float) -> str:
-    """Name of the channel of one wavelength, e.g. ``S0.550,0nm``.
+    """Return the channel name of a wavelength, e.g. ``S0.550,0nm``.
 
-    S0 is the first Stokes component, the comma the decimal sign (a dot would open a new layer): A. Fichet,
-    R. Pacanowski, A. Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021.
+    S0 is the first Stokes component; the comma is the decimal sign, as a dot would open a new layer: A. Fichet, R.
+    Pacanowski, A. Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10(3), 2021.
     """
     return f"S0.{float(wavelength_nm)!r}nm".replace(".", ",").replace(",", ".", 1)
 
@@ -74,7 +74,7 @@ def write(path: Path, image: SpectralImage) -> None:
         }
         if number == 0:
             header[METADATA] = json.dumps(metadata, allow_nan=False, ensure_ascii=True)
-        # OpenEXR takes no float64 and writes strided arrays wrong without a word.
+        # OpenEXR rejects float64 and silently corrupts strided arrays.
         stored = np.uint32 if np.issubdtype(pixels.dtype, np.integer) else np.float32
         channels = {channel: np.ascontiguousarray(pixels[:, :, c], dtype=stored) for c, channel in enumerate(names)}
         parts.append(OpenEXR.Part(header, channels, name))
@@ -85,21 +85,21 @@ def write(path: Path, image: SpectralImage) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Return why a file could not be written, without OpenEXR's account of where, which names the file again."""
+    """Return the reason a write failed, without OpenEXR's repetition of the file name."""
     full = os.strerror(errno.ENOSPC)
     return full if full in str(error) else str(error)
 
 
 def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: Mapping[str, Any]) -> None:
-    """Write (H, W) maps that are no light, such as depth (by custom called Z), as the channels of one part.
+    """Write (H, W) maps other than light, such as depth (channel Z by custom), as channels of one part.
 
     Parameters
     ----------
     path : Path
     maps : dict
-        (H, W) array by the name of its channel.
+        Arrays (H, W) by channel.
     metadata : dict
-        What JSON can hold.
+        JSON values.
 
     Raises
     ------
@@ -119,20 +119,20 @@ def write_maps(path: Path, maps: Mapping[str, NDArray[np.floating]], metadata: M
 
 
 def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) -> SpectralImage:
-    """Read a file that `write` made.
+    """Read a file made by `write`.
 
     Parameters
     ----------
     path : Path
     part_names : sequence of str
-        The parts that must be there, the first of which carries the metadata.
+        Required parts; the first carries the metadata.
     optional : sequence of str
-        Parts that are read where they are.
+        Read if present.
 
     Raises
     ------
     FileError
-        The file is missing, no EXR, not lfmesh's, or truncated.
+        The file is missing, truncated, not an EXR, or not written by lfmesh.
     """
     if not path.is_file():
         raise FileError(f"{path} {why_no_file(path)}")
@@ -143,7 +143,7 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
                 for part in file.parts
             }
             headers = {part.name(): dict(part.header) for part in file.parts}
-    except Exception:  # of a damaged file OpenEXR's readers may raise anything
+    except Exception:  # OpenEXR's readers may raise anything for a damaged file
         raise FileError(f"{path} is not a readable OpenEXR file: it is truncated, damaged or something else") from None
     missing = [name for name in part_names if name not in pixels]
     if missing:
@@ -168,12 +168,12 @@ def read(path: Path, part_names: Sequence[str], optional: Sequence[str] = ()) ->
 
 
 def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
-    """Read one (H, W) channel of an EXR: the first of these names that its first part has.
+    """Read one (H, W) channel: the first of the given names present in the first part of an EXR.
 
     Raises
     ------
     FileError
-        The file is missing, no EXR, truncated, or has none of the channels.
+        The file is missing, truncated, not an EXR, or has none of the channels.
     """
     if not path.is_file():
         raise FileError(f"{path} {why_no_file(path)}")
@@ -191,18 +191,18 @@ def read_map(path: Path, names: Sequence[str]) -> NDArray[np.float32]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """Open a file for reading, without what OpenEXR says of a damaged one; a truncated part it leaves out."""
+    """Open a file for reading, hiding OpenEXR's messages about damage; truncated parts are left out."""
     with redirect_stdout(io.StringIO()), _without_stderr(), OpenEXR.File(str(path), separate_channels=True) as file:
         yield file
 
 
 @contextmanager
 def _without_stderr() -> Iterator[None]:
-    """Lead nowhere what libraries write to the process's standard error, past Python's."""
+    """Discard native libraries' output to the process's standard error."""
     try:
         kept = os.dup(2)
     except OSError:
-        # There is none.
+        # There is no standard error.
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""lightfield.exr: the views of a light field side by side, with their standard errors and axes."""
+"""lightfield.exr: the views of a light field side by side, with standard errors and axes."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from lfmesh.lightfield.views.field import LightField, from_mosaic, mosaic
 from lfmesh.lightfield.views.upright import UPRIGHT
 
 FORMAT = 2
-"""Of the file; a reader refuses any other."""
+"""Version of the file format; readers refuse any other."""
 
 FIELD, VIEWS = "lightfield.exr", "views.png"
 PARTS = ("views", "stderr", "sharing")
@@ -23,20 +23,15 @@ _AXES = ("v_rad", "u_rad", "t_mm", "s_mm")
 
 
 def save_field(field: LightField, folder: Path) -> list[Path]:
-    """Add a light field to the run folder that it was decoded from.
+    """Add a light field to the run folder from which it was decoded; return the files.
 
-    ``lightfield.exr`` holds the views side by side, upright, row v = 0 on top, with their axes as JSON;
-    ``views.png`` shows them.
-
-    Returns
-    -------
-    list of Path
-        The files.
+    ``lightfield.exr`` holds the upright views side by side, row v = 0 on top, with axes as JSON. ``views.png`` shows
+    them.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     metadata: dict[str, Any] = {
         "lightfield_format": FORMAT,
@@ -53,7 +48,7 @@ def save_field(field: LightField, folder: Path) -> list[Path]:
         "raw_sha256": run.pixels_digest(folder),
         **image_file.scene_metadata(field.scene, folder),
     }
-    # The parts of an EXR have one size.
+    # All parts of an EXR have the same size.
     sharing = np.broadcast_to(field.sharing[:, :, None], field.data.shape)
     parts = {"views": field.views_mosaic(), "stderr": mosaic(field.stderr), "sharing": mosaic(sharing)}
     with run.added(folder) as staging:
@@ -63,12 +58,12 @@ def save_field(field: LightField, folder: Path) -> list[Path]:
 
 
 def open_field(folder: Path) -> LightField | None:
-    """Read the light field of a run folder; None if it has none that belongs to its raw image.
+    """Read the light field of a run folder; return None if none belongs to its raw image.
 
     Raises
     ------
     FileError
-        There is no complete run, or the light field is damaged or of another version.
+        The folder holds no complete run, or the light field is damaged or of another version.
     """
     digest = run.pixels_digest(folder)
     path = saved(folder, FIELD)
@@ -94,7 +89,7 @@ def open_field(folder: Path) -> LightField | None:
             data=from_mosaic(spectral.parts["views"], (rows, columns)),
             stderr=from_mosaic(spectral.parts["stderr"], (rows, columns)),
             **axes,
-            # Those of a scene know their bands.
+            # The scene's wavelengths know their bands.
             wavelengths_nm=of_scene if of_scene == spectral.wavelengths_nm else spectral.wavelengths_nm,
             unit=metadata["unit"],
             scene=scene,

@@ -1,10 +1,10 @@
-"""A run folder as a whole: its manifest, and changes that happen entirely or not at all, whenever a process is killed.
+"""Run folders: manifest and atomic changes, which survive the death of a process at any moment.
 
-New files are written into a staging folder inside the run folder, the new manifest among them. Then a journal, which
-names what will be moved and what removed, appears in one step: from there on the change is decided. Whoever looks at
-the folder next finishes what a journal says, and removes staging folders whose process is gone; it knows that by a lock
-on the folder, which the system releases with the process. A folder may come from elsewhere, journal and links included:
-what it says is done inside it or not at all.
+New files and the new manifest are written to a staging folder inside the run folder. Then a journal of the files to
+move and remove appears in one step, which decides the change. The next process to open the folder finishes any journal
+and removes the staging of dead processes, recognised by a lock that the system releases with the process.
+
+Journals and links may come from elsewhere: entries are carried out inside the folder or not at all.
 """
 
 import json
@@ -32,14 +32,14 @@ MANIFEST, JOURNAL = "manifest.json", ".lfmesh-journal.json"
 STAGING = ".lfmesh-"
 
 FORMAT = 1
-"""Of the manifest; a reader refuses any other."""
+"""Version of the manifest's format; readers refuse any other."""
 
 FORGOTTEN_SECONDS = 86_400.0
-"""Age of staging that belongs to a dead process, where files cannot be locked."""
+"""Age at which staging counts as abandoned where files cannot be locked."""
 
 
 class Entry(NamedTuple):
-    """A file as it was saved."""
+    """Size and digest of a saved file."""
 
     bytes: int
     sha256: str
@@ -50,16 +50,16 @@ class Entry(NamedTuple):
         return cls(path.stat().st_size, digest_of(path))
 
     def fits(self, path: Path) -> bool:
-        """Tell whether a file is as it was saved."""
+        """Tell whether a file still has the saved size and digest."""
         return path.stat().st_size == self.bytes and digest_of(path) == self.sha256
 
 
 Manifest = dict[str, Entry]
-"""Files by their name in the run folder, with / between folders."""
+"""Entries by file name in the run folder, with / between folders."""
 
 
 def is_safe(name: Any) -> bool:
-    """Tell whether a name from a file on disk stays inside the run: a plain name, or one of the copied inputs."""
+    """Tell whether a name stays inside the run: a plain name, or a copied input."""
     if not isinstance(name, str) or not name or {"\\", ":", "\0"} & set(name):
         return False
     try:
@@ -72,12 +72,12 @@ def is_safe(name: Any) -> bool:
 
 
 def manifest_of(folder: Path) -> Manifest | None:
-    """Return what a run folder holds; None where no manifest says so, as in runs of older versions.
+    """Return the manifest of a run folder; None if it has none, as in runs of older versions.
 
     Raises
     ------
     FileError
-        The manifest is damaged, or of another version.
+        It is damaged or of another version.
     """
     path = folder / MANIFEST
     try:
@@ -98,12 +98,12 @@ def manifest_of(folder: Path) -> Manifest | None:
 
 
 def saved(folder: Path, name: str) -> Path | None:
-    """Return a file of a run as it was saved; None where the run has none.
+    """Return the path of a saved file of a run; None if the run has none.
 
     Raises
     ------
     FileError
-        It is not what was saved.
+        The file differs from the one saved.
     """
     manifest, path = manifest_of(folder), folder / name
     if not path.is_file() or (manifest is not None and name not in manifest):
@@ -114,10 +114,7 @@ def saved(folder: Path, name: str) -> Path | None:
 
 
 def is_forgotten(path: Path) -> bool:
-    """Tell whether nobody works in a staging folder (or on a staged file) any more.
-
-    A link, a pipe or a device is no staging of ours: it is neither opened nor removed.
-    """
+    """Tell whether a staging folder or staged file is abandoned; links, pipes and devices never are."""
     mode = path.lstat().st_mode
     if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
         return False
@@ -128,12 +125,12 @@ def is_forgotten(path: Path) -> bool:
 
 
 def recover(folder: Path) -> None:
-    """Finish the change that a journal has decided, and remove the staging of dead processes.
+    """Finish a change decided by a journal; remove the staging of dead processes.
 
     Raises
     ------
     FileError
-        There is something to finish, and the folder cannot be written.
+        A change is unfinished, and the folder cannot be written.
     """
     try:
         left = [entry for entry in folder.iterdir() if entry.name.startswith(STAGING)]
@@ -146,7 +143,7 @@ def recover(folder: Path) -> None:
             if (folder / JOURNAL).exists():
                 _finish(folder)
             for entry in left:
-                # Another process may have cleared it meanwhile, or it may be somebody else's.
+                # Another process may have removed it, or it belongs to somebody else.
                 with suppress(OSError):
                     if entry.name != JOURNAL and is_forgotten(entry):
                         _remove(entry)
@@ -159,21 +156,21 @@ def recover(folder: Path) -> None:
 
 
 def made_inside(folder: Path, name: str) -> Path:
-    """Make a folder inside a folder of results, unless it is there; finish or clear what was left in it.
+    """Make a subfolder in a folder of results if missing; finish or clear interrupted work in it.
 
     Parameters
     ----------
     folder : Path
-        Of the results, as its user names it.
+        As the user names it.
     name : str
-        Of the folder inside.
+        Subfolder.
 
     Raises
     ------
     OSError
-        It cannot be made.
+        The subfolder cannot be made.
     FileError
-        It is a link: what is written into it would stand elsewhere.
+        The subfolder is a link.
     """
     inner = folder / name
     refuse_link(inner)
@@ -183,19 +180,18 @@ def made_inside(folder: Path, name: str) -> Path:
 
 
 def write_inside(folder: Path, name: str, content: str | bytes) -> None:
-    """Write a file of a folder of results, whole or not at all, in place of what has its name; text as UTF-8.
+    """Write or replace a file in a folder of results, completely or not at all; text as UTF-8.
 
     Parameters
     ----------
     folder : Path
     name : str
-        Name of the file within the folder.
     content : str or bytes
 
     Raises
     ------
     FileError
-        It cannot be written; one that was there before is left as it was.
+        The file cannot be written; an earlier one is kept.
     """
     try:
         with staged_file(folder, name) as file:
@@ -206,7 +202,7 @@ def write_inside(folder: Path, name: str, content: str | bytes) -> None:
 
 @contextmanager
 def staged(parent: Path) -> Iterator[Path]:
-    """Yield an empty folder inside another, ours as long as this process lives; remove it at the end."""
+    """Yield an empty folder inside another, owned by this process while it lives; remove it at the end."""
     with locked(parent):
         staging = parent / f"{STAGING}{os.getpid()}-{secrets.token_hex(4)}"
         staging.mkdir()
@@ -222,7 +218,7 @@ def staged(parent: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_file(folder: Path, name: str) -> Iterator[Any]:
-    """Yield a new binary file, which takes the place of a file of a folder when the body is done."""
+    """Yield a new binary file, which replaces the named one when the body is done."""
     with locked(folder):
         handle, temporary = tempfile.mkstemp(prefix=STAGING, dir=folder)
         if fcntl is not None:
@@ -247,11 +243,11 @@ class Change(NamedTuple):
     Attributes
     ----------
     manifest : dict
-        All that the folder will hold, new files included.
+        Entire content of the folder after the change.
     removed : iterable of str
-        Files that go.
+        Files to remove.
     moved : dict
-        Files that get another name before a new one takes theirs.
+        Files to rename first.
     """
 
     manifest: Manifest
@@ -260,7 +256,7 @@ class Change(NamedTuple):
 
 
 def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) -> None:
-    """Make what is staged part of a folder, for good or not at all.
+    """Make staged files part of a folder, permanently, all or none.
 
     Parameters
     ----------
@@ -268,18 +264,18 @@ def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) ->
     staging : Path
         From `staged`, with the new files.
     decide : callable
-        Called with the new files when nobody else changes the folder.
+        Called with the new files while no other process changes the folder.
     """
     names = sorted(path.relative_to(staging).as_posix() for path in staging.rglob("*") if path.is_file())
     new = {name: Entry.of(staging / name) for name in names}
     for name in names:
         _to_disk(staging / name)
     with locked(folder):
-        # A change that another process decided and did not finish comes first.
+        # First finish a change that another process decided but did not complete.
         if (folder / JOURNAL).exists():
             _finish(folder)
         change = decide(new)
-        # A link is named before the change is decided.
+        # Report links before the change is decided.
         with Inside(folder) as inside:
             for name in [*names, *change.removed, *change.moved, *change.moved.values()]:
                 inside.has(name)
@@ -293,7 +289,7 @@ def commit(folder: Path, staging: Path, decide: Callable[[Manifest], Change]) ->
             },
         )
         prepared = staging / JOURNAL
-        # The manifest last: it decides what is there.
+        # The manifest comes last, as it defines the folder's content.
         journal = {"staging": staging.name, "files": [*names, MANIFEST], "removed": sorted(change.removed)}
         _write_json(prepared, {**journal, "moved": dict(change.moved)})
         os.replace(prepared, folder / JOURNAL)  # noqa: PTH105
@@ -310,10 +306,10 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 def _finish(folder: Path) -> None:
-    """Do what the journal says; each step may have been done before."""
+    """Carry out the journal; any step may have been done before."""
     with Inside(folder) as inside:
         staging, files, removed, moved = _journal(inside)
-        # All is looked at before anything is changed.
+        # Check everything before changing anything.
         for name in files:
             inside.refuse_irregular(f"{staging}/{name}")
         for name in [*files, *removed, *moved, *moved.values()]:
@@ -333,7 +329,7 @@ def _finish(folder: Path) -> None:
 
 
 def _journal(inside: Inside) -> tuple[str, list[str], list[str], dict[str, str]]:
-    """Return what a journal names: staging folder, new files, removed files, files with other names."""
+    """Return a journal's staging folder, new files, removed files and renamed files."""
     path = inside.folder / JOURNAL
     inside.refuse_irregular(JOURNAL)
     try:
@@ -341,7 +337,7 @@ def _journal(inside: Inside) -> tuple[str, list[str], list[str], dict[str, str]]
         staging, files, removed = str(journal["staging"]), list(journal["files"]), list(journal["removed"])
         moved = dict(journal["moved"])
     except (ValueError, KeyError, TypeError):
-        # Nobody writes half a journal: this is no work of ours.
+        # Journals appear in one step, so an incomplete one is not lfmesh's.
         raise FileError(f"{path} is damaged; delete it, and render the scene again") from None
     names = [staging, *files, *removed, *moved, *moved.values()]
     if not all(map(is_safe, names)) or "/" in staging or not staging.startswith(STAGING):
@@ -357,7 +353,7 @@ def _remove(entry: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove a folder and those in it, as far as they hold nothing."""
+    """Remove a folder and its subfolders, as far as they are empty."""
     if folder.is_dir() and not folder.is_symlink():
         for inner in folder.iterdir():
             _remove_empty(inner)
@@ -366,7 +362,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk, where the system lets one ask for it."""
+    """Wait until a file, or the names in a folder, are on the disk, if supported."""
     try:
         handle = os.open(path, os.O_RDONLY | NO_LINK)
     except OSError:

@@ -1,4 +1,4 @@
-"""An image as one EXR file: its pixels, and in the metadata everything else that reads it back."""
+"""Image as one EXR file: the pixels, with metadata for everything else needed to read it back."""
 
 import hashlib
 from collections.abc import Iterator
@@ -29,20 +29,20 @@ from lfmesh.transport.render.certainty import Certainty
 from lfmesh.transport.render.image import Image
 
 FORMAT = 2
-"""Of the run folder; a reader refuses any other."""
+"""Version of the run folder's format; readers refuse any other."""
 
 PARTS, HITS, ERROR, UPPER = ("raw", "stderr"), "hits", "error", "upper"
 
 
 @contextmanager
 def fitting(path: Path, advice: str) -> Iterator[None]:
-    """Turn what goes wrong with the metadata of a file into one line that names the file.
+    """Turn errors in a file's metadata into a one-line message that names the file.
 
     Parameters
     ----------
     path : Path
     advice : str
-        What to do, such as "render the scene again".
+        Remedy, such as "render the scene again".
     """
     try:
         yield
@@ -63,12 +63,12 @@ def fitting(path: Path, advice: str) -> Iterator[None]:
 
 
 def refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
-    """Raise a FileError where an image's pixels are not those that were saved.
+    """Raise a FileError if an image's pixels differ from the saved ones.
 
     Parameters
     ----------
     path : Path
-        Of the file, for the message.
+        For the message.
     spectral : SpectralImage
     """
     if spectral.metadata.get("pixels_sha256") != _digest(*spectral.parts.values()):
@@ -76,13 +76,13 @@ def refuse_damage(path: Path, spectral: exr.SpectralImage) -> None:
 
 
 def image_from(spectral: exr.SpectralImage, path: Path) -> Image:
-    """Return the image of a file whose pixels are those that were saved.
+    """Return the image of a file with verified pixels.
 
     Parameters
     ----------
     spectral : SpectralImage
     path : Path
-        Of the file, beside which its scene is.
+        File, beside its scene.
     """
     with fitting(path, "render the scene again"):
         image = _image_of(spectral, path.parent)
@@ -91,14 +91,14 @@ def image_from(spectral: exr.SpectralImage, path: Path) -> Image:
 
 
 def _refuse_impossible(image: Image) -> None:
-    """Raise a ValueError where an image's numbers cannot be those of a render."""
+    """Raise a ValueError if an image's numbers cannot come from a render."""
     columns, rows = image.scene.camera.sensor.pixels
     shape = (rows, columns, image.scene.channels)
     if image.mean.shape != shape:
         raise ValueError(f"its pixels are {image.mean.shape}, and its scene's sensor has {shape}")
     if not np.isfinite(image.mean).all() or (image.mean < 0.0).any():
         raise ValueError("it has pixels that are negative, infinite or no number")
-    # A single replicate has no spread, and NaN stands for its error.
+    # A single replicate has no spread, so its error is NaN.
     if np.isinf(image.stderr).any() or (image.stderr < 0.0).any():
         raise ValueError("it has standard errors that are negative or infinite")
     for name, value in {"seconds": image.seconds, "samples": image.samples, **image.timings}.items():
@@ -130,14 +130,14 @@ def _image_of(spectral: exr.SpectralImage, folder: Path) -> Image:
         coatings=metadata.get("coatings") or {},
         certainty=_certainty_of(spectral.parts),
     )
-    # Runs of older versions hold no warnings, but the numbers that they follow from.
+    # Runs of older versions store no warnings, but the numbers behind them.
     told = metadata.get("warnings")
     image.warnings = in_order(found(image)) if told is None else tuple(PictureWarning.from_dict(each) for each in told)
     return image
 
 
 def _certainty_of(parts: dict[str, NDArray[Any]]) -> Certainty | None:
-    """Return errors and bounds that were saved; None of an image of a single part, which tells them itself."""
+    """Return the saved errors and bounds; None for an image of a single part, which computes them itself."""
     if ERROR not in parts or UPPER not in parts:
         return None
     return Certainty(parts[ERROR].astype(np.float64), parts[UPPER].astype(np.float64))
@@ -151,7 +151,7 @@ def write_image(path: Path, image: Image, home: Path) -> dict[str, Any]:
     path : Path
     image : Image
     home : Path
-        Folder of the run.
+        Run folder.
     """
     mean, stderr = (np.asarray(pixels, dtype=np.float32) for pixels in (image.mean, image.stderr))
     parts: dict[str, NDArray[Any]] = {"raw": mean, "stderr": stderr}
@@ -198,7 +198,7 @@ def _metadata(image: Image, pixels_sha256: str, home: Path) -> dict[str, Any]:
 
 
 def _digest(*parts: NDArray[Any]) -> str:
-    """Hash of the pixels as stored; equal for two runs only if they agree in every bit."""
+    """Hash the pixels as stored; equal only for runs that agree in every bit."""
     digest = hashlib.sha256()
     for pixels in parts:
         digest.update(np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<")).data)
@@ -206,15 +206,15 @@ def _digest(*parts: NDArray[Any]) -> str:
 
 
 def scene_metadata(scene: Scene, home: Path) -> dict[str, Any]:
-    """Return what `scene_from` reads, for a file that will live in `home`."""
+    """Return the metadata that `scene_from` reads, for a file that will live in `home`."""
     scene = scene if scene.folder == home.resolve() and scene.digests else within(scene, home)
     return {"scene_toml": scene.dump_toml(), "scene_folder": ".", "inputs": scene.digests}
 
 
 def scene_from(metadata: dict[str, Any], folder: Path) -> Scene:
-    """Return the scene as rendered, without asking whether its meshes and textures still exist."""
+    """Return the scene as rendered, without checking that its meshes and textures still exist."""
     table = parse_toml(metadata["scene_toml"])
-    # Files written when every scene without replicates had 8 do not name them.
+    # Older files omit the number of replicates where it was the default, 8.
     table.setdefault("transport", {}).setdefault("replicates", REPLICATES)
     scene = Scene(**table).in_folder(folder / metadata["scene_folder"])
     inputs = metadata.get("inputs", {})

@@ -11,11 +11,11 @@ from lfmesh.scene import Scene
 from lfmesh.scene.inputs import COPIES, digest_of, files_of
 
 LIMIT_BYTES = 64 * 2**20
-"""Copies of a run in all, the smallest files first; what is beyond is known by its digest, and looked for."""
+"""Total size of a run's copies, smallest files first; the rest is located by path and checked by digest."""
 
 
 class Source(NamedTuple):
-    """A file that a scene names, with those that it reads in turn."""
+    """File that a scene names, with the files that it reads in turn."""
 
     path: Path
     others: list[str]
@@ -23,36 +23,36 @@ class Source(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> "Source":
-        """Look at a file."""
+        """Inspect a file."""
         others = companions(path)
         return cls(path, others, sum((path.parent / name).stat().st_size for name in [path.name, *others]))
 
     @property
     def movable(self) -> bool:
-        """True if all it reads lies in its folder or below."""
+        """True if all companion files lie in its folder or below."""
         return all(not Path(name).is_absolute() and ".." not in Path(name).parts for name in self.others)
 
 
 def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
-    """Return a scene as a run in `home` keeps it: paths from there, and the digests of the files.
+    """Return a scene as a run in `home` stores it: with paths relative to `home` and file digests.
 
     Parameters
     ----------
     scene : Scene
     home : Path
-        The run folder.
+        Run folder.
     staging : Path, optional
-        Where a new run is being made: files are copied there. Without, those are taken that the run has.
+        Staging folder of a new run, to copy files into. Without it, the run's existing copies are used.
     """
     names = dict.fromkeys(name for _, name in files_of(scene))
     paths, digests = {}, {}
-    # Anew, as they are now.
+    # Read the files anew, as they are now.
     scene = scene.in_folder(scene.folder)
     for name in names:
         try:
             paths[name] = scene.resolve(name)
         except FileError:
-            # It has changed or gone since it was traced: what it was stays known, and it is named when it is asked for.
+            # It has changed or gone since tracing: keep its digest, so that a later use reports the file.
             digests[name] = scene.digests[name]
             continue
         if paths[name].is_file():
@@ -70,7 +70,7 @@ def within(scene: Scene, home: Path, staging: Path | None = None) -> Scene:
 
 
 def _copied(paths: dict[str, Path], digests: dict[str, str], staging: Path) -> dict[str, str]:
-    """Copy what fits, and return the copies' paths from the run folder by the names in the scene."""
+    """Copy the files that fit; return the copies' paths from the run folder by the names in the scene."""
     sources = {name: Source.of(path) for name, path in paths.items()}
     copies: dict[str, str] = {}
     by_contents: dict[tuple[str, str], str] = {}
@@ -87,7 +87,7 @@ def _copied(paths: dict[str, Path], digests: dict[str, str], staging: Path) -> d
 
 
 def _copy(source: Source, staging: Path) -> str:
-    """Copy a file and those that it reads, these in a folder of their own; return its path from the run folder."""
+    """Copy a file and its companions to a folder of their own; return its path from the run folder."""
     folder = Path(COPIES, source.path.stem) if source.others else Path(COPIES)
     stem, number = source.path.stem, 1
     place = folder / source.path.name

@@ -1,8 +1,7 @@
-"""Changes inside a folder that reach nothing outside of it: no symbolic link is followed.
+"""Changes confined to a folder: no symbolic link is followed.
 
-A folder that came from elsewhere may hold a link in the place of one of its folders. So each folder on the way to a
-file is opened by a handle of the one above it, which fails on a link. Windows has no such handles: there, each folder
-is looked at before it is used.
+A folder from elsewhere may hold a link in place of a subfolder, so each subfolder is opened relative to the handle of
+its parent, which fails on a link. On Windows, which lacks such handles, each is checked before use.
 """
 
 import errno
@@ -15,13 +14,13 @@ from typing import Any
 from lfmesh.errors import FileError
 
 NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags for `os.open`, which then neither follows a link nor waits for the other end of a pipe."""
+"""Flags for `os.open` to neither follow a link nor wait for the other end of a pipe."""
 
 _HAS_HANDLES = os.stat in os.supports_dir_fd and hasattr(os, "O_DIRECTORY")
 
 
 def is_link(path: Path) -> bool:
-    """Tell whether a path is a symbolic link, or a junction of Windows."""
+    """Tell whether a path is a symbolic link or a Windows junction."""
     try:
         state = path.lstat()
     except OSError:
@@ -31,12 +30,12 @@ def is_link(path: Path) -> bool:
 
 
 def opened_here(path: str, flags: int) -> int:
-    """Open a regular file for writing, for `open`'s `opener`; a link in its place is not followed.
+    """Open a regular file for writing, as `opener` of `open`; never follow a link.
 
     Raises
     ------
     OSError
-        It is a link, or no regular file.
+        The path is a link or not a regular file.
     """
     if is_link(Path(path)):
         raise OSError(errno.ELOOP, "it is a link", path)
@@ -48,12 +47,11 @@ def opened_here(path: str, flags: int) -> int:
 
 
 def refuse_link(path: Path) -> None:
-    """Refuse a link in the place of a folder that lfmesh makes.
+    """Refuse a link in place of a folder that lfmesh makes.
 
     Parameters
     ----------
     path : Path
-        Of the folder.
 
     Raises
     ------
@@ -68,12 +66,12 @@ def refuse_link(path: Path) -> None:
 
 
 class Inside:
-    """The files inside a folder, by names with / between folders: a context manager.
+    """Context manager for the files inside a folder, by names with / between folders.
 
     Parameters
     ----------
     folder : Path
-        May be reached through links, as its user names it.
+        May be reached through links.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -90,7 +88,7 @@ class Inside:
         self._closed.close()
 
     def has(self, name: str) -> bool:
-        """Tell whether there is something of a name.
+        """Tell whether a name exists.
 
         Raises
         ------
@@ -100,19 +98,19 @@ class Inside:
         return self._mode(name) is not None
 
     def refuse_irregular(self, name: str) -> None:
-        """Refuse a name of something other than a regular file; there may be nothing.
+        """Refuse anything but a regular file or a missing one.
 
         Raises
         ------
         FileError
-            It is a link, a folder, a pipe, ...; or a folder on the way is a link.
+            It is a link, folder, pipe etc., or a folder on the way is a link.
         """
         mode = self._mode(name)
         if mode is not None and not stat.S_ISREG(mode):
             raise FileError(f"{self.folder / name} is no regular file, as lfmesh writes it: delete it")
 
     def move(self, name: str, other: str) -> None:
-        """Move a file, in place of another where there is one; make the folders that it goes into.
+        """Move a file, replacing any other; make the folders needed.
 
         Raises
         ------
@@ -126,7 +124,7 @@ class Inside:
         os.replace(source, target, src_dir_fd=before, dst_dir_fd=after)
 
     def remove(self, name: str) -> None:
-        """Remove a file, or a link itself, if it is there.
+        """Remove a file, or a link itself, if present.
 
         Raises
         ------
@@ -140,7 +138,7 @@ class Inside:
             os.unlink(path, dir_fd=handle)
 
     def _mode(self, name: str) -> int | None:
-        """Return the mode of what has a name, None for nothing."""
+        """Return the mode of a name, None if it does not exist."""
         try:
             path, handle = self._at(name)
             return os.stat(path, dir_fd=handle, follow_symlinks=False).st_mode
@@ -148,14 +146,14 @@ class Inside:
             return None
 
     def _make(self, place: PurePosixPath) -> None:
-        """Make a folder and those above it."""
+        """Make a folder and its parents."""
         if place.parts and not self.has(place.as_posix()):
             self._make(place.parent)
             path, handle = self._at(place.as_posix())
             os.mkdir(path, dir_fd=handle)
 
     def _at(self, name: str) -> tuple[Any, int | None]:
-        """Return a path and the handle of the folder that it starts from."""
+        """Return a path and the handle of the folder that it is relative to."""
         place = PurePosixPath(name)
         if _HAS_HANDLES:
             return place.name, self._handle(place.parent)
@@ -165,7 +163,7 @@ class Inside:
         return self.folder / place, None
 
     def _handle(self, place: PurePosixPath) -> int:
-        """Open a folder inside, by the handle of the one above it."""
+        """Open a subfolder through the handle of its parent."""
         if place not in self._handles:
             above = self._handle(place.parent)
             try:

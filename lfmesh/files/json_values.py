@@ -8,7 +8,7 @@ import numpy as np
 
 
 def plain_json(value: Any) -> Any:
-    """Return a value, and all that it holds, as plain JSON values: JSON has no NaN, no infinity and no numpy."""
+    """Convert a value and its contents to plain JSON, which has no NaN, infinity or numpy types."""
     if isinstance(value, dict):
         return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -21,12 +21,12 @@ def plain_json(value: Any) -> Any:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value that a JSON text holds.
+    """Return the value of a JSON text.
 
     Raises
     ------
     ValueError
-        It is no JSON, or nested deeper than Python can read.
+        The text is not JSON, or is nested too deeply for Python.
     """
     try:
         return json.loads(text)

@@ -1,4 +1,4 @@
-"""The picture of a plenoptic camera with one value for each lenslet, drawn smoothly."""
+"""Picture of a plenoptic camera from one value per lenslet, drawn smoothly."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,29 +9,29 @@ from lfmesh.kernels.decorators import kernel
 Array = NDArray[np.float64]
 
 BLUR = 0.5
-"""Standard deviation of the Gaussian that joins lenslets to a picture, in pitches."""
+"""Standard deviation, in pitches, of the Gaussian that blends lenslets into a picture."""
 
 
 PARTS = 8
-"""Parts along each side of a pixel that lies in several micro-images."""
+"""Subdivisions along each side of a pixel that lies in several micro-images."""
 
 
 def lenslet_means(power: Array, micro_images: Lattice) -> Array:
-    """Average the light of every micro-image over its area.
+    """Average the light of each micro-image over its area.
 
-    Pixels on its border count by their parts in it. By whole pixels some micro-images would have a row more than their
-    neighbours, a dark one, and the picture a pattern of bars.
+    Border pixels count in proportion to their area inside. Whole pixels would give some micro-images a dark row that
+    their neighbours lack, and the picture bars.
 
     Parameters
     ----------
     power : (H, W, wavelengths) float64
     micro_images : Lattice
-        The nominal lattice as it falls on the sensor, its pitch in pixels.
+        Nominal lattice on the sensor, its pitch in pixels.
 
     Returns
     -------
     (rows, columns, wavelengths) float64
-        0 for lenslets that have no pixel.
+        0 for lenslets without pixels.
     """
     sums = np.zeros((micro_images.rows, micro_images.columns, power.shape[2]))
     areas = np.zeros(sums.shape[:2])
@@ -40,17 +40,16 @@ def lenslet_means(power: Array, micro_images: Lattice) -> Array:
 
 
 def paint(means: Array, micro_images: Lattice, longest_px: int = 640) -> Array:
-    """Draw one value a lenslet as a smooth picture, in the orientation of the sensor.
+    """Draw one value per lenslet as a smooth picture, in the orientation of the sensor.
 
-    Every point of the picture is the Gaussian-weighted mean of the lenslets around it, which serves square
-    and hexagonal arrays alike.
+    Each point is the Gaussian-weighted mean of the surrounding lenslets, for square and hexagonal arrays alike.
 
     Parameters
     ----------
     means : (rows, columns, wavelengths) float64
     micro_images : Lattice
     longest_px : int
-        Length of the picture's longer side.
+        Longer side of the picture.
 
     Returns
     -------
@@ -66,7 +65,7 @@ def paint(means: Array, micro_images: Lattice, longest_px: int = 640) -> Array:
 
 @kernel
 def _add_to_lenslets(power: Array, lattice: Lattice, sums: Array, areas: Array) -> None:
-    """Add every pixel, or each of its parts, to the lenslet whose micro-image it lies in, and its area, pixels, too."""
+    """Add each pixel, or its parts, to the sum and area (in pixels) of the lenslet behind which it lies."""
     height, width, channels = power.shape
     for r in range(height):
         for c in range(width):
@@ -88,14 +87,14 @@ def _add_to_lenslets(power: Array, lattice: Lattice, sums: Array, areas: Array) 
 
 @kernel
 def _blend(means: Array, lattice: Lattice, step: float, picture: Array) -> None:
-    """Fill the picture, whose points lie `step` apart, with weighted means of the lenslets around each."""
+    """Fill the picture, with points `step` apart, with weighted means of the surrounding lenslets."""
     height, width, channels = picture.shape
     for r in range(height):
         for c in range(width):
             x, y = (c - 0.5 * (width - 1)) * step, (r - 0.5 * (height - 1)) * step
             near_column, near_row = cell_of(lattice, x, y)
             total = 0.0
-            # Two columns to either side: the rows of a hexagonal lattice are shifted against each other.
+            # Two columns to either side, as the rows of a hexagonal lattice are offset.
             for row in range(near_row - 1, near_row + 2):
                 for column in range(near_column - 2, near_column + 3):
                     if is_inside(lattice, column, row):

@@ -1,4 +1,4 @@
-"""Locks on folders, and on files that stand for a process."""
+"""Locks on folders, and on files that represent a process."""
 
 import os
 from collections.abc import Iterator
@@ -9,12 +9,12 @@ from typing import Any
 
 from lfmesh.files.inside import NO_LINK
 
-# Windows has none.
+# Windows has no fcntl.
 fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 
 
 def held(path: Path) -> int | None:
-    """Lock a folder as long as this process has the handle open; None where that cannot be done."""
+    """Lock a folder while the returned handle is open; return None if locking is impossible."""
     if fcntl is None:
         return None
     handle, ours = opened_and_locked(path, os.O_RDONLY | os.O_DIRECTORY | NO_LINK, wait=True)
@@ -26,14 +26,14 @@ def held(path: Path) -> int | None:
 
 @contextmanager
 def locked(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
-    """Hold a lock on a folder, or without waiting on a file or folder inside one.
+    """Hold a lock on a folder or, without waiting, on a file or folder inside one.
 
-    Yields False where another has the lock, None where there are no locks.
+    Yields False if another process has the lock, None if locking is unavailable.
     """
     if fcntl is None:
         yield None
         return
-    # The user's own folder may be reached through a link; what lies in it may not. Neither is a pipe waited for.
+    # The user's own folder may be reached through a link, its content may not; and never wait for a pipe.
     handle, ours = opened_and_locked(path, os.O_RDONLY | (os.O_DIRECTORY if wait else NO_LINK), wait=wait)
     try:
         yield ours
@@ -42,15 +42,15 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[bool | None]:
 
 
 def opened_and_locked(path: Path, flags: int, *, wait: bool) -> tuple[int, bool | None]:
-    """Open a path and lock it; return its handle and whether the lock is ours, None where there are no locks.
+    """Open and lock a path; return its handle and whether the lock is ours, None if locking is unavailable.
 
     Parameters
     ----------
     path : Path
     flags : int
-        As `os.open` takes them.
+        Flags for `os.open`.
     wait : bool
-        Wait until another process releases the lock.
+        Wait for another process to release the lock.
     """
     handle = os.open(path, flags, 0o666)
     try:

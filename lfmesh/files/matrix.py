@@ -1,8 +1,8 @@
-"""Projection matrices on disk: streamed in blocks of pixels, gone on with where a run was cut short.
+"""Projection matrices on disk: written in blocks of pixels, and resumed after an interruption.
 
-Beside the file that is to be stands a folder with the finished blocks, which goes when the file is complete. Only one
-block is in memory at a time. An `.npz` is what `scipy.sparse.load_npz` reads, with the axes and errors as further
-arrays; HDF5 has the same arrays as data sets.
+Finished blocks are kept in a folder beside the final file until it is complete. Only one block is in memory at a time.
+`scipy.sparse.load_npz` reads the `.npz`, which has axes and errors as further arrays; HDF5 holds the same arrays as
+data sets.
 """
 
 import json
@@ -37,17 +37,17 @@ from lfmesh.scene import Scene
 NUMPY, HDF5 = (".npz",), (".h5", ".hdf5")
 
 FACTS, WHOLE = "facts.json", "whole"
-"""Files in the folder of blocks: what they are blocks of, and the file that they are joined into."""
+"""Files in the folder of blocks: the matrix to which they belong, and the joined file."""
 
 PER_ROW = {"row_error": "row_stderr", "dropped": "dropped"}
 PER_ENTRY = {"value": "data", "column": "indices", "error": "stderr"}
-"""Arrays of a block, and what they are called in the file."""
+"""Names of a block's arrays, and their names in the file."""
 
 BY_ROW = "row_stderr", "dropped", "pixels"
-"""Arrays with a number for each row of the matrix."""
+"""Arrays with one number per row of the matrix."""
 
 SMALL_BYTES, BYTES_A_NUMBER = 1 << 24, 16
-"""Largest array of a matrix that is neither of its rows nor of its entries; largest number of those that are."""
+"""Limits on reading: bytes of an array that is neither per row nor per entry, and bytes per number of the others."""
 
 UNIT = "mm^3 sr: W on a pixel for 1 W/(mm^3 sr) of a voxel"
 
@@ -59,9 +59,9 @@ def write_projection_matrix(
     threshold: float = THRESHOLD, absorption: bool = False, inside: str | None = None, say: Say | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
-    """Trace a projection matrix into a file, block after block; see `lf.projection_matrix`.
+    """Trace a projection matrix into a file, block by block; see `lf.projection_matrix`.
 
-    Called again after it was cut short, it goes on where it was, to the same bits.
+    After an interruption, another call resumes and gives a bitwise identical result.
 
     Parameters
     ----------
@@ -70,21 +70,20 @@ def write_projection_matrix(
     path : Path
         Ends in `.npz`, or in `.h5` or `.hdf5`, which needs h5py.
     say : callable, optional
-        Called with lines for the user: the expected size, first of all.
+        Called with messages, the expected size first.
     progress : callable, optional
-        Called with the number of finished pixels and that of all.
+        Called with the numbers of finished and of all pixels.
 
     Returns
     -------
     Path
-        Of the file.
 
     Raises
     ------
     FileError
-        The file cannot be written, there is too little room for it, or the blocks beside it are of another matrix.
+        The file cannot be written, the disk is too full, or the blocks beside it are of another matrix.
     LfmeshError
-        As from `lf.projection_matrix`.
+        As for `lf.projection_matrix`.
     """
     path = Path(path)
     _check_ending(path)
@@ -121,17 +120,17 @@ def write_projection_matrix(
 
 
 def blocks_folder(path: Path) -> Path:
-    """Return the folder of the blocks of the file that is to be at `path`."""
+    """Return the folder of blocks for the file at `path`."""
     return path.with_name(path.name + ".parts")
 
 
 def finished_blocks(path: Path) -> int:
-    """Return how many blocks of a matrix that was cut short stand beside the file that is to be."""
+    """Return the number of finished blocks of an interrupted matrix."""
     return sum(1 for block in blocks_folder(path).glob("*.npz") if block.stem.isdigit())
 
 
 def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
-    """Read a projection matrix that `write_projection_matrix` has written.
+    """Read a projection matrix written by `write_projection_matrix`.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
     Raises
     ------
     FileError
-        The file is none, or damaged.
+        The file is not a projection matrix, or is damaged.
     """
     path = Path(path)
     _check_ending(path)
@@ -156,20 +155,20 @@ def open_projection_matrix(path: str | Path) -> ProjectionMatrix:
             return _matrix(list(file), lambda name: _header(file[name]), lambda name: file[name][()])
     except FileNotFoundError:
         raise FileError(f"{path}: no such file") from None
-    except Exception:  # of a damaged file numpy's and HDF5's readers may raise anything
+    except Exception:  # numpy's and HDF5's readers may raise anything for a damaged file
         raise FileError(f"{path} is no projection matrix, or damaged") from None
 
 
 def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable[[str], Any]) -> ProjectionMatrix:
     """Return the matrix of a file.
 
-    A packed file may announce a thousandfold of its size: only what fits the rest is unpacked.
+    A compressed file may declare arrays a thousand times its size; only arrays of consistent size are unpacked.
 
     Parameters
     ----------
     names : list of str
     announced : callable
-        Returns the shape and the kind of an array by its name.
+        Returns the shape and type of an array by its name.
     read : callable
         Returns an array.
 
@@ -200,7 +199,7 @@ def _matrix(names: list[str], announced: Callable[[str], Header], read: Callable
     numbers = float(small("threshold")), float(small("wavelength_nm"))
     told = parse_json(bytes(small("warnings") if "warnings" in names else b"[]"))
     warnings = tuple(map(PictureWarning.from_dict, told))
-    # What is large is read last, after all else has been found right.
+    # Read the large arrays last, after all else has been validated.
     for name, count in {"indptr": rows + 1, **dict.fromkeys(BY_ROW, rows)}.items():
         refuse_misfit(name, count)
     ends = read("indptr")
@@ -246,7 +245,7 @@ def _name(number: int) -> str:
 
 
 def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
-    """Return what decides the contents of every block."""
+    """Return the facts that determine the contents of every block."""
     grid, scene = projector.grid, projector.world.scene
     return {
         "lfmesh_version": lfmesh.__version__,
@@ -269,7 +268,7 @@ def _facts(projector: Projector, pixels: NDArray[np.int64]) -> dict[str, Any]:
 
 
 def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
-    """Make the folder of blocks, or find the one of a run that was cut short; return how many blocks are there."""
+    """Make the folder of blocks, or find that of an interrupted run; return the number of finished blocks."""
     made_inside(parts.parent, parts.name)
     file = parts / FACTS
     if not file.exists():
@@ -286,7 +285,7 @@ def _begin(parts: Path, facts: dict[str, Any], blocks: int) -> int:
 
 
 def _join(path: Path, parts: Path, blocks: int, projector: Projector, pixels: NDArray[np.int64]) -> str:
-    """Join the blocks into the file, array by array; return in words what is in it."""
+    """Join the blocks into the file, array by array; return a summary in words."""
     entries = [_array(parts, number, "entries") for number in range(blocks)]
     end = np.concatenate([[0], np.cumsum(np.concatenate(entries))])
     if end[-1] == 0:

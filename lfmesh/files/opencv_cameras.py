@@ -1,4 +1,4 @@
-"""The views of a camera model in OpenCV's terms: `cameras.json`, which its functions take as it is."""
+"""Views of a camera model as OpenCV cameras in `cameras.json`, ready for OpenCV's functions."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ from lfmesh.regular_file import read_text
 NAME = "cameras.json"
 
 FORMAT = 1
-"""Of the file."""
+"""Version of the file format."""
 
 ABOUT = {
     "cameras": "one pinhole a view, v and u as in lightfield.exr; view_v00_u00 is the highest and leftmost viewpoint",
@@ -29,27 +29,27 @@ ABOUT = {
     "view and points on them at distances_mm before the first vertex of the lens",
     "without_pinhole": "[v, u] of views whose rays the lens stops",
 }
-"""Meaning of the fields."""
+"""Meaning of each field."""
 
 
 def write_cameras(model: CameraModel, ray_map: Path) -> Path:
-    """Write the pinholes of all views beside the file with the rays of the pixels.
+    """Write the pinhole cameras of all views beside the ray map.
 
     Parameters
     ----------
     model : CameraModel
     ray_map : Path
-        That file.
+        Rays of the pixels.
 
     Returns
     -------
     Path
-        Of ``cameras.json``.
+        The file ``cameras.json``.
 
     Raises
     ------
     FileError
-        The file cannot be written, or as `refuse_other_cameras`.
+        The file cannot be written, or as for `refuse_other_cameras`.
     """
     refuse_other_cameras(ray_map)
     path, views = ray_map.with_name(NAME), model.views
@@ -87,17 +87,16 @@ def _camera(model: CameraModel, v: int, u: int) -> dict[str, Any]:
 
 
 def refuse_other_cameras(ray_map: Path) -> None:
-    """Refuse a place for a ray map beside which the pinholes of another one stand.
+    """Refuse a place for a ray map beside the pinhole cameras of another one.
 
     Parameters
     ----------
     ray_map : Path
-        File to write.
 
     Raises
     ------
     FileError
-        ``cameras.json`` there is of another ray map, or no file of lfmesh.
+        ``cameras.json`` there belongs to another ray map or was not written by lfmesh.
     """
     path = ray_map.with_name(NAME)
     if not path.exists():

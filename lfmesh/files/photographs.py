@@ -1,4 +1,4 @@
-"""Photographs computed from a light field: as EXR with their standard errors, and as pictures."""
+"""Photographs computed from a light field: EXR with standard errors, and pictures."""
 
 import math
 from pathlib import Path
@@ -16,14 +16,14 @@ STACK, ALL_IN_FOCUS = "stack", "all_in_focus"
 
 
 def save_photograph(photograph: Photograph, folder: Path) -> list[Path]:
-    """Add a photograph to a run folder as ``refocused_480mm.exr`` and ``.png``, both upright; return the files.
+    """Add a photograph to a run folder as upright ``refocused_480mm.exr`` and ``.png``; return the files.
 
-    Those of methods other than "shift" have the method in their names: ``refocused_480mm_fourier.exr``.
+    Names include methods other than "shift": ``refocused_480mm_fourier.exr``.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     method = "" if photograph.method == "shift" else f"_{photograph.method}"
     name = f"refocused_{photograph.distance_mm:.10g}mm{method}"
@@ -35,12 +35,12 @@ def save_photograph(photograph: Photograph, folder: Path) -> list[Path]:
 
 
 def save_stack(stack: FocalStack, folder: Path) -> list[Path]:
-    """Add a focal stack: ``stack.exr`` with a part a plane, ``stack.png`` animated; return the files.
+    """Add a focal stack: ``stack.exr`` with one part per plane, and an animated ``stack.png``; return the files.
 
     Raises
     ------
     FileError
-        As `save_photograph`.
+        As for `save_photograph`.
     """
     first = stack.photographs[0]
     facts = {"planes": [_facts(photograph) for photograph in stack.photographs]}
@@ -53,12 +53,12 @@ def save_stack(stack: FocalStack, folder: Path) -> list[Path]:
 
 
 def save_all_in_focus(picture: AllInFocus, folder: Path) -> list[Path]:
-    """Add ``all_in_focus.exr``, which also holds the distance of each sample, and ``.png``; return the files.
+    """Add ``all_in_focus.exr``, including the distance of each sample, and ``.png``; return the files.
 
     Raises
     ------
     FileError
-        As `save_photograph`.
+        As for `save_photograph`.
     """
     distance = np.repeat(picture.distance_mm[:, :, None], len(picture.wavelengths_nm), axis=2)
     parts = {"mean": picture.mean, "stderr": picture.stderr, "distance_mm": distance}

@@ -1,4 +1,4 @@
-"""Upright pictures of views and photographs for the eye, single or as an animation."""
+"""Upright pictures of views and photographs for the eye, single or animated."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,26 +11,26 @@ from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.files.preview import white_point
 
 LEAST_PX = 480
-"""Pictures whose longer side is shorter than this are enlarged to about this."""
+"""Pictures with a shorter longest side are enlarged to about this."""
 
 FRAME_MS = 120
 
 
 def write_picture(path: Path, light: NDArray[np.floating], wavelengths_nm: tuple[float, ...]) -> None:
-    """Write an upright (H, W, wavelengths) picture as 8-bit sRGB PNG; what is not known is black.
+    """Write an upright (H, W, wavelengths) picture as 8-bit sRGB PNG; unknown samples are black.
 
     Parameters
     ----------
     path : Path
     light : (H, W, wavelengths) float
-        NaN where it is not known.
+        NaN where unknown.
     wavelengths_nm : sequence of float
     """
     _frames([light], wavelengths_nm)[0].save(path, format="PNG")
 
 
 def write_animation(path: Path, lights: Sequence[NDArray[np.floating]], wavelengths_nm: tuple[float, ...]) -> None:
-    """Write upright pictures of one exposure as an animated PNG that runs there and back again.
+    """Write upright pictures, at one exposure, as an animated PNG that runs forwards and backwards.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Files of a point spread: power as EXR, a picture with its scale, facts as JSON."""
+"""Files of a point spread: power as EXR, a scaled picture, facts as JSON."""
 
 import io
 import json
@@ -11,18 +11,18 @@ from lfmesh.files.whole import make_folder, try_folder, write_whole
 from lfmesh.waves.point_spread import PointSpread
 
 PNG_DPI = 150
-"""Pixels an inch of the picture."""
+"""Pixels per inch of the picture."""
 
 NAMES = tuple(f"spread.{kind}" for kind in ("exr", "png", "json"))
 
 
 def prepare(folder: Path) -> None:
-    """Check that a point spread can be written into a folder; leave nothing behind.
+    """Check that a point spread can be written into a folder, without leaving anything there.
 
     Raises
     ------
     FileError
-        It holds one already, or cannot be written.
+        The folder already holds one or cannot be written.
     """
     there = next((name for name in NAMES if (folder / name).exists()), None)
     if there is not None:
@@ -31,18 +31,18 @@ def prepare(folder: Path) -> None:
 
 
 def write_point_spread(spread: PointSpread, folder: Path) -> list[Path]:
-    """Write spread.exr, spread.png (its figure) and spread.json into a folder; return their paths.
+    """Write spread.exr, spread.png (the figure) and spread.json to a folder; return their paths.
 
     Parameters
     ----------
     spread : PointSpread
     folder : Path
-        Made if it is not there.
+        Created if missing.
 
     Raises
     ------
     FileError
-        It cannot be written.
+        A file cannot be written.
     """
     make_folder(folder)
     exr, png, facts = (folder / name for name in NAMES)

@@ -1,4 +1,4 @@
-"""Pictures of a run: the raw image exposed for the eye, and as 16-bit linear counts."""
+"""Pictures of a run: the raw image exposed for the eye, and linear 16-bit counts."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,22 +11,22 @@ from lfmesh.files.colour import srgb_encode, to_display
 from lfmesh.scene.camera.bands import channel_labels
 
 WHITE_PERCENTILE = 99.5
-"""Of the pixels that got light: a few glints must not darken the whole picture."""
+"""Percentile over the lit pixels: a few glints must not darken the whole picture."""
 
 KNOWN = 0.5
-"""A pixel whose relative standard error is larger does not set the exposure: one rare heavy sample may have made it."""
+"""Largest relative standard error of a pixel that sets the exposure; a single heavy sample may cause larger ones."""
 
 COUNTS = 65535
 
 BAND = 64
-"""Rows that are made into a picture together: a large sensor leaves no room for copies of its whole film."""
+"""Rows converted at a time: memory may not hold a copy of a large sensor's whole film."""
 
 
 def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = None) -> float:
     """Return the value that a preview shows as white; 0 for a black image.
 
-    A percentile over the pixels that got any light, so that a small object in the dark is not burnt out; over the
-    `known` ones (H, W) among them, if there are any.
+    It is a percentile over the lit pixels, so that a small object in the dark is not overexposed; over the `known` ones
+    (H, W) if there are any.
     """
     lit = light > 0.0
     if known is not None:
@@ -37,13 +37,13 @@ def white_point(light: NDArray[np.float64], known: NDArray[np.bool_] | None = No
 
 
 def bands(height: int) -> Iterator[slice]:
-    """Yield the rows of a picture, `BAND` at a time."""
+    """Yield slices of `BAND` rows."""
     for first in range(0, height, BAND):
         yield slice(first, min(first + BAND, height))
 
 
 def well_known(power: NDArray[np.float64], stderr: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which pixels (H, W) are known well enough in every wavelength to set the exposure."""
+    """Tell which pixels (H, W) are known well enough at every wavelength to set the exposure."""
     known = np.zeros(power.shape[:2], np.bool_)
     for rows in bands(len(power)):
         known[rows] = (stderr[rows] <= KNOWN * power[rows]).all(axis=2)
@@ -56,21 +56,21 @@ def write_preview(
     wavelengths_nm: tuple[float, ...],
     stderr: NDArray[np.float64] | None = None,
 ) -> float:
-    """Write an 8-bit sRGB PNG that exposes itself.
+    """Write an automatically exposed 8-bit sRGB PNG.
 
     Parameters
     ----------
     path : Path
     power : (H, W, wavelengths) float64, W
-        Upright: see `lfmesh.lightfield.views.upright`.
+        Upright, see `lfmesh.lightfield.views.upright`.
     wavelengths_nm : tuple of float
     stderr : (H, W, wavelengths) float64, W, optional
-        Of `power`; pixels that are hardly known do not set the exposure.
+        Noisy pixels do not set the exposure.
 
     Returns
     -------
     float
-        The power shown as white, W (mean over the wavelengths for a grey picture); 0 if the picture is black.
+        Power shown as white, W (mean over the wavelengths if grey); 0 for a black picture.
     """
     picture, white = displayed(power, wavelengths_nm, stderr)
     PIL.Image.fromarray(picture).save(path, format="PNG")
@@ -80,12 +80,12 @@ def write_preview(
 def displayed(
     power: NDArray[np.float64], wavelengths_nm: tuple[float, ...], stderr: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.uint8], float]:
-    """Return an 8-bit sRGB picture (H, W) or (H, W, 3) that exposes itself, and the power shown as white.
+    """Return an automatically exposed 8-bit sRGB picture, (H, W) or (H, W, 3), and the power shown as white.
 
     Parameters
     ----------
     power, wavelengths_nm, stderr
-        As for `write_preview`; the picture lies as the power does.
+        As for `write_preview`; the picture has the orientation of the power.
     """
     light = to_display(power, wavelengths_nm)
     known = None if stderr is None else well_known(power, stderr)
@@ -100,11 +100,10 @@ def displayed(
 def write_linear16(
     folder: Path, power: NDArray[np.float64], wavelengths_nm: tuple[float, ...]
 ) -> tuple[list[str], float]:
-    """Write 16-bit grey PNGs of linear counts from an upright image.
+    """Write an upright image as 16-bit grey PNGs of linear counts.
 
-    One wavelength gives ``linear16.png``, several give ``linear16_486.1nm.png`` and so on, bands ``linear16_R.png``,
-    all to one scale.
-    The brightest pixel has the count 65535, so nothing is clipped.
+    One wavelength gives ``linear16.png``, several ``linear16_486.1nm.png`` etc., and bands ``linear16_R.png`` etc., on
+    a common scale. The brightest pixel has the count 65535, so nothing is clipped.
 
     Parameters
     ----------
@@ -116,7 +115,7 @@ def write_linear16(
     -------
     names : list of str
     watts_per_count : float
-        Power in W is count times this; 0 for a black image.
+        Power in W per count; 0 for a black image.
     """
     peak = float(power.max(initial=0.0))
     counts = np.zeros(power.shape, np.uint16)

@@ -1,4 +1,4 @@
-"""The run folder: a rendered image with everything that is needed to judge and to repeat it."""
+"""Run folder: a rendered image with everything needed to judge and repeat it."""
 
 import itertools
 import json
@@ -49,14 +49,14 @@ from lfmesh.scene.literals import shown_path
 from lfmesh.transport.render.image import Image
 
 WHY_OTHERS_ARE_REFUSED = {1: "its pictures and light fields are mirror images of what the camera saw"}
-"""Faults of runs of older formats and of what was made from them, by format."""
+"""Faults of runs in older formats, and of files derived from them, by format."""
 
 RAW, REPORT, SCENE = "raw.exr", "report.json", "scene.toml"
 PREVIEW, VIEW = "preview.png", "preview_view.png"
 WHITE, CALIBRATION, WHITE_PREVIEW = "white.exr", "calibration.json", "white.png"
 
 EDITED_SECONDS = 2.0
-"""A scene file of a run without manifest that is newer than the report by more was edited."""
+"""A scene file that is newer than the report by more than this was edited (runs without a manifest)."""
 
 _OURS = re.compile(
     r"raw\.exr|report\.json|scene\.toml|preview(_view)?\.png|linear16[\w.]*\.png|calibration\.json|views\.png"
@@ -66,12 +66,12 @@ _OURS = re.compile(
 
 
 def prepare(folder: str | os.PathLike[str]) -> Path:
-    """Check, before any work is done, that a run can be saved into a folder; leave nothing behind.
+    """Check that a run can be saved into a folder, without leaving anything there.
 
     Parameters
     ----------
     folder : path
-        May be missing, empty, or hold an older run.
+        Missing, empty, or holding an older run.
 
     Returns
     -------
@@ -80,8 +80,8 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileError
-        It is no folder, holds something that is not a run, a scene file of a run that was edited, or cannot be
-        written.
+        The path is not a folder or cannot be written, or it holds something other than a run, or an edited scene file
+        of a run.
     """
     path = Path(folder)
     with _writable(path) as made:
@@ -97,17 +97,17 @@ def prepare(folder: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def rendering(folder: Path) -> Iterator[None]:
-    """Keep other processes from rendering or saving into a run folder while the body computes what belongs there.
+    """Keep other processes from rendering or saving into a run folder while the body computes.
 
     Parameters
     ----------
     folder : Path
-        Made if it is missing, and removed at the end if it stays empty.
+        Created if missing, and removed at the end if empty.
 
     Raises
     ------
     FileError
-        Another process renders into it, or it cannot be written.
+        Another process is rendering into the folder, or it cannot be written.
     """
     with ExitStack() as stack:
         with _writable(folder) as made:
@@ -119,15 +119,20 @@ def rendering(folder: Path) -> Iterator[None]:
 def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
     """Write an image as a run folder, or a scene as a scene file.
 
-    A scene is written as TOML that loads to an equal scene; relative paths in it start from its new place. Of an image:
-    ``raw.exr`` holds the mean and its standard error as float32, the samples that brought light as uint32 and, as
-    JSON, everything else that `open_run` needs; ``report.json`` the numbers; ``scene.toml`` the scene as rendered;
-    ``preview.png`` the raw image and, for a light-field camera, ``preview_view.png`` the picture it saw;
-    ``linear16.png`` linear counts; ``inputs`` copies of the meshes and textures; ``manifest.json`` every file with its
-    digest. Pictures are upright; ``raw.exr`` lies as on the sensor, and says so. The files are written beside their
-    places and moved there when all are complete, so that a failure or Ctrl-C leaves the folder as it was. An older run
-    is replaced; other files stay, and a scene file of the run that was edited stays under another name. A complete
-    image takes the place of a checkpoint.
+    A scene is written as TOML that loads to an equal scene, with relative paths from its new place. An image is written
+    as
+
+    - ``raw.exr``: mean and standard error as float32, samples that found light as uint32, and other data as JSON
+    - ``report.json``: figures of the run
+    - ``scene.toml``: the scene as rendered
+    - ``preview.png``: the raw image; for a light-field camera also ``preview_view.png``, the picture it saw
+    - ``linear16.png``: linear counts
+    - ``inputs``: copies of meshes and textures
+    - ``manifest.json``: every file with its digest
+
+    Pictures are upright; ``raw.exr`` is oriented as on the sensor. Files are moved into place when all are complete, so
+    a failure or Ctrl-C leaves the folder unchanged. An older run is replaced; its edited scene file is renamed, and
+    other files stay. A complete image removes any checkpoint.
 
     Parameters
     ----------
@@ -143,8 +148,8 @@ def save(content: Image | Scene, place: str | os.PathLike[str]) -> Path:
     Raises
     ------
     FileError
-        As `prepare`, or another process renders or saves into the folder, or the disk is full, or a scene file has
-        another ending.
+        As for `prepare`; or another process is rendering or saving into the folder, the disk is full, or a scene file
+        has another extension.
     """
     path = Path(place)
     if isinstance(content, Scene):
@@ -174,7 +179,7 @@ def open_run(folder: str | os.PathLike[str]) -> Image:
     Returns
     -------
     Image
-        With the pixels as saved, that is rounded to float32.
+        Rounded to float32, as saved.
 
     Raises
     ------
@@ -199,19 +204,18 @@ def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike
     Parameters
     ----------
     white : Image
-        From `lf.white_image`, of the run's camera.
+        From `lf.white_image`, for the run's camera.
     calibration : Calibration
     folder : path
 
     Returns
     -------
     Path
-        The folder.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     path = Path(folder)
     with added(path) as staging:
@@ -223,12 +227,11 @@ def save_white(white: Image, calibration: Calibration, folder: str | os.PathLike
 
 
 def open_white(folder: str | os.PathLike[str]) -> Image | None:
-    """Read the white image of a run folder, None if it has none.
+    """Read the white image of a run folder; return None if it has none.
 
     Parameters
     ----------
     folder : str or path
-        Of the run.
 
     Returns
     -------
@@ -249,21 +252,16 @@ def open_white(folder: str | os.PathLike[str]) -> Image | None:
 
 
 def open_calibration(folder: str | os.PathLike[str]) -> Calibration | None:
-    """Read the geometry of the camera that `save_white` added to a run folder, None if it has none.
+    """Read the camera geometry added by `save_white`; return None if the run folder has none.
 
     Parameters
     ----------
     folder : str or path
-        Of the run.
-
-    Returns
-    -------
-    Calibration or None
 
     Raises
     ------
     FileError
-        It is not what was saved, or damaged.
+        It is damaged or differs from the one saved.
     """
     path = Path(folder)
     recover(path)
@@ -273,12 +271,12 @@ def open_calibration(folder: str | os.PathLike[str]) -> Calibration | None:
 
 @contextmanager
 def added(folder: Path) -> Iterator[Path]:
-    """Yield a folder for files that join a complete run, all of them or none, when the body is done.
+    """Yield a folder for files that join a complete run, all or none, when the body is done.
 
     Raises
     ------
     FileError
-        There is no complete run, or the folder cannot be written.
+        The folder holds no complete run or cannot be written.
     """
     report_of(folder)
     with _writable(folder), staged(folder) as staging:
@@ -297,7 +295,7 @@ def report_of(path: Path) -> dict[str, Any]:
     Raises
     ------
     FileError
-        There is no complete run, or another version of lfmesh wrote it.
+        The folder holds no complete run, or another version of lfmesh wrote it.
     """
     _check_folder(path)
     missing = [name for name in (RAW, REPORT) if not (path / name).is_file()]
@@ -314,13 +312,13 @@ def report_of(path: Path) -> dict[str, Any]:
             f" this lfmesh {lfmesh.__version__} reads format {FORMAT}"
             + (f": {reason}; render its {SCENE} again" if reason else "")
         )
-    # That it can be read, and by this version.
+    # Check that it can be read, and by this version.
     manifest_of(path)
     return report
 
 
 def _check_folder(path: Path) -> None:
-    """Raise if a run cannot be in a folder; finish what a process that died has left there."""
+    """Raise if a path cannot be a run; finish the work of a process that died."""
     recover(path)
     try:
         why = None if path.is_dir() else "it is a file" if path.exists() else "it does not exist"
@@ -331,12 +329,12 @@ def _check_folder(path: Path) -> None:
 
 
 def is_complete(path: Path) -> bool:
-    """Tell whether a folder holds the run of a render that came to its end, and no checkpoint of a later one.
+    """Tell whether a folder holds a finished render and no checkpoint of a later one.
 
     Raises
     ------
     FileError
-        It is no folder.
+        It is not a folder.
     """
     _check_folder(path)
     report = _read_report(path)
@@ -344,7 +342,7 @@ def is_complete(path: Path) -> bool:
 
 
 def has_checkpoint(path: Path) -> bool:
-    """Tell whether a render into a folder was cut short and can go on."""
+    """Tell whether a folder holds an interrupted render that can resume."""
     return (path / CHECKPOINT).is_file()
 
 
@@ -354,7 +352,7 @@ def pixels_digest(folder: Path) -> str:
     Raises
     ------
     FileError
-        There is no complete run, its report was changed, or another version of lfmesh wrote it.
+        The folder holds no complete run, its report was changed, or another version of lfmesh wrote it.
     """
     report = report_of(folder)
     _refuse_change(folder, REPORT)
@@ -362,9 +360,9 @@ def pixels_digest(folder: Path) -> str:
 
 
 def _refuse_change(folder: Path, name: str) -> None:
-    """Refuse a file that is not the one saved, before its contents are looked at.
+    """Refuse a file that differs from the one saved, before parsing it.
 
-    Readers of files with a few wrong bits may do anything.
+    Parsers may do anything on a few wrong bits.
     """
     if saved(folder, name) is None:
         raise FileError(f"{folder / MANIFEST} does not name {name}, without which there is no run; render it again")
@@ -372,9 +370,9 @@ def _refuse_change(folder: Path, name: str) -> None:
 
 @contextmanager
 def _writable(path: Path) -> Iterator[list[Path]]:
-    """Make a run folder, yield those folders that were missing, outermost first; remove them on failure.
+    """Make a run folder and yield its missing folders, outermost first; remove them on failure.
 
-    Every OSError, here or in the body, is the user's: a full disk, a missing right.
+    Every OSError, here or in the body, counts as the user's: a full disk, a missing permission.
     """
     _refuse_unwritable_name(path)
     recover(path)
@@ -397,14 +395,14 @@ def _writable(path: Path) -> Iterator[list[Path]]:
 
 
 def _remove_unused(made: list[Path]) -> None:
-    """Remove folders that were made for a run, outermost first in the list, as far as they are empty."""
+    """Remove the folders made for a run (listed outermost first) as far as they are empty."""
     for folder in reversed(made):
         with suppress(OSError):
             folder.rmdir()
 
 
 def _refuse_unwritable_name(path: Path) -> None:
-    """Refuse a name that OpenEXR and JSON cannot hold, before anything is computed that would be lost."""
+    """Refuse a name that OpenEXR and JSON cannot hold, before computing results that would be lost."""
     try:
         path.absolute().as_posix().encode("utf-8")
     except UnicodeEncodeError:
@@ -415,7 +413,7 @@ def _refuse_unwritable_name(path: Path) -> None:
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Refuse a place that holds something that is not ours to replace."""
+    """Refuse a place whose content lfmesh may not replace."""
     try:
         if path.exists() and not path.is_dir():
             raise FileError(f"{path} is a file; a run is written into a folder")
@@ -433,7 +431,7 @@ def _cannot_write(path: Path, error: OSError) -> FileError:
 
 
 def _read_report(path: Path) -> dict[str, Any] | None:
-    """Return report.json of a run folder, None where there is none that lfmesh wrote."""
+    """Return report.json of a run folder; None if there is none written by lfmesh."""
     try:
         report = parse_json(read_text(path / REPORT))
     except (OSError, ValueError):
@@ -443,7 +441,7 @@ def _read_report(path: Path) -> dict[str, Any] | None:
 
 
 def _held_by(path: Path) -> dict[str, Entry | None]:
-    """Return the files of the run in a folder, by its manifest, or without one by its report, which has no digests."""
+    """Return the files of the run in a folder, from its manifest or, without digests, from its report."""
     try:
         manifest = manifest_of(path)
     except FileError:
@@ -456,12 +454,12 @@ def _held_by(path: Path) -> dict[str, Entry | None]:
 
 
 def scene_is_edited(path: Path) -> bool:
-    """Tell whether somebody has changed the scene file of a run, which then is not that of its image."""
+    """Tell whether the scene file of a run was edited, so that it no longer describes the image."""
     return SCENE in _edited(path, _held_by(path))
 
 
 def _edited(path: Path, held: dict[str, Entry | None]) -> list[str]:
-    """Return the scene file of a run and copies of its inputs, as far as somebody has changed them."""
+    """Return the edited files among a run's scene file and copied inputs."""
 
     def is_edited(name: str, entry: Entry | None) -> bool:
         if entry is not None:
@@ -473,7 +471,7 @@ def _edited(path: Path, held: dict[str, Entry | None]) -> list[str]:
 
 
 def _other_name(path: Path, name: str) -> str:
-    """Return a name that is free, for a file of the run that somebody has edited."""
+    """Return an unused name for an edited file of the run."""
     place = Path(name)
     numbers = (f"{place.stem}.edited{number or ''}{place.suffix}" for number in itertools.count())
     return next(other for other in (place.with_name(n).as_posix() for n in numbers) if not (path / other).exists())
@@ -512,7 +510,7 @@ def _write_all(image: Image, folder: Path, home: Path) -> None:
 
 
 def _micro_images(scene: Scene) -> Lattice | None:
-    """Return the nominal lattice of micro-images in pixels; None for a camera without array."""
+    """Return the nominal lattice of micro-images in pixels; None for a camera without a microlens array."""
     mla, pitch_px = scene.camera.mla, solved_camera(scene).facts.micro_image_pitch_px
     if mla is None or pitch_px is None:
         return None

@@ -1,4 +1,4 @@
-"""Scene files, written so that they load from where they are."""
+"""Scene files, written so that they load from their own folder."""
 
 from pathlib import Path
 

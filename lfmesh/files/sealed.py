@@ -1,6 +1,6 @@
-"""Files of arrays that state their own content: what they belong to, which program wrote them, and a digest.
+"""Files of arrays that identify their subject and the program that wrote them.
 
-A zip's checksums find a disk's errors; the digest finds files that were changed, or put together from two.
+A zip's checksums detect disk errors; the digest detects files altered, or combined from two.
 """
 
 import hashlib
@@ -27,19 +27,19 @@ _FACTS = "facts"
 
 
 class ProcessorWarning(UserWarning):
-    """Parts of a result were computed by another kind of processor, whose last bits may differ."""
+    """Warning that another kind of processor, which may differ in the last bits, computed part of a result."""
 
 
 def write_sealed(file: IO[bytes], form: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays, and what they belong to.
+    """Write arrays with the facts that identify them.
 
     Parameters
     ----------
     file : binary file
     form : int
-        Number of the format; a reader refuses any other.
+        Format version; readers refuse any other.
     facts : dict
-        Values of JSON.
+        JSON values.
     arrays : dict of arrays
     """
     stated = {
@@ -55,20 +55,20 @@ def write_sealed(file: IO[bytes], form: int, facts: Mapping[str, Any], arrays: M
 
 
 def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
-    """Read what `write_sealed` wrote into a file: the facts and the arrays.
+    """Read the facts and arrays of a file made by `write_sealed`.
 
     Parameters
     ----------
     path : Path
     form : int
-        Number of the format.
+        Format version.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     FileError
-        It cannot be read, is damaged, was changed, or another program wrote it.
+        It cannot be read, is damaged or altered, or another program wrote it.
 
     Warns
     -----
@@ -85,15 +85,15 @@ def read_sealed(path: Path, form: int) -> tuple[dict[str, Any], Arrays]:
 
 
 def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arrays]:
-    """Do as `read_sealed` with a file that is open.
+    """Read an open file as `read_sealed` does.
 
     Parameters
     ----------
     file : binary file
     form : int
-        Number of the format.
+        Format version.
     what : str
-        The file, in messages.
+        Name in messages.
     """
     try:
         _refuse_packed(file)
@@ -126,7 +126,7 @@ def unsealed(file: IO[bytes], form: int, what: str) -> tuple[dict[str, Any], Arr
 
 
 def _refuse_packed(file: IO[bytes]) -> None:
-    """Raise ValueError if the arrays of a file are larger than the file: `write_sealed` packs nothing."""
+    """Raise ValueError if the arrays of a file are larger than the file: `write_sealed` does not compress."""
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
     with zipfile.ZipFile(file) as archive:
@@ -136,21 +136,21 @@ def _refuse_packed(file: IO[bytes]) -> None:
 
 
 def refuse_maker(what: str, form: int, found: object, maker: object) -> None:
-    """Refuse what another program wrote, or the same in another format.
+    """Refuse a file of another program or format version.
 
     Parameters
     ----------
     what : str
-        The file, in messages.
+        Name in messages.
     form, found : int
-        Format that is read, and that of the file.
+        Expected and actual format version.
     maker : dict of str
-        Program that wrote it.
+        Program that wrote the file.
 
     Raises
     ------
     FileError
-        The formats or the programs differ.
+        The versions or the programs differ.
     """
     if other := f"format {found} in place of {form}" if found != form else difference(maker):
         raise FileError(

@@ -1,9 +1,9 @@
-"""Shares of a render on disk: what each machine has traced, and the image that all shares make together.
+"""Shares of a render on disk: the pieces that each machine traced, and the image made from all.
 
-share/render.json       which render, and into how many pieces it is cut
-share/pieces/*.npz      one file for each piece, written whole or not at all
+share/render.json       the render, and its number of pieces share/pieces/*.npz      one file per piece, written
+completely or not at all
 
-Shares may have a folder each, or one in common. The image is bitwise that of a render that was not divided.
+Shares may have separate folders or a common one. The image is bitwise identical to that of an undivided render.
 """
 
 import hashlib
@@ -36,29 +36,28 @@ from lfmesh.transport.world import build
 FACTS, PIECES = "render.json", "pieces"
 
 SEAL = "sha256"
-"""Of the other facts."""
+"""Key of the digest of the other facts."""
 
 FORMAT = 3
-"""Of the folder; a reader refuses any other."""
+"""Version of the folder's format; readers refuse any other."""
 
 SECONDS = "tracing_seconds"
-"""Of a piece, by the clock."""
+"""Key of a piece's elapsed tracing time."""
 
 Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Cut:
-    """The division of a render among shares.
+    """Division of a render among shares.
 
     Attributes
     ----------
     scene : Scene
-        With the digests of its files.
+        Scene with the digests of its files.
     shares : int
     facts : dict
-        Values that all shares have in common. The scene as a folder keeps it has other paths, so that they are not told
-        from that.
+        Values common to all shares, from the author's scene: the copy in a folder has other paths.
     """
 
     scene: Scene
@@ -67,7 +66,7 @@ class Cut:
 
     @classmethod
     def of(cls, scene: Scene, shares: int) -> "Cut":
-        """Return the division of a scene that is as its author wrote it."""
+        """Return the division of a scene as written by its author."""
         facts = {
             "format": FORMAT,
             "program": program(),
@@ -79,7 +78,7 @@ class Cut:
 
     @property
     def blocks(self) -> int:
-        """Blocks of a replicate, about, so that all shares have as many pieces."""
+        """Approximate number of blocks per replicate at which all shares have equally many pieces."""
         return self.shares // math.gcd(self.shares, self.scene.transport.replicates)
 
     def jobs(self, tracer: Tracer) -> list[Job]:
@@ -87,25 +86,25 @@ class Cut:
         return list(jobs_of(self.scene, range(self.scene.transport.replicates), tracer.plan.blocks(self.blocks)))
 
     def facts_of(self, job: Job) -> dict[str, Any]:
-        """Return what a piece says that it is."""
+        """Return the facts that identify a piece."""
         return self.facts | {"replicate": job.replicate, "pixels": [job.block.first, job.block.last]}
 
 
 def trace_share(
     scene: Scene, folder: Path, share: int, shares: int, progress: Callable[[int, int], None] | None = None
 ) -> int:
-    """Trace the pieces of a share that its folder does not hold yet, and return how many there are in all.
+    """Trace a share's missing pieces; return its total number of pieces.
 
     Parameters
     ----------
     scene : Scene
         With the digests of its files, see `Scene.pinned`.
     folder : Path
-        New, or one in which a share of this render was begun.
+        New, or holding part of a share of this render.
     share, shares : int
-        Number of the share, from 1, and how many there are.
+        Number of the share, from 1, and of all shares.
     progress : callable, optional
-        Called with the number of finished pieces and that of all.
+        Called with the numbers of finished and of all pieces.
 
     Raises
     ------
@@ -145,17 +144,17 @@ def trace_share(
 
 
 def merged(folders: Sequence[Path]) -> Image:
-    """Put the shares of a render together; its time is the sum of theirs.
+    """Merge the shares of a render; its time is the sum of theirs.
 
     Parameters
     ----------
     folders : sequence of Path
-        Of all shares, in any order.
+        All shares, in any order.
 
     Raises
     ------
     FileError
-        A folder is none of a share, or of another render; or a piece is missing or damaged.
+        A folder holds no share or one of another render, or a piece is missing or damaged.
     """
     held = [_facts(folder) for folder in folders]
     for folder, facts in zip(folders, held, strict=True):
@@ -189,7 +188,7 @@ def merged(folders: Sequence[Path]) -> Image:
 
 
 def _begin(folder: Path, cut: Cut) -> None:
-    """Make the folder of a share, or see that it is one of this render."""
+    """Make the folder of a share, or check that it belongs to this render."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
@@ -213,7 +212,7 @@ def _begin(folder: Path, cut: Cut) -> None:
 
 
 def _seal(facts: dict[str, Any]) -> str:
-    """Return the digest of what a folder says of itself."""
+    """Return the digest of a folder's facts."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
@@ -270,12 +269,12 @@ def _packed(piece: Piece) -> Arrays:
 
 
 def _unpacked(path: Path, cut: Cut, job: Job, tracer: Tracer) -> tuple[Piece, float]:
-    """Read a piece, and the seconds that it took.
+    """Read a piece and its tracing time in seconds.
 
     Raises
     ------
     FileError
-        The file is damaged, of another render, or of another piece.
+        The file is damaged, or belongs to another render or piece.
     """
     pixels = job.block.last - job.block.first
     try:

@@ -1,4 +1,4 @@
-"""A white image from a file: a picture that a camera took, an EXR, or a run folder of ours."""
+"""Reader of white images: a photograph, an EXR, or an lfmesh run folder."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from lfmesh.regular_file import why_no_file
 from lfmesh.transport.render.image import Image
 
 CHANNELS = ("Y", "G", "R")
-"""Of an EXR that is not ours: the first that is there."""
+"""Channels of a foreign EXR, in order of preference."""
 
 
 def read_white(path: Path) -> Image | NDArray[Any]:
@@ -23,14 +23,13 @@ def read_white(path: Path) -> Image | NDArray[Any]:
     Parameters
     ----------
     path : Path
-        A run folder with a white image or the white.exr in it; another EXR, of which luminance or green is taken; or a
-        picture, whose counts are taken as they are, (H, W) or (H, W, 3). 16-bit grey keeps its depth, 16-bit colour is
-        read with 8.
+        A run folder with a white image, or its white.exr; another EXR, read as luminance, green or red; or a picture of
+        raw counts, (H, W) or (H, W, 3). 16-bit colour is reduced to 8 bits, 16-bit grey is not.
 
     Raises
     ------
     FileError
-        The file is not there, is no picture, or is broken; the run has no white image.
+        The file is missing, not a picture, or broken; or the run has no white image.
     """
     folder = path.parent if path.name == run.WHITE else path
     if folder.is_dir():
@@ -42,18 +41,18 @@ def read_white(path: Path) -> Image | NDArray[Any]:
 
 
 def read_picture(path: Path, what: str) -> Image | NDArray[Any]:
-    """Read another picture that the camera took: a run folder of ours, an EXR or a picture, as `read_white`.
+    """Read another picture from the camera: a run folder, EXR or picture, as in `read_white`.
 
     Parameters
     ----------
     path : Path
     what : str
-        What it shows, for errors.
+        Subject, for error messages.
 
     Raises
     ------
     FileError
-        The file is not there, is no picture, or is broken.
+        The file is missing, not a picture, or broken.
     """
     return run.open_run(path) if path.is_dir() else _picture(path, what)
 

@@ -1,4 +1,4 @@
-"""A single file that is written whole or not at all, and folders for results."""
+"""Files written completely or not at all, and folders for results."""
 
 import os
 import tempfile
@@ -9,14 +9,14 @@ from lfmesh.errors import FileError
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file next to where it belongs and move it there when it is complete; text as UTF-8.
+    """Write a file beside its final place and move it there when complete; text as UTF-8.
 
-    What is there and no regular file, such as /dev/stdout or a pipe, is written into, and stays what it is.
+    An existing path that is not a regular file, such as /dev/stdout or a pipe, is written to directly.
 
     Raises
     ------
     FileError
-        The file cannot be written; one that was there before is left as it was.
+        The file cannot be written; an earlier one is kept.
     """
     data = content.encode() if isinstance(content, str) else content
     staging = None
@@ -46,7 +46,7 @@ def make_folder(folder: Path) -> None:
     Raises
     ------
     FileError
-        It cannot be made.
+        The folder cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -55,12 +55,12 @@ def make_folder(folder: Path) -> None:
 
 
 def try_folder(folder: Path) -> None:
-    """Check that a folder for results can be made and written; leave nothing behind.
+    """Check that a folder for results can be made and written, without leaving anything there.
 
     Raises
     ------
     FileError
-        It cannot.
+        The folder cannot be made or written.
     """
     made: list[Path] = []
     try:
@@ -68,7 +68,7 @@ def try_folder(folder: Path) -> None:
             if not path.exists():
                 path.mkdir()
                 made.append(path)
-        # Only a file that is made tells; permissions do not speak of full disks, nor for the superuser.
+        # Only creating a file is conclusive: permissions ignore full disks, and do not bind the superuser.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
@@ -79,7 +79,7 @@ def try_folder(folder: Path) -> None:
 
 
 def make_like_any_other(temporary: Path) -> None:
-    """Give a temporary file, which is its owner's alone, the rights that any new file has."""
+    """Give a temporary file, readable only by its owner, the permissions of a normal new file."""
     mask = os.umask(0)
     os.umask(mask)
     temporary.chmod(0o666 & ~mask)

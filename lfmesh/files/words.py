@@ -1,4 +1,4 @@
-"""The end of a run in words: how noisy the picture is, and where the light went when it is dark."""
+"""Summary of a run in words: the noise of the picture and, if it is dark, the fate of the light."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ from lfmesh.transport.render.image import Image
 from lfmesh.transport.tables.spectra import reflectance_at
 
 DARK_SHARE = 0.1
-"""A picture is called dark when fewer pixels than this share got any light."""
+"""A picture is dark if the fraction of pixels that received light is below this."""
 
 MOST_ENDS, MOST_TARGETS = 4, 3
-"""Places where light ended, and targets, that a sentence names."""
+"""Most places and targets that a sentence lists."""
 
 BEFORE_LENS = {
     "sensor", "beside the sensor", "housing", "reflections not followed",
     "mla mount", "mla edge", "mla wall", "mla mask",
 }  # fmt: skip
-"""Places in the ledger between sensor and lens."""
+"""Ledger entries for places between sensor and lens."""
 
 BEYOND_LENS = "beyond the lens"
 
@@ -42,27 +42,26 @@ WITHOUT_PLACE = {
     "étendue of thin lenses": "went with étendue that thin lenses do not keep",
     "diffracted beyond a right angle": "was diffracted beyond a right angle",
 }
-"""Words for entries of the ledger that are no bodies."""
+"""Words for ledger entries that are not bodies."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard errors of the pixels, summed up.
+    """Summary of the pixels' standard errors.
 
     Attributes
     ----------
     received_share : float
-        Share of the pixels that got any light.
+        Fraction of pixels that received light.
     lit_share : float
-        Share of the pixels that are lit: above 5 % of the bright ones (99th percentile of those with light).
+        Fraction of lit pixels: above 5 % of the bright ones (99th percentile of the pixels with light).
     relative_error : tuple of float, or None
-        Quartiles over the lit pixels of error / mean, the error pooled over neighbours (`Image.error`) and corrected
-        for the replicates: a quarter of the lit pixels is known to the first or better, half to the second, three
-        quarters to the third. None without light or with one replicate only.
+        Quartiles over the lit pixels of error / mean; the error is pooled over neighbours (`Image.error`) and corrected
+        for the number of replicates. None without light or with a single replicate.
     without_hits : int or None
-        Pixels for which no path found light, at none of the wavelengths; None where hits were not counted.
+        Pixels for which no path found light at any wavelength; None if hits were not counted.
     few_hits_share : float or None
-        Share of the lit pixels with less than `FEW_HITS` hits.
+        Fraction of lit pixels with fewer than `FEW_HITS` hits.
     """
 
     received_share: float
@@ -75,7 +74,7 @@ class Noise:
 def noise(image: Image) -> Noise:
     """Measure the noise of an image over pixels and wavelengths."""
     received = image.mean > 0.0
-    # What is added to the traced light has no hits.
+    # Light added without tracing has no hits.
     without = None if image.hits is None else int((~(image.hits.any(axis=2) | received.any(axis=2))).sum())
     if not received.any():
         return Noise(0.0, 0.0, None, without, None)
@@ -85,7 +84,7 @@ def noise(image: Image) -> Noise:
 
 
 def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, float] | None:
-    """Return the quartiles of the lit pixels' relative error."""
+    """Return the quartiles of the relative error over the lit pixels."""
     if image.replicates < 2:
         return None
     relative = np.empty(int(lit.sum()), np.float32)
@@ -103,19 +102,18 @@ def _quartiles(image: Image, lit: NDArray[np.bool_]) -> tuple[float, float, floa
 
 
 def summary(image: Image) -> list[str]:
-    """Say what a run gave, one plain sentence a line: whatever is amiss, noise, checks and work done."""
+    """Summarise a run, one plain sentence per line: warnings, noise, checks and work done."""
     return [*(f"Warning: {warning}" for warning in image.warnings), *account(image, verbose=True)]
 
 
 def account(image: Image, *, verbose: bool = False) -> list[str]:
-    """Say what a run gave without its warnings, which are printed as they come: first how good the picture is.
+    """Summarise a run without its warnings, which are printed as they occur.
 
     Parameters
     ----------
     image : Image
     verbose : bool
-        Also how well the light is aimed, tables of coatings, diffraction, and the work done; without, one line of
-        checks follows the noise.
+        Include the aim, coating tables, diffraction and the work done. Otherwise one line of checks follows the noise.
     """
     measured = noise(image)
     lines = [*_noise_lines(image, measured), *_untraced(image)]
@@ -130,7 +128,7 @@ def account(image: Image, *, verbose: bool = False) -> list[str]:
 
 
 def _untraced(image: Image) -> list[str]:
-    """Return a sentence on light that was not traced, but added without noise."""
+    """Return a sentence on light that was added without tracing, and so without noise."""
     light, total = image.ledger.untraced, float(image.mean.sum())
     if not light > 0.0:
         return []
@@ -138,14 +136,14 @@ def _untraced(image: Image) -> list[str]:
 
 
 def diffraction(scene: Scene) -> dict[str, float | None]:
-    """Return the Airy disks that geometric optics leaves out, as a report keeps them; see `FirstOrder`."""
+    """Return the Airy disks that geometric optics neglects, as stored in a report; see `FirstOrder`."""
     facts = solved_camera(scene).report
     names = ("airy_wavelength_nm", "airy_disk_mm", "airy_disk_samples", "microlens_airy_disk_px")
     return {name: getattr(facts, name) for name in names}
 
 
 def _diffraction(scene: Scene) -> list[str]:
-    """Return a sentence on the Airy disks that geometric optics leaves out, where they do not decide."""
+    """Return a sentence on the Airy disks that geometric optics neglects, where they do not dominate."""
     facts = solved_camera(scene).report
     mla = facts.microlens_airy_disk_px is not None
     width = f"{plain(facts.airy_disk_samples, 2)} {'lenslets' if mla else 'pixels'} wide"
@@ -164,7 +162,7 @@ def _diffraction(scene: Scene) -> list[str]:
 
 
 def _aim(image: Image) -> list[str]:
-    """Return a sentence on what the aim misses, by rays from the stop."""
+    """Return a sentence on the light that aimed sampling misses, measured by rays from the stop."""
     proof, blind = image.aim, image.blind
     if blind is None or not blind.agrees:
         return []
@@ -182,7 +180,7 @@ def _aim(image: Image) -> list[str]:
 
 
 def _unaimed(image: Image) -> list[str]:
-    """Return a sentence on what unaimed samples found that the others miss."""
+    """Return a sentence on light that only unaimed samples found."""
     blind = image.blind
     if blind is None or not blind.agrees:
         return []
@@ -195,7 +193,7 @@ def _unaimed(image: Image) -> list[str]:
 
 
 def _order(image: Image) -> list[str]:
-    """Return a sentence on how surfaces of lens and array found by their order compare with those found by meshes."""
+    """Return a sentence comparing sequential lens and array surfaces with their meshes."""
     order = image.order
     if order is None or not order.holds:
         return []
@@ -206,7 +204,7 @@ def _order(image: Image) -> list[str]:
 
 
 def _coatings(image: Image) -> list[str]:
-    """Return a sentence on how well the tables of the coatings hold their shares of the light."""
+    """Return a sentence on the accuracy of the coatings' reflectance tables."""
     if not image.coatings:
         return []
     names = f"coating{'s' if len(image.coatings) > 1 else ''} {', '.join(image.coatings)}"
@@ -214,7 +212,7 @@ def _coatings(image: Image) -> list[str]:
 
 
 def where_the_light_went(image: Image) -> list[str]:
-    """Return sentences on why a picture is dark: what the scene tells, and where the packets ended by the ledger."""
+    """Return sentences on the causes of a dark picture, from the scene and the ledger."""
     ledger = image.ledger
     adjoint = image.scene.transport.method == "adjoint"
     ends = _ends(image)
@@ -230,7 +228,7 @@ def where_the_light_went(image: Image) -> list[str]:
         return ["No path left the sensor." if adjoint else "Nothing emits: the lights and targets have no power."]
     if not adjoint:
         return [f"Of the light, {_shares(image, ends)}.", *_reasons(image)]
-    # Most paths from the sensor end before the lens, whatever is wrong with a scene.
+    # Most paths from the sensor end before the lens, whatever the fault of the scene.
     to_lens = {name: share for name, share in ends.items() if name not in BEFORE_LENS}
     came = sum(to_lens.values())
     if not came > 0.0:
@@ -242,7 +240,7 @@ def where_the_light_went(image: Image) -> list[str]:
 
 
 def duration(seconds: float) -> str:
-    """Write a time in hours, minutes and seconds."""
+    """Format a time in hours, minutes and seconds."""
     if seconds < 10.0:
         return f"{seconds:.1f} s"
     if seconds < 120.0:
@@ -254,7 +252,7 @@ def duration(seconds: float) -> str:
 
 
 def count(number: float) -> str:
-    """Write a large number to three digits: ``4.10 million``."""
+    """Format a large number to three digits: ``4.10 million``."""
     for size, word in ((1e12, "trillion"), (1e9, "billion"), (1e6, "million")):
         if number >= size:
             return f"{number / size:.3g} {word}"
@@ -315,7 +313,7 @@ def _refined(refinement: Refinement) -> str:
 
 
 def _ends(image: Image) -> dict[str, float]:
-    """Return what ended at each place; entries of roulette and aimed sampling are no places."""
+    """Return the light that ended at each place; roulette and aimed sampling are not places."""
     ledger = image.ledger
     return {
         **ledger.absorbed,
@@ -327,7 +325,7 @@ def _ends(image: Image) -> dict[str, float]:
 
 
 def _outside(scene: Scene) -> set[str]:
-    """Return the places of a ledger that lie in front of the lens."""
+    """Return the ledger's places in front of the lens."""
     bodies = [_in_ledger(scene, number) for number in range(len(scene.targets))]
     media = [medium.name or f"media[{i}]" for i, medium in enumerate(scene.media)]
     return {"escaped", *bodies, *media, *(f"inside {name}" for name in bodies)}
@@ -339,7 +337,7 @@ def _in_ledger(scene: Scene, number: int) -> str:
 
 
 def _shares(image: Image, ends: dict[str, float]) -> str:
-    """List the largest shares of what ended, and the rest in one."""
+    """List the largest shares of the ended light, and the rest as one."""
     total = sum(ends.values())
     largest = sorted(ends, key=lambda name: -ends[name])[:MOST_ENDS]
     largest = [name for name in largest if ends[name] >= 0.001 * total]
@@ -349,7 +347,7 @@ def _shares(image: Image, ends: dict[str, float]) -> str:
 
 
 def _ended(name: str, scene: Scene) -> str:
-    """Return what became of a share of light, given its name in the ledger."""
+    """Return the fate of a share of light from its name in the ledger."""
     if name in WITHOUT_PLACE:
         return WITHOUT_PLACE[name]
     if name == "max_events":
@@ -362,7 +360,7 @@ def _ended(name: str, scene: Scene) -> str:
 
 
 def _reached(image: Image) -> str:
-    """Return a sentence on whether the paths from the sensor reached targets, and these have light."""
+    """Return a sentence on the paths from the sensor that reached targets, and the light there."""
     ledger, scene = image.ledger, image.scene
     paths = "of the paths traced back from the sensor"
     opaque = [i for i, target in enumerate(scene.targets) if target.refractor is None]
@@ -390,16 +388,16 @@ def _reached(image: Image) -> str:
 
 
 def _reasons(image: Image) -> list[str]:
-    """Return sentences on targets that cannot be seen, or from which no light can come."""
+    """Return sentences on targets that are hidden or give no light."""
     scene, ledger = image.scene, image.ledger
     with suppress(LfmeshError):
-        # Files that have gone since the render say nothing.
+        # Skip the reasons if files have gone since the render.
         known = [str(warning) for warning in image.warnings]
         places = placements(scene)
         found = [f"{place.name} {why}" for place in places for why in place.warnings]
         lines = [f"{why}." for why in found if why not in known]
         for number, (target, place) in enumerate(zip(scene.targets, places, strict=True)):
-            # Of what scatters everything, nothing ends on it.
+            # No light ends on a target that scatters everything.
             own = target.shape is not None or not target.takes_materials
             takes = own and (reflectance_at(scene, number, scene.wavelengths_nm) < 1.0).any()
             ended = ledger.absorbed.get(_in_ledger(scene, number), 0.0)

@@ -1,1 +1,1 @@
-"""Light fields and raw images in the files of other people's tools."""
+"""Export of light fields and raw images to the file formats of other tools."""

@@ -1,4 +1,4 @@
-"""One folder for one tool: written beside its place and moved there when complete, with a note of what means what."""
+"""Export to one folder per tool, moved into place when complete, with a note that explains the files."""
 
 import json
 import os
@@ -28,10 +28,10 @@ RawFormat = Literal["plenopticam", "plenpy"]
 NOTE = "export.json"
 
 WITH_WEIGHTS = "lftoolbox"
-"""The format that says of each sample whether it is known."""
+"""Format that marks each sample as known or unknown."""
 
 HARDLY_DARK = 0.05
-"""Share of a view's samples that may be unknown, as at the edges of the array, without a warning."""
+"""Fraction of unknown samples, as at the edges of the array, that a view may have without a warning."""
 
 _FIELD_WRITERS: dict[str, Callable[[Path, LightField], dict[str, Any]]] = {
     "lftoolbox": write_mat,
@@ -52,7 +52,7 @@ def export_field(
     *,
     depth_mm: NDArray[np.floating] | None = None,
 ) -> list[Path]:
-    """Write a light field for another tool; ``export.json`` says what means what.
+    """Write a light field for another tool; ``export.json`` explains the files.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def export_field(
         New or empty.
     kind : {"lftoolbox", "eslf", "hci", "views", "exr-rgb"}
     depth_mm : (t, s) float, optional
-        For "hci" and "exr-rgb": distances of the middle view's points before the first vertex of the lens; "exr-rgb"
-        takes a map of any size.
+        For "hci" and "exr-rgb": distances of the middle view's points before the first vertex of the lens. "exr-rgb"
+        accepts any size.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def export_field(
     Warns
     -----
     UserWarning
-        Views hold much that is unknown, and the format can only write it as black.
+        Views have many unknown samples, which the format can only write as black.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def export_field(
 
 
 def _black_views(field: LightField) -> Iterator[UserWarning]:
-    """Yield a warning of views with much that is unknown, and the number of those in the middle that have little."""
+    """Yield a warning about views with many unknown samples; advise decoding fewer views."""
     unknown = np.mean(~np.isfinite(field.data).all(axis=-1), axis=(2, 3))
     dark = unknown > HARDLY_DARK
     if not dark.any():
@@ -122,7 +122,7 @@ def export_raw(
     Parameters
     ----------
     image, white : Image
-        The same camera's.
+        Images of the same camera.
     calibration : Calibration
     folder : path
         New or empty.
@@ -136,7 +136,7 @@ def export_raw(
     Raises
     ------
     LfmeshError
-        The decoder does not take such a camera, or the folder cannot be written.
+        The decoder does not support such a camera, or the folder cannot be written.
     """
     if kind not in get_args(RawFormat):
         raise LfmeshError(f"kind = {kind!r}: must be one of {', '.join(get_args(RawFormat))}")
@@ -160,7 +160,7 @@ def _exported(folder: Path, kind: str, write: Callable[[Path], dict[str, Any]]) 
             note = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
             (staging / NOTE).write_text(note, encoding="utf-8")
             if is_new:
-                # One step: the folder is there with all its files, or not at all.
+                # One step: either the folder appears with all its files, or not at all.
                 staging.replace(folder)
             else:
                 _move_in(staging, folder)
@@ -170,9 +170,9 @@ def _exported(folder: Path, kind: str, write: Callable[[Path], dict[str, Any]]) 
 
 
 def _move_in(staging: Path, folder: Path) -> None:
-    """Move all files into a folder that was there, the note last: with it they are complete.
+    """Move all files into an existing folder; the note comes last and marks it complete.
 
-    The folder stays what it is: a link, the folder that this program runs in, or one on which a disk is mounted.
+    The folder itself stays, as it may be a link, the working directory, or a mount point.
     """
     if any(entry.name != staging.name for entry in folder.iterdir()):
         raise _is_full(folder)

@@ -1,4 +1,4 @@
-"""A raw and a white image exposed for a decoder that divides the one by the other."""
+"""Exposure of a raw and a white image for a decoder that divides one by the other."""
 
 from dataclasses import dataclass
 
@@ -14,22 +14,22 @@ from lfmesh.lightfield.views.upright import Upright
 from lfmesh.transport.render.image import Image
 
 UPRIGHT_ORDER = "upright: columns to the right (+x), rows down (-y), as seen from behind the camera"
-"""Order of pixels, as ``export.json`` states it."""
+"""Order of pixels, as stated in ``export.json``."""
 
 LIT = 0.1
-"""Pixels whose white is above this share of its bright pixels set the exposure of the raw image."""
+"""Pixels whose white exceeds this fraction of the bright pixels set the exposure of the raw image."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """Raw and white image, upright as cameras deliver them, so that raw / white is 1 where the scene is brightest.
+    """Upright raw and white image, scaled so that raw / white is 1 where the scene is brightest.
 
     Attributes
     ----------
     raw, white : (H, W, 3) float32
         Linear RGB, 0 to 1.
     radiance : float
-        What raw / white = 1 stands for, W/(m² sr).
+        Radiance at raw / white = 1, W/(m² sr).
     """
 
     raw: Samples
@@ -38,12 +38,12 @@ class Exposure:
 
     @classmethod
     def of(cls, image: Image, white: Image) -> "Exposure":
-        """Expose both; a few bright pixels are clipped, so that noise does not set the exposure.
+        """Expose both images; clip a few bright pixels so that noise does not set the exposure.
 
         Raises
         ------
         LfmeshError
-            The two do not belong together, or one of them is black.
+            The images do not belong together, or one of them is black.
         """
         refuse_other_white(white, image, solved_camera(image.scene).scene.camera)
         upright = Upright.of(image.scene).picture

@@ -1,7 +1,7 @@
-"""Views and depth as OpenEXR with the channels R, G and B alone, which every reader of OpenEXR takes.
+"""Views and depth as OpenEXR with only the channels R, G and B, which every OpenEXR reader accepts.
 
-OpenCV takes R, G, B, A and Y: of a file with other channels it returns zeros, or nothing. So depth, and the light of
-one channel of the camera, stand three times in a file of their own.
+OpenCV returns zeros or nothing for channels other than R, G, B, A and Y. So depth, and each camera channel, are written
+three times in a separate file.
 """
 
 from pathlib import Path
@@ -20,14 +20,14 @@ DEPTH = "depth.exr"
 
 
 def write_exr_rgb(folder: Path, field: LightField, depth_mm: NDArray[np.floating] | None = None) -> dict[str, Any]:
-    """Write ``view_v00_u00.exr`` and so on, of several channels also ``view_v00_u00_c0.exr``; return the facts.
+    """Write ``view_v00_u00.exr`` etc., plus ``view_v00_u00_c0.exr`` etc. for several channels; return the facts.
 
     Parameters
     ----------
     folder : Path
     field : LightField
     depth_mm : (H, W) float, optional
-        Written as ``depth.exr``, as it is.
+        Written unchanged as ``depth.exr``.
     """
     rows, columns = field.views
     rgb, _ = linear_rgb(field)
@@ -62,5 +62,5 @@ def write_exr_rgb(folder: Path, field: LightField, depth_mm: NDArray[np.floating
 
 
 def _write(path: Path, pixels: NDArray[np.floating], facts: dict[str, Any]) -> None:
-    """Write (H, W, 3) as R, G and B, or (H, W) as each of them."""
+    """Write (H, W, 3) as R, G and B, or (H, W) to all three."""
     exr.write_maps(path, {name: pixels[..., c] if pixels.ndim == 3 else pixels for c, name in enumerate("RGB")}, facts)

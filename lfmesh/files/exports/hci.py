@@ -1,8 +1,8 @@
-"""The folder of the HCI 4D light-field benchmark (K. Honauer et al., ACCV 2016): views, parameters.cfg, PFM maps.
+"""Folder of the HCI 4D light-field benchmark (K. Honauer et al., ACCV 2016): views, parameters.cfg, PFM maps.
 
-The benchmark's camera is an array of pinhole cameras a baseline apart, which all look along z with their sensors
-shifted so that what lies at the focus distance does not move from view to view. The views of a plenoptic camera are
-such pinholes side by side in its entrance pupil.
+The benchmark's camera is an array of pinhole cameras. All look along z, with their sensors shifted so that points at
+the focus distance do not move between views. The views of a plenoptic camera are such pinholes, side by side in its
+entrance pupil.
 """
 
 import configparser
@@ -29,23 +29,23 @@ PARAMETERS = "parameters.cfg"
 DEPTH, DISPARITY = "gt_depth_lowres.pfm", "gt_disp_lowres.pfm"
 
 PROBE = 0.1
-"""Shift in lenslets at which the baseline is read; others give one that differs by the lens's aberrations."""
+"""Shift, in lenslets, at which the baseline is measured; other shifts differ by the lens's aberrations."""
 
 
 @dataclass(frozen=True)
 class CameraArray:
-    """The pinhole cameras that see what the views of a light field see.
+    """Pinhole cameras equivalent to the views of a light field.
 
     Attributes
     ----------
     baseline_mm : float
-        Between neighbouring cameras.
+        Spacing of neighbouring cameras.
     focal_length_px : float
-        In samples of a view.
+        Focal length in samples of a view.
     focus_mm : float
         From the cameras to the plane that does not move between views.
     entrance_pupil_mm : float
-        How far the cameras stand behind the first vertex of the lens.
+        Distance of the cameras behind the first vertex of the lens.
     """
 
     baseline_mm: float
@@ -75,26 +75,26 @@ class CameraArray:
         return cls(shift / field.spacing_mm[1] / (focal_length * inverse), focal_length, focus + pupil, pupil)
 
     def disparity_px(self, distance_mm: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return how many samples a point this far before the first vertex moves from view to view."""
+        """Return the shift between neighbouring views, in samples, of points before the first vertex of the lens."""
         depth = np.asarray(distance_mm, dtype=np.float64) + self.entrance_pupil_mm
         return np.asarray(self.baseline_mm * self.focal_length_px * (1.0 / depth - 1.0 / self.focus_mm))
 
 
 def write_hci(folder: Path, field: LightField, depth_mm: NDArray[np.floating] | None = None) -> dict[str, Any]:
-    """Write ``input_Cam000.png`` and so on, row by row, ``parameters.cfg``, and depth as PFM; return the facts.
+    """Write ``input_Cam000.png`` etc., row by row, ``parameters.cfg``, and depth as PFM; return the facts.
 
     Parameters
     ----------
     folder : Path
     field : LightField
     depth_mm : (t, s) float, optional
-        Distances of the middle view's points before the first vertex of the lens. Written from the entrance pupil in
-        m as ``gt_depth_lowres.pfm``, and as samples a view, positive nearer than the focus, as ``gt_disp_lowres.pfm``.
+        Distances of the middle view's points before the first vertex of the lens. ``gt_depth_lowres.pfm`` gets them in
+        m from the entrance pupil, ``gt_disp_lowres.pfm`` in samples per view, positive nearer than the focus.
 
     Raises
     ------
     LfmeshError
-        As `CameraArray.of`, or the depth map has another size than a view.
+        As for `CameraArray.of`, or the depth map and a view differ in size.
     """
     if depth_mm is not None and depth_mm.shape != field.size:
         height, width = field.size
@@ -138,7 +138,7 @@ def _write_pictures(folder: Path, field: LightField) -> list[str]:
 
 def _parameters(field: LightField, cameras: CameraArray, low: float, high: float) -> configparser.ConfigParser:
     (height, width), (rows, columns) = field.size, field.views
-    # The benchmark's focal length in pixels is focal_length_mm / sensor_size_mm * max(width, height).
+    # The benchmark defines the focal length in pixels as focal_length_mm / sensor_size_mm * max(width, height).
     sensor_mm = field.model.efl_mm * max(width, height) / cameras.focal_length_px
     config = configparser.ConfigParser(interpolation=None)
     config["intrinsics"] = {

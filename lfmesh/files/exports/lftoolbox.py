@@ -1,4 +1,4 @@
-"""The Light Field Toolbox for MATLAB (D. Dansereau), and the light-field PNG that Lytro's archives use."""
+"""The Light Field Toolbox for MATLAB (D. Dansereau), and the light-field PNG of Lytro's archives."""
 
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,14 @@ from lfmesh.lightfield.views.field import LightField
 MAT, ESLF = "lightfield.mat", "lightfield.eslf.png"
 
 MOST_BYTES = 2**31 - 1
-"""Of a variable in a MAT-file of version 5."""
+"""Largest variable in a version 5 MAT-file."""
 
 
 def write_mat(folder: Path, field: LightField) -> dict[str, Any]:
-    """Write ``lightfield.mat`` with LF[j, i, l, k, c] as the toolbox's own decoder leaves it; return the facts.
+    """Write ``lightfield.mat`` with LF[j, i, l, k, c] as the toolbox's own decoder does; return the facts.
 
-    uint16, linear; c = 1 to 3 red, green and blue, c = 4 the weight: 65535 where a sample is known, else 0.
+    The type is linear uint16. Channels c = 1 to 3 are red, green and blue; c = 4 is the weight, 65535 for a known
+    sample, else 0.
 
     Raises
     ------
@@ -49,7 +50,7 @@ def write_mat(folder: Path, field: LightField) -> dict[str, Any]:
 
 
 def write_eslf(folder: Path, field: LightField) -> dict[str, Any]:
-    """Write ``lightfield.eslf.png``: 16 bits, linear RGB, the micro-images side by side; return the facts."""
+    """Write ``lightfield.eslf.png``: 16-bit linear RGB, micro-images side by side; return the facts."""
     rgb, _ = linear_rgb(field)
     v, u, t, s, _ = rgb.shape
     counts, unit_per_count = to_counts(rgb.transpose(2, 0, 3, 1, 4).reshape(t * v, s * u, 3))

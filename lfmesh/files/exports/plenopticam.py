@@ -1,4 +1,4 @@
-"""Export for PlenoptiCam 0.9 (C. Hahne): a raw picture, a white picture, its settings, and our centres."""
+"""Export for PlenoptiCam 0.9 (C. Hahne): raw picture, white picture, settings, and true micro-image centres."""
 
 import json
 import math
@@ -19,12 +19,12 @@ from lfmesh.transport.render.image import Image
 RAW, WHITE, SETTINGS, CENTRES = "raw.png", "white.png", "settings.json", "centres.json"
 
 LEAST_LENSLETS = 60
-"""Along each side; its estimate of the pitch takes the middle third of the white image and needs about 20 there."""
+"""Smallest number along each side: PlenoptiCam estimates the pitch from the middle third, where it needs about 20."""
 
 LEAST_PATCH = 3
 
 LARGEST_SPOT = 0.85
-"""Diameter of a micro-image over the pitch: discs that touch hide the gaps by which it tells their pitch."""
+"""Largest ratio of micro-image diameter to pitch: touching discs hide the gaps that reveal the pitch."""
 
 _SETTINGS: dict[str, Any] = {
     "cal_meta": "",
@@ -42,23 +42,22 @@ _SETTINGS: dict[str, Any] = {
 
 
 def write_plenopticam(folder: Path, image: Image, white: Image, calibration: Calibration) -> dict[str, Any]:
-    """Write ``raw.png`` (sRGB, which PlenoptiCam undoes), ``white.png`` (linear, taken as it is) and the settings.
+    """Write ``raw.png`` (sRGB, which PlenoptiCam decodes), ``white.png`` (linear) and settings; return the facts.
 
-    ``settings.json`` are its parameters, for ``PlenopticamConfig.read_params``; ``centres.json`` the true centres as
-    its calibration, for its option ``--meta``; it finds its own without. Returns the facts.
+    ``settings.json`` holds parameters for ``PlenopticamConfig.read_params``. ``centres.json`` holds the true centres
+    for its option ``--meta``; without it, PlenoptiCam estimates them.
 
     Parameters
     ----------
     folder : Path
     image, white : Image
-        Raw and white image of one camera.
+        Images of one camera.
     calibration : Calibration
-        Its micro-images.
 
     Raises
     ------
     LfmeshError
-        As `Exposure.of`.
+        As for `Exposure.of`.
     """
     exposure = Exposure.of(image, white)
     _warn(calibration)

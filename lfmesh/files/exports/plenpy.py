@@ -1,4 +1,4 @@
-"""Export for plenpy 0.9 (M. Schambach), `RayTracerLF`: a camera folder of pictures with JSON beside them."""
+"""Export for `RayTracerLF` of plenpy 0.9 (M. Schambach): a camera folder of pictures with JSON side files."""
 
 import json
 import math
@@ -18,23 +18,23 @@ RAW, WHITE, SETTINGS = "Images/raw.png", "Calibration/WhiteImages/white.png", "c
 
 
 def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibration) -> dict[str, Any]:
-    """Write the raw and the white picture, 16 bits linear, with their side files; return the facts.
+    """Write 16-bit linear raw and white pictures with their side files; return the facts.
 
-    ``camera.json`` holds what `RayTracerLF` is made with; its ``imageDistance`` and focal length stand for D and d,
-    by whose ratio plenpy expects the pitch of the micro-images to exceed that of the lenslets.
+    ``camera.json`` holds the arguments of `RayTracerLF`. From its ``imageDistance`` D and focal length d, plenpy
+    derives the ratio of micro-image pitch to lenslet pitch.
 
     Parameters
     ----------
     folder : Path
     image, white : Image
-        Raw and white image of one camera.
+        Images of one camera.
     calibration : Calibration
-        Its micro-images.
 
     Raises
     ------
     LfmeshError
-        As `Exposure.of`; square lenslets, which plenpy does not decode; an exit pupil at infinity or behind the array.
+        As for `Exposure.of`; square lenslets, which plenpy does not decode; an exit pupil at infinity or behind the
+        array.
     """
     if calibration.layout != "hexagonal":
         raise LfmeshError("plenpy decodes hexagonal arrays only; this one is square: export to plenopticam")
@@ -52,7 +52,7 @@ def write_plenpy(folder: Path, image: Image, white: Image, calibration: Calibrat
         path.with_suffix(".json").write_text(json.dumps(side) + "\n", encoding="utf-8")
     settings = {
         "grid_type": "hex",
-        "ml_size": round(calibration.pitch_px),  # whole: it picks a filter by comparing with 14 and 15
+        "ml_size": round(calibration.pitch_px),  # an integer: plenpy picks a filter by comparison with 14 and 15
         "ml_focal_length": calibration.lenslet_to_sensor_mm / 1000.0,
         "format": "PNG-PIL",
     }

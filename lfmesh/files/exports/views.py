@@ -1,4 +1,4 @@
-"""Every view as a picture of its own."""
+"""Export of each view as a separate picture."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from lfmesh.lightfield.views.upright import UPRIGHT
 
 
 def write_views(folder: Path, field: LightField) -> dict[str, Any]:
-    """Write ``view_v00_u00.png`` (sRGB, one exposure) and ``.exr`` (as measured, with standard error) and so on."""
+    """Write ``view_v00_u00.png`` etc. (sRGB, one exposure) and ``.exr`` (as measured, with standard errors)."""
     rows, columns = field.views
     rgb, known = linear_rgb(field)
     white = white_point(rgb.max(axis=-1).astype(float), known)

@@ -1,8 +1,7 @@
-"""Other people's files: lens files of other design programs, read and written, and scenes as glTF files.
+"""Files of other programs: lens files of optical design programs, read and written, and scenes as glTF files.
 
-Importing this part registers its readers in the scene's table (`lfmesh.scene.camera.lens_readers`), so that
-`camera.lens = { file = "x.zmx" }` works without the scene knowing of them, and that of glTF scenes
-(`lfmesh.scene.objects.gltf_reader`).
+Importing this package registers its lens readers with the scene (`lfmesh.scene.camera.lens_readers`), so that
+`camera.lens = { file = "x.zmx" }` works, and its reader of glTF scenes (`lfmesh.scene.objects.gltf_reader`).
 """
 
 from lfmesh.imports.gltf_scene import GltfScene, read_gltf, with_gltf

@@ -1,4 +1,4 @@
-"""Clear apertures of an imported lens: what the file gives, or what its pupil and fields need, by paraxial rays."""
+"""Clear apertures of an imported lens: from the file, or by paraxial rays from its pupil and fields."""
 
 import math
 from dataclasses import replace
@@ -12,28 +12,28 @@ from lfmesh.scene.camera.lens import Surface
 from lfmesh.scene.first_order.paraxial import Paraxial, Ray
 
 MARGIN = 0.05
-"""Share by which a clear aperture that follows from the fields is larger than the paraxial rays need."""
+"""Relative margin of a computed clear aperture over the paraxial beams."""
 
 BESIDE_AXIS = 1.0 / 256.0
-"""Share of a clear aperture up to which surfaces count as crossing beside the axis, where no aperture would help."""
+"""Fraction of a clear aperture within which crossing surfaces cross beside the axis, so that no aperture would help."""
 
 
 def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> float:
-    """Return the radius of the stop that the file's pupil makes, by paraxial rays at its primary wavelength.
+    """Return the radius of the stop for the file's pupil, by paraxial rays at its primary wavelength.
 
     Parameters
     ----------
     prescription : Prescription
     made : KeptSurfaces
     paraxial : Paraxial
-        Of the kept surfaces.
+        Paraxial system of the kept surfaces.
     report : Report
         Names the file in errors.
 
     Raises
     ------
     SceneError
-        The pupil makes no stop of finite size.
+        The pupil gives no stop of finite size.
     """
     kind, value = prescription.pupil
     unit = prescription.unit_mm
@@ -70,18 +70,18 @@ def stop_radius_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Par
 def apertures_mm(
     prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, stop_mm: float, report: Report
 ) -> list[float]:
-    """Return the clear radius of every surface: the file's, or what its fields need.
+    """Return the clear radius of every surface: from the file, or as its fields need.
 
     Parameters
     ----------
     prescription : Prescription
     made : KeptSurfaces
     paraxial : Paraxial
-        Of the kept surfaces.
+        Paraxial system of the kept surfaces.
     stop_mm : float
         Radius of the stop.
     report : Report
-        Gets what was computed.
+        Receives the computed apertures.
     """
     unit = prescription.unit_mm
     given = [surface.aperture or surface.extent for surface in made.kept]
@@ -118,7 +118,7 @@ def apertures_mm(
 
 
 def _end_at(reach: float, size: float, beam: float, surface: FileSurface, report: Report) -> None:
-    """Say that a clear aperture ends with its surface; refuse the surface where it ends inside the axial beam."""
+    """Report that a surface ends inside its clear aperture; refuse it if it ends inside the axial beam."""
     if beam < reach:
         how = f"semi-diameter {size:.6g} mm: the surface ends {reach:.6g} mm from the axis, which is taken"
         report.add(surface.line, surface.text, Verdict.APPROXIMATED, how)
@@ -128,12 +128,12 @@ def _end_at(reach: float, size: float, beam: float, surface: FileSurface, report
 
 
 def _reach(curvature: float, conic: float) -> float:
-    """Return the height at which a conic ends."""
+    """Return the largest height of a conic."""
     return 1.0 / abs(curvature) / math.sqrt(1 + conic) if curvature and conic > -1 else math.inf
 
 
 def _needed_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, stop_mm: float) -> list[float]:
-    """Return the height up to which the beams of all fields fill each surface."""
+    """Return, for each surface, the largest height of the beams of all fields."""
     object_mm = made.object_mm
     marginal = paraxial.heights_mm(paraxial.marginal_ray(object_mm, stop_mm))
     pupil_mm, _ = paraxial.entrance_pupil(stop_mm)
@@ -147,7 +147,7 @@ def _needed_mm(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxia
 
 
 def _chief_ray(prescription: Prescription, paraxial: Paraxial, size: float, object_mm: float, pupil_mm: float) -> Ray:
-    """Return the ray of a field point through the middle of the entrance pupil, at the first vertex."""
+    """Return the chief ray of a field point, at the first vertex."""
     unit, index = prescription.unit_mm, paraxial.indices[0]
     if prescription.field_kind == "angle":
         slope = math.tan(math.radians(min(size, 89.0)))
@@ -161,25 +161,25 @@ def _chief_ray(prescription: Prescription, paraxial: Paraxial, size: float, obje
         height = height / scale if scale else 0.0
     if math.isinf(object_mm) or math.isinf(pupil_mm) or object_mm + pupil_mm == 0:
         return Ray(height, 0.0)
-    # The object stands below the axis, so that the ray climbs through the pupil, as a positive field angle does.
+    # The object point is below the axis, so that the ray rises through the pupil, as for a positive field angle.
     slope = height / (object_mm + pupil_mm)
     return Ray(-slope * pupil_mm, index * slope)
 
 
 def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, report: Report) -> list[dict[str, object]]:
-    """Shrink apertures that are drawn or followed from the fields where neighbours would cross inside them.
+    """Shrink drawn or computed apertures inside which neighbouring surfaces would cross.
 
     Parameters
     ----------
     surfaces : list of dict
-        Keys of each surface of a scene.
+        Scene keys of each surface.
     made : KeptSurfaces
     report : Report
-        Gets what was shrunk.
+        Receives the reduced apertures.
     """
     shaped = [Surface(**values) for values in surfaces]
     for i, (front, back) in enumerate(pairwise(shaped)):
-        # What the file's program draws stops no light, and neither does what follows from the fields.
+        # Neither drawn nor computed apertures stop light.
         free = [k for k in (i, i + 1) if not (made.kept[k].aperture or shaped[k].stop)]
         sizes = [s.semi_diameter_mm for s in (front, back) if s.semi_diameter_mm is not None]
         if not free or not sizes:
@@ -205,7 +205,7 @@ def without_crossings(surfaces: list[dict[str, object]], made: KeptSurfaces, rep
 
 
 def _radius_of_contact(front: Surface, back: Surface, most: float) -> float:
-    """Return the height, at most `most`, up to which two neighbours do not cross."""
+    """Return the height, at most `most`, within which two neighbours do not cross."""
     most = min(most, front.reach_mm, back.reach_mm)
     room = room_mm(front, back, most)
     return math.inf if room == most else room if room > BESIDE_AXIS * most else 0.0

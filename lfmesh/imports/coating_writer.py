@@ -1,4 +1,4 @@
-"""Writing the coatings of a lens as the coating file of a Zemax lens file; `lfmesh.imports.coatings` reads it."""
+"""Writer of a lens's coatings as a Zemax coating file; `lfmesh.imports.coatings` reads it."""
 
 from collections.abc import Iterator
 
@@ -12,21 +12,18 @@ from lfmesh.scene.camera.lens import Lens
 from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredReflectance
 
 _ONE_INDEX_NM = 550.0
-"""Wavelength of the only row of a material that does not disperse."""
+"""Wavelength of the only row of a non-dispersive material."""
 
 _TABLE_NM = np.arange(350.0, 1101.0, 5.0)
-"""Wavelengths at which a material of the catalogue is written, as far as the catalogue has it: linear interpolation
-between them is off by some 1e-5 at 400 nm in ordinary glass."""
+"""Wavelengths at which a catalogue material is written, where the catalogue has data. Linear interpolation between them
+is off by about 1e-5 at 400 nm in ordinary glass."""
 
 _KINDS = ("reflectance", "measured", "layers")
-"""Kinds of coatings that the file has entries for."""
+"""Kinds of coating that the file can hold."""
 
 
 def coating_names(lens: Lens) -> dict[str, str]:
-    """Return the names that a lens's coatings have in the file, where capitals do not count, by those in the lens.
-
-    Coatings that the file cannot hold have none.
-    """
+    """Map the coatings that the file can hold to names that are unique regardless of case."""
     names: dict[str, str] = {}
     taken = set(BARE)
     for name in dict.fromkeys(surface.coating for surface in lens.surfaces):
@@ -39,18 +36,18 @@ def coating_names(lens: Lens) -> dict[str, str]:
 
 
 def coating_file(lens: Lens, names: dict[str, str]) -> tuple[str, list[str]]:
-    """Return the text of a coating file, and what it does not hold exactly.
+    """Return the text of a coating file, and notes on inexact entries.
 
     Parameters
     ----------
     lens : Lens
     names : dict
-        Of `coating_names`.
+        From `coating_names`.
 
     Raises
     ------
     SceneError
-        The catalogue has a layer's material at none of the wavelengths of a table.
+        For a layer's material, the catalogue covers none of a table's wavelengths.
     """
     notes: list[str] = []
     materials: dict[tuple[str, ...], str] = {}
@@ -62,7 +59,7 @@ def coating_file(lens: Lens, names: dict[str, str]) -> tuple[str, list[str]]:
 
 
 def _entry(name: str, coating: Coating, materials: dict[tuple[str, ...], str], notes: list[str]) -> Iterator[str]:
-    """Yield the lines of a coating; the materials that it has are put into `materials` by their rows."""
+    """Yield the lines of a coating; add its materials to `materials`, keyed by their rows."""
     if coating.reflectance is not None:
         yield f"IDEAL {name} {1.0 - coating.reflectance!r} {coating.reflectance!r}"
     elif coating.measured is not None:
@@ -72,12 +69,12 @@ def _entry(name: str, coating: Coating, materials: dict[tuple[str, ...], str], n
         yield f"COAT {name}"
         for layer in coating.layers or ():
             material = materials.setdefault(_material(layer, notes), f"M{len(materials) + 1}")
-            # 1 says that the thickness is in µm.
+            # 1 means that the thickness is in µm.
             yield f"{material} {micrometres(layer.thickness_nm)} 1"
 
 
 def _by_angle(table: MeasuredReflectance) -> Iterator[str]:
-    """Yield reflectance and transmittance, the same for s and p, by angle and wavelength; their phases are 0."""
+    """Yield reflectance and transmittance, equal for s and p and with phase 0, by angle and wavelength."""
     for place, angle in enumerate(table.angles_deg):
         yield f"ANGL {angle!r}"
         for wavelength_nm, row in zip(table.wavelengths_nm, table.reflectance, strict=True):
@@ -86,7 +83,7 @@ def _by_angle(table: MeasuredReflectance) -> Iterator[str]:
 
 
 def _material(layer: Layer, notes: list[str]) -> tuple[str, ...]:
-    """Return the rows of a layer's material: wavelength in µm, n, and k below zero."""
+    """Return the rows of a layer's material: wavelength in µm, n, and negative k."""
     if layer.measured is not None:
         lines = layer.measured.wavelengths_nm
     elif layer.glass is None:

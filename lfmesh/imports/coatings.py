@@ -1,8 +1,8 @@
-"""Coatings that lens files name: OpticStudio's built-in ones, and those of a coating file beside the lens file.
+"""Coatings named in lens files: OpticStudio's built-in ones, and entries of a coating file beside the lens file.
 
-A coating file (OpticStudio's help, "Defining Coatings") holds materials (`MATE`), layers (`COAT`), fixed shares
-(`IDEAL`, or `COAT` and a name like `I.95`) and shares by angle and wavelength (`TABLE`). `!` starts a comment. Layers
-stand from the air side to the glass, as in a scene; between two glasses from the object to the sensor.
+A coating file (OpticStudio's help, "Defining Coatings") holds materials (`MATE`), layers (`COAT`), constant reflectance
+and transmittance (`IDEAL`, or `COAT` with a name like `I.95`), and tables by angle and wavelength (`TABLE`). `!` starts
+a comment. Layers are listed from air to glass, as in a scene; between two glasses, from object to sensor.
 """
 
 import re
@@ -17,36 +17,36 @@ from lfmesh.imports.text import read_lines
 from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredIndex, MeasuredReflectance
 
 USUAL_FILE = "COATING.DAT"
-"""Name of the coating file of a lens that names none."""
+"""Default name of the coating file."""
 
 MGF2_INDEX = 1.38
-"""Index of the quarter wave of magnesium fluoride that `AR` stands for."""
+"""Index of the quarter-wave layer of magnesium fluoride that `AR` denotes."""
 
 BARE = ("NONE", "NULL")
-"""Names of coatings that there are not."""
+"""Names that mean no coating."""
 
 _IDEAL = re.compile(r"I(?:\.(?=\d*\.))?(\d*\.\d+|1)")
-"""Coating named by the share of the light that it transmits: `I.95`, `I0.95` or `I.0.95`."""
+"""Name of an ideal coating by its transmittance: `I.95`, `I0.95` or `I.0.95`."""
 
 _KINDS = ("MATE", "COAT", "IDEAL", "IDEAL2", "TABLE", "TAPR", "ENCRYPTED")
 
 _LOST = 1e-6
-"""Share of the light that a coating may absorb before that is said."""
+"""Absorbed fraction of the light above which the report says so."""
 
 
 class UnreadableCoatingError(Exception):
-    """A coating cannot be read; its text says why."""
+    """A coating cannot be read; the message says why."""
 
 
 @dataclass(frozen=True)
 class FoundCoating:
-    """A coating of a lens file.
+    """Coating of a lens file.
 
     Attributes
     ----------
     coating : Coating
     how : str
-        What of it is approximated; empty if nothing is.
+        Description of approximations; empty if exact.
     """
 
     coating: Coating
@@ -55,7 +55,7 @@ class FoundCoating:
 
 @dataclass
 class CoatingFile:
-    """Coating file, entry by entry.
+    """Entries of a coating file.
 
     Attributes
     ----------
@@ -63,9 +63,9 @@ class CoatingFile:
     materials : dict
         Complex index by name.
     unusable : dict
-        Reason by name of the materials that make no sense.
+        Fault of each invalid material, by name.
     entries : dict of str to (str, list of list of str)
-        Kind of each coating, and the words of its lines after the first; of an `IDEAL` one, of its only line.
+        Kind of each coating, and the words of its lines after the first; of `IDEAL`, the only line.
     """
 
     path: Path
@@ -75,18 +75,18 @@ class CoatingFile:
 
     @classmethod
     def beside(cls, lens_file: Path, name: str | Path | None) -> "CoatingFile | None":
-        """Read the coating file in the folder of a lens file, if any; of two that differ by capitals the exact one.
+        """Read the coating file in a lens file's folder, if any; an exact match of case comes first.
 
         Parameters
         ----------
         lens_file : Path
         name : str or Path, optional
-            As the lens file gives it, else the usual one; or the path of one that is given and must be there.
+            Name given by the lens file (default: the usual one), or the path of a required file.
 
         Raises
         ------
         SceneError
-            As in `read`.
+            As for `read`.
         """
         if isinstance(name, Path):
             return cls.read(name)
@@ -109,7 +109,7 @@ class CoatingFile:
         Raises
         ------
         SceneError
-            It cannot be read.
+            The file cannot be read.
         """
         file = cls(path)
         for kind, name, lines in _blocks(path):
@@ -130,12 +130,12 @@ class CoatingFile:
         name : str
             In capitals.
         primary_nm : float
-            Wavelength in which thicknesses count.
+            Reference wavelength of thicknesses.
 
         Raises
         ------
         UnreadableCoatingError
-            The file has none of this name, or of a kind that a scene cannot have.
+            The file has no such coating, or a scene cannot have its kind.
         """
         if name not in self.entries:
             raise UnreadableCoatingError(f"{self.path.name} has no such coating")
@@ -158,7 +158,7 @@ class CoatingFile:
         raise UnreadableCoatingError(f"{self.path.name} has it as {kind}, which is not read")
 
     def _layers(self, lines: list[list[str]], primary_nm: float) -> FoundCoating:
-        """Return a stack: each line a material, a thickness, whether that is in µm, a group's number, a taper."""
+        """Return a stack, each line with a material, thickness, whether it is in µm, group number and taper."""
         layers, groups, tapers = [], [], []
         for words in lines:
             material = self.materials.get(words[0].upper())
@@ -181,22 +181,22 @@ class CoatingFile:
 def found_coating(
     name: str, primary_nm: float, file: CoatingFile | None, wanted: str = USUAL_FILE
 ) -> FoundCoating | None:
-    """Return the coating that a Zemax file means by a name; None: bare.
+    """Return the coating that a name means in a Zemax file, None for a bare surface.
 
     Parameters
     ----------
     name : str
     primary_nm : float
-        Primary wavelength, in which quarter waves count.
+        Reference wavelength of quarter waves.
     file : CoatingFile, optional
-        The coating file, whose definitions come before the built-in ones.
+        Coating file; its definitions precede the built-in ones.
     wanted : str
-        Its name.
+        Name of the coating file.
 
     Raises
     ------
     UnreadableCoatingError
-        It is neither in the file nor built in, or of a kind that a scene cannot have.
+        It is neither in the file nor built in, or a scene cannot have its kind.
     """
     name = name.upper()
     if name in BARE:
@@ -217,19 +217,19 @@ def found_coating(
 
 
 def _ideal(name: str) -> FoundCoating | None:
-    """Return the coating whose name gives the share that it transmits; it reflects the rest. None for other names."""
+    """Return the ideal coating whose transmittance is given by its name; None for other names."""
     found = _IDEAL.fullmatch(name)
     return None if found is None else _fixed(float(f"{1.0 - float(found[1]):.12g}"), float(found[1]))
 
 
 def numbered(name: str) -> Iterator[str]:
-    """Yield a name, then the same with a number behind it, from 2: for names of which one may be taken."""
+    """Yield a name, then numbered variants from 2, to find a free one."""
     yield name
     yield from (f"{name}-{number}" for number in count(2))
 
 
 def _blocks(path: Path) -> Iterator[tuple[str, str, list[list[str]]]]:
-    """Yield kind, name in capitals, and the words of the lines of each entry."""
+    """Yield the kind, name in capitals, and words of the lines of each entry."""
     kind, name, lines = "", "", list[list[str]]()
     for line in read_lines(path):
         words = line.partition("!")[0].split()
@@ -246,7 +246,7 @@ def _blocks(path: Path) -> Iterator[tuple[str, str, list[list[str]]]]:
 
 
 def _layer(material: MeasuredIndex, thickness_nm: float) -> Layer:
-    """Return a layer; a material of one row is an index."""
+    """Return a layer; a material with a single row becomes a constant index."""
     if len(material.index) > 1:
         return Layer(measured=material, thickness_nm=thickness_nm)
     extinction = material.extinction[0] if material.extinction else 0.0
@@ -254,7 +254,7 @@ def _layer(material: MeasuredIndex, thickness_nm: float) -> Layer:
 
 
 def _material(lines: list[list[str]]) -> MeasuredIndex:
-    """Return a material of rows of wavelength in µm, n and k; k is below zero where light is absorbed."""
+    """Return a material from rows of wavelength in µm, n and k; negative k absorbs."""
     rows = sorted((nanometres(words[0]), *numbers([*words, "0"][1:3])) for words in lines)
     if not rows:
         raise ValueError("it has no rows")
@@ -270,7 +270,7 @@ def _material(lines: list[list[str]]) -> MeasuredIndex:
 
 
 def _repeated(layers: list[Layer], groups: list[int]) -> list[Layer]:
-    """Return layers with their groups repeated; the first and the last of a group carry how often it comes."""
+    """Expand groups of layers; the first and last layer of a group carry its repeat count."""
     made: list[Layer] = []
     at = 0
     while at < len(layers):
@@ -288,7 +288,7 @@ def _repeated(layers: list[Layer], groups: list[int]) -> list[Layer]:
 
 
 def _fixed(reflected: float, transmitted: float) -> FoundCoating:
-    """Return a coating of the same shares at all angles."""
+    """Return a coating with the same reflectance and transmittance at all angles."""
     lost = 1.0 - reflected - transmitted
     if lost < -_LOST:
         raise ValueError(f"it reflects {reflected:g} and transmits {transmitted:g}, more than there is")
@@ -297,7 +297,7 @@ def _fixed(reflected: float, transmitted: float) -> FoundCoating:
 
 
 def _by_angle(lines: list[list[str]]) -> FoundCoating:
-    """Return a coating by a table: `ANGL` in degrees, then `WAVE` in µm with Rs, Rp, Ts, Tp at that angle."""
+    """Return a tabulated coating: `ANGL` in degrees, then `WAVE` in µm with Rs, Rp, Ts, Tp at that angle."""
     rows: dict[float, dict[float, float]] = {}
     angle, lost = 0.0, 0.0
     for words in lines:

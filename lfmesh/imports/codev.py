@@ -1,10 +1,10 @@
 """CODE V sequence files (`.seq`): the sequential, centred, refracting part of the language.
 
-The reader is this program's own, for the reasons that `lfmesh.imports.zemax` gives.
+The reader is lfmesh's own, for the reasons in `lfmesh.imports.zemax`.
 
-The language: commands separated by `;` or line ends, `&` continues a line, `!` starts a comment. `SO`, `S` and `SI` are
-the object, a surface, and the image: curvature or radius (RDM), thickness, glass. Other commands qualify the last
-surface, or the one that they name (`CIR S3 12`). Lengths are in the unit of DIM, wavelengths nm.
+Commands end at `;` or line ends, `&` continues a line, `!` starts a comment. `SO`, `S` and `SI` give the object, a
+surface and the image: curvature or radius (RDM), thickness, glass. Other commands qualify the last surface, or the one
+that they name (`CIR S3 12`). Lengths are in the unit of DIM, wavelengths in nm.
 """
 
 import math
@@ -29,18 +29,18 @@ from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 _UNITS_MM = {"M": 1.0, "MM": 1.0, "C": 10.0, "CM": 10.0, "I": 25.4, "IN": 25.4}
 
 TEMPERATURES_C, PRESSURES = (20.0, 22.0), (1.0, 760.0)
-"""Those of catalogues, °C, and of the air at sea level in atmospheres or mm of mercury."""
+"""Standard conditions: catalogue temperatures in °C, and sea-level air pressure in atmospheres or mm of mercury."""
 
 MIRRORS = "mirrors are not supported: the lens refracts"
 
 COEFFICIENTS = "ABCDEFGHJ"
-"""Of r⁴, r⁶, ... r²⁰."""
+"""Coefficients of r⁴, r⁶, ... r²⁰."""
 
 _WITHOUT_EFFECT = command_names(
     "LEN GO CA INI WTW WTF SLB CCY THC CUM THM GLC KC AC BC CC DC EC FC GC HC JC DER CLS PIM CVS "
     "ADC BDC CDC XDC YDC ZDC CPR POL SPH ORD AFI UM UMY HMY IMY"
 )
-"""Labels, weights, what an optimisation may vary, solves whose present value stands in the surface's line, drawing."""
+"""Labels, weights, optimisation variables, solves (their present value is in the surface's line), drawing."""
 
 _REFUSED = {
     **dict.fromkeys(["DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "GRT", "GRO"], "diffractive surfaces are not supported"),
@@ -59,12 +59,12 @@ _REFUSED = {
 }
 
 MOVES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")
-"""Decentres of a surface: shifts along x, y and z, then turns about its own x and y axes, left-handed, and z axis,
-right-handed, as LightTools' manual gives CODE V's convention."""
+"""Decentres of a surface: shifts along x, y and z, then rotations about its own x and y axes (left-handed) and z axis
+(right-handed), the convention of CODE V according to LightTools' manual."""
 
 _RETURNS = ("DAR", "REV")
-"""Decentres by which the axis goes back: with DAR they move the surface alone; with REV the surface stays, and what
-follows is moved back by them, so that they undo an earlier decentre of the same values. ray-optics takes them so."""
+"""Decentres that return the axis. With DAR, they move only the surface; with REV, the surface stays and what follows is
+moved back, which undoes an earlier decentre of equal values. ray-optics does the same."""
 
 _SURFACE_NAME = re.compile(r"S(O|I|S|\d+)(\.\.\S+)?$")
 
@@ -72,20 +72,20 @@ _FIELDS = {"AN": "angle", "OB": "object", "IM": "image", "RI": "image"}
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of a CODE V file, and what became of its commands.
+    """Return the lens of a CODE V file and the report on its commands.
 
     Parameters
     ----------
     path : Path
     lines : list of str, optional
-        Its text, in place of reading it.
+        Text of the file; read from `path` if omitted.
     choices : FileChoices
-        Substitutes of glasses, and the configuration.
+        Substitute glasses and the configuration.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read or its lens is not supported.
     """
     refuse_choices(path, choices, configurations=True)
     lines = read_lines(path) if lines is None else lines
@@ -95,7 +95,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 
 
 def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
-    """Return the lens at one zoom position, what became of the commands, and the number of positions."""
+    """Return the lens at one zoom position, its report, and the number of positions."""
     reader = _Reader(Report(path))
     for at, words in commands(lines):
         reader.take(at, words)
@@ -114,7 +114,7 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
 
 
 class _Reader:
-    """Reads command by command; one without a method of its name is looked up in the tables above."""
+    """Reader of commands; a command without its own method is looked up in the tables above."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -173,7 +173,7 @@ class _Reader:
             self.report.add(self.at, self.text, Verdict.UNKNOWN)
 
     def finished(self) -> Prescription:
-        """Return what was read, with what only the whole file shows."""
+        """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: no CODE V lens file: it has no line S")
@@ -213,7 +213,7 @@ class _Reader:
         self.report.add(self.at, self.text, Verdict.WITHOUT_EFFECT)
 
     def _named(self, words: list[str]) -> tuple[FileSurface, list[str]]:
-        """Return the surface that a command speaks of, and the rest of its words."""
+        """Return the surface to which a command refers, and the remaining words."""
         if words and (found := _SURFACE_NAME.match(words[0].upper())):
             place = found[1]
             if found[2] or place == "S":
@@ -228,7 +228,7 @@ class _Reader:
             raise ValueError("it stands before the first surface")
         return self.made.surfaces[-1], words
 
-    # Surfaces.
+    # Commands for surfaces.
 
     def _surface_line(self, command: str, words: list[str]) -> None:
         command = "SO" if command == "S0" and not self.made.surfaces else command
@@ -279,7 +279,7 @@ class _Reader:
         self._taken()
 
     def _move(self, surface: FileSurface) -> None:
-        """Put the moves of a surface into it."""
+        """Apply a surface's decentres."""
         values, orders = self.moves.get(id(surface), {}), self.returns.get(id(surface), [])
         if not any(values.values()):
             for at, text in orders:
@@ -298,9 +298,9 @@ class _Reader:
             self.report.refuse(*orders[-1], "a surface has one of DAR and REV, once")
 
     def _on_ret(self, words: list[str]) -> None:
-        """Let what follows a surface stand in the frame of an earlier one: `RET S3`, or `RET S5 S3` of surface 5.
+        """Return to the frame of an earlier surface: `RET S3`, or `RET S5 S3` for surface 5.
 
-        Zemax's macro that reads these files makes it a coordinate break that returns to place and orientation of S3.
+        Zemax's macro for these files makes it a coordinate break that restores the position and orientation of S3.
         """
         target, _ = self._named([words[-1]])
         surface, _ = self._named(words[:-1])
@@ -395,7 +395,7 @@ class _Reader:
         surface.aperture = value or None
         self._taken()
 
-    # The file as a whole.
+    # Commands for the whole file.
 
     def _on_rdm(self, words: list[str]) -> None:
         self.radii = not (words and words[0].upper().startswith("N"))
@@ -451,11 +451,11 @@ class _Reader:
         self._taken()
 
     def _on_zoo(self, words: list[str]) -> None:
-        # What becomes of it is known with the position that is asked for.
+        # Its verdict depends on the requested position.
         self.zoom.add_row(self.at, words)
 
     def _of_each_field(self, key: str, words: list[str]) -> None:
-        """Take a value of every field, or as `F2 3.0` of one, the next one at most."""
+        """Read a value for every field or, as in `F2 3.0`, for one field, at most one beyond the last."""
         count = max(map(len, self.fields.values()), default=0)
         values = list(self.fields.get(key, []))
         self.fields[key] = _changed(values + [0.0] * (count - len(values)), "F", words, "field", beyond=1)
@@ -491,7 +491,7 @@ class _Reader:
 
 
 def _changed(held: list[float], letter: str, words: list[str], noun: str, beyond: int = 0) -> list[float]:
-    """Return what words make of some values: all of them new, or one, as `F2 3.0` says; `beyond` may be added."""
+    """Return changed values: all replaced or, as in `F2 3.0`, one, at most `beyond` places past the end."""
     if not words or not re.fullmatch(rf"{letter}\d+", words[0].upper()):
         return numbers(words)
     place = int(words[0][1:])

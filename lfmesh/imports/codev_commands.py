@@ -1,11 +1,11 @@
-"""Commands of CODE V sequence files, told apart: line ends and `;`, continued lines, comments and quotes."""
+"""Splitter of CODE V sequence files into commands: line ends and `;`, continuation lines, comments and quotes."""
 
 import re
 from collections.abc import Iterator
 
 
 def commands(lines: list[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the commands of a file: the line that each starts on, from 1, and its words; quoted words keep a quote."""
+    """Yield the first line number (from 1) and the words of each command; quoted words keep a quote."""
     held, start = "", 0
     for at, line in enumerate(lines, 1):
         text = _without_comment(line).rstrip()

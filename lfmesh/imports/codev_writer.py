@@ -1,4 +1,4 @@
-"""Writing a lens as a CODE V sequence."""
+"""Writer of a lens as a CODE V sequence."""
 
 import math
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from lfmesh.scene.pose import Pose
 
 
 def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, bytes], list[str]]:
-    """Return a lens as the bytes of a `.seq` file, and what it does not hold.
+    """Return a lens as the bytes of a `.seq` file, and notes on properties that the file lacks.
 
     Parameters
     ----------
     lens : Lens
     conditions : Conditions
     path : Path
-        Where the lens goes.
+        Path of the lens file.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     if lens.f_number is not None and far:
         lines.append(f"FNO {lens.f_number!r}")
     elif lens.f_number is not None:
-        # FNO counts on the side of the image, however near the object is.
+        # FNO is the image-side f-number at any object distance.
         lines.append(f"EPD {abs(Paraxial.of(lens, primary_nm).efl_mm) / lens.f_number!r}")
     else:
         lines.append(f"EPD {lens.epd_mm or entrance_pupil_mm(lens, radius or 1.0, primary_nm)!r}")
@@ -50,7 +50,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
     plain = dict.fromkeys(medium for medium in lens.media if isinstance(medium, float))
     private: dict[Medium, str] = {index: f"N{i}" for i, index in enumerate(plain)}
     if private:
-        # Of two wavelengths, so that the table is seen to be one index.
+        # Give two wavelengths, to show that the table means a constant index.
         lines += ["PRV", "PWL 1000.0 400.0", *(f"'{name}' {n!r} {n!r}" for n, name in private.items()), "END"]
     lines += _dispersive(lens, private, notes)
     distance = "0.1e14" if far else repr(conditions.object_mm)
@@ -66,7 +66,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
 
 
 def _named(medium: Medium, private: dict[Medium, str]) -> str:
-    """Return the name of a medium at the end of a surface's line; none for air."""
+    """Return the glass name that ends a surface's line; empty for air."""
     if isinstance(medium, str):
         maker, name = maker_and_name(medium, "CODE V")
         return f" {''.join(sign for sign in name if sign.isalnum())}_{maker}"
@@ -74,7 +74,7 @@ def _named(medium: Medium, private: dict[Medium, str]) -> str:
 
 
 def _conditions(conditions: Conditions) -> list[str]:
-    """Return the lines of wavelengths and fields."""
+    """Return the lines for wavelengths and fields."""
     kind = {"angle": "AN", "object": "OB", "image": "IM"}[conditions.field_kind]
     fields = conditions.fields
     columns: dict[str, Sequence[float]] = {
@@ -89,7 +89,7 @@ def _conditions(conditions: Conditions) -> list[str]:
 
 
 def _moved(lens: Lens, number: int) -> list[str]:
-    """Return the decentre of a surface of an element off the axis, after which the axis goes on."""
+    """Return the decentre of a surface in an off-axis element; the axis continues unchanged behind it."""
     which = lens.element_of(number)
     if which is None or lens.elements[which].pose == Pose():
         return []
@@ -103,7 +103,7 @@ def _moved(lens: Lens, number: int) -> list[str]:
 
 
 def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> list[str]:
-    """Return the tables of glasses without a name, whose names are put into `private`."""
+    """Return the tables of unnamed glasses, and enter the names given to them in `private`."""
     lines = []
     for glass in lens.media:
         if not isinstance(glass, OwnGlass) or glass in private:
@@ -121,7 +121,7 @@ def _dispersive(lens: Lens, private: dict[Medium, str], notes: list[str]) -> lis
 
 
 def _qualified(number: int, surface: Surface, aperture_mm: float | None) -> list[str]:
-    """Return what follows the line of a surface."""
+    """Return the lines that qualify a surface."""
     if any(surface.odd_asphere_mm):
         raise SceneError(f"surfaces[{number}].odd_asphere_mm: not written to CODE V files; write .zmx")
     if len(surface.terms_mm) > len(COEFFICIENTS):

@@ -1,7 +1,7 @@
-"""Zoom positions of CODE V sequence files: the commands that give a lens its values at one of them.
+"""Zoom positions of CODE V sequence files: the commands that set a lens to one of them.
 
-`ZOO 3` gives their number, and `ZOO THI S5 2.0 8.0 14.0` what the command `THI S5` has at each, as do `THI S5 Z1 2.0`,
-`THI S5 Z2 8.0` and `THI S5 Z3 14.0`.
+`ZOO 3` gives their number. `ZOO THI S5 2.0 8.0 14.0` gives the values of `THI S5` at each position, as do `THI S5 Z1
+2.0`, `THI S5 Z2 8.0` and `THI S5 Z3 14.0`.
 """
 
 import re
@@ -13,18 +13,18 @@ from lfmesh.imports.prescription import MOST_CONFIGURATIONS
 from lfmesh.imports.report import Report, Verdict
 
 Command = tuple[int, list[str]]
-"""Line, from 1, and words of a command."""
+"""Line (from 1) and words of a command."""
 
 _SURFACE = re.compile(r"S(O|I|S|\d+)", re.IGNORECASE)
 
 
 def zoom_word(words: list[str]) -> int | None:
-    """Return which word of a command names a zoom position, such as the `Z2` of `THI S5 Z2 8.0`; None if none does."""
+    """Return the index of the word that names a zoom position, such as `Z2` in `THI S5 Z2 8.0`, or None."""
     return next((k for k in (1, 2) if k < len(words) and re.fullmatch(r"[Zz]\d+", words[k])), None)
 
 
 class ZoomPositions:
-    """Zoom positions of one file.
+    """Zoom positions of a file.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class ZoomPositions:
         self._single: list[tuple[int, list[str], int]] = []
 
     def add_row(self, at: int, words: list[str]) -> None:
-        """Enter the words behind `ZOO`; ValueError where they give an impossible number of positions."""
+        """Add the words after `ZOO`; ValueError for an impossible number of positions."""
         if len(words) == 1 and is_number(words[0]):
             count = number(words[0])
             if count != int(count) or not 1 <= count <= MOST_CONFIGURATIONS:
@@ -50,7 +50,7 @@ class ZoomPositions:
             self._rows.append((at, words))
 
     def add_single(self, at: int, words: list[str], where: int) -> None:
-        """Enter a command that speaks of one position.
+        """Add a command for a single position.
 
         Parameters
         ----------
@@ -58,22 +58,22 @@ class ZoomPositions:
             Line, from 1.
         words : list of str
         where : int
-            Number of the word that names the position, from 0.
+            Index of the word that names the position.
         """
         self._single.append((at, words, where))
 
     def commands(self, wanted: int | None) -> Iterator[Command]:
-        """Yield the commands that give the lens its values at one position; say what becomes of the others.
+        """Yield the commands that set the lens to one position; report on the others.
 
         Parameters
         ----------
         wanted : int, optional
-            From 1; if left out, the values that stand in the surfaces.
+            From 1; by default the values in the surfaces stay.
 
         Raises
         ------
         SceneError
-            The file does not have it.
+            The file has no such position.
         """
         count = self.count
         if wanted is not None and not 1 <= wanted <= count:
@@ -97,12 +97,12 @@ class ZoomPositions:
                 self._report.add(at, " ".join(words), Verdict.WITHOUT_EFFECT)
 
     def _of_row(self, at: int, words: list[str], wanted: int | None) -> Iterator[Command]:
-        """Yield the command of a row at a position, if it has one."""
+        """Yield the command of a row at a position, if any."""
         text = " ".join(["ZOO", *words])
         if len(words) < 2 or self.count == 1 or wanted is None or words[0].upper() in self._without_effect:
             self._report.add(at, text, Verdict.WITHOUT_EFFECT)
         elif len(words) == 2 and _SURFACE.fullmatch(words[1]):
-            # It only says that the command differs between positions.
+            # It only announces different values at each position.
             self._report.add(at, text, Verdict.TAKEN)
         else:
             command, values = words[: -self.count], words[-self.count :]

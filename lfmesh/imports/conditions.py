@@ -1,4 +1,4 @@
-"""Conditions of use that lens files hold beside the lens: light, fields, and where object and image stand."""
+"""Conditions of use in lens files: light, fields, and distances of object and image."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from lfmesh.scene.first_order.paraxial import Paraxial
 
 @dataclass(frozen=True)
 class FieldPoint:
-    """A field point of the file: where it is, and how far its beam fills the pupil upwards and downwards."""
+    """Field point of a file, and how far its beam fills the pupil upwards and downwards."""
 
     x: float = 0.0
     y: float = 0.0
@@ -20,18 +20,18 @@ class FieldPoint:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions in which a file uses its lens.
+    """Conditions under which a file uses its lens.
 
     Attributes
     ----------
     wavelengths_nm : tuple of float
     primary : int
-        Number of the primary wavelength, from 0.
+        Index of the primary wavelength.
     field_kind : str
         "angle" in degrees, "object" or "image": heights in mm.
     fields : tuple of FieldPoint
     object_mm : float
-        Distance of the object before the first surface; inf where it counts as infinite.
+        Distance of the object before the first surface; inf if treated as infinite.
     image_mm : float
         Distance of the image behind the last surface.
     """
@@ -45,6 +45,6 @@ class Conditions:
 
     @classmethod
     def usual(cls, lens: Lens) -> "Conditions":
-        """Return the d line, the axis, the object at infinity and the image in its paraxial focus."""
+        """Return the d line, an on-axis object at infinity, and the image at the paraxial focus."""
         image_mm = Paraxial.of(lens, D_LINE_NM).bfl_mm
         return cls(image_mm=image_mm if math.isfinite(image_mm) else 0.0)

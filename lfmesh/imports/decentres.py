@@ -1,8 +1,7 @@
-"""Surfaces that stand off the axis: moves of the local frame along a prescription, and the elements that they make.
+"""Off-axis surfaces: moves of the local frame along a prescription, and the resulting elements.
 
-Lens files place a surface by the frame that the surfaces before it leave: each goes on along its z axis by the
-thickness, and a move shifts and turns the frame between two surfaces. A lens of this program has one axis, and groups
-of surfaces with a pose.
+Lens files place each surface in the frame left by the surfaces before it: thicknesses advance it along its z axis, and
+moves shift and rotate it between surfaces. An lfmesh lens has one axis, and groups of surfaces with a pose.
 """
 
 from collections.abc import Sequence
@@ -19,20 +18,20 @@ from lfmesh.scene.pose import Pose
 Array = NDArray[np.float64]
 
 SAME = 1e-12
-"""Difference of two directions, and share of the lens's length, up to which frames are the same: rounding."""
+"""Largest difference of equal frames (rounding): of direction, and of position as a fraction of the lens's length."""
 
 _DIGITS = 12
-"""Digits behind the point of the angles, in degrees, and shifts that are written: those beyond are rounding."""
+"""Decimal places of written angles (degrees) and shifts; further ones are rounding errors."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """A move of the frame that surfaces stand in, lengths in the file's unit.
+    """Move of the frame of the surfaces, lengths in the file's unit.
 
     Attributes
     ----------
     shift : (3,) tuple of float
-        Of the origin, along the axes before the turn.
+        Shift of the origin along the axes before the rotation.
     turn : Rotation
     """
 
@@ -41,20 +40,20 @@ class Move:
 
     @classmethod
     def shifted_then_tilted(cls, shift: Sequence[float], tilt_deg: Sequence[float]) -> "Move":
-        """Return a shift, then turns about the frame's own x, y and z axes in this order, right-handed."""
+        """Return a shift, then right-handed rotations about the frame's own x, y and z axes in this order."""
         x, y, z = shift
         return cls((x, y, z), Rotation.from_euler("XYZ", tilt_deg, degrees=True))
 
     @classmethod
     def tilted_then_shifted(cls, shift: Sequence[float], tilt_deg: Sequence[float]) -> "Move":
-        """Return turns about the frame's own z, y and x axes in this order, then a shift along the turned axes."""
+        """Return rotations about the frame's own z, y and x axes in this order, then a shift along the new axes."""
         turn = Rotation.from_euler("ZYX", tilt_deg[::-1], degrees=True)
         x, y, z = turn.apply(shift)
         return cls((float(x), float(y), float(z)), turn)
 
     @property
     def inverse(self) -> "Move":
-        """The move back."""
+        """Inverse move."""
         back = self.turn.inv()
         x, y, z = -back.apply(self.shift)
         return Move((float(x), float(y), float(z)), back)
@@ -62,7 +61,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Place:
-    """Frame of a surface, seen from that of the object, lengths in one unit.
+    """Frame of a surface relative to the object's, lengths in one unit.
 
     Attributes
     ----------
@@ -78,21 +77,21 @@ class Place:
         return Place(self.vertex + self.turn.apply(move.shift), self.turn * move.turn)
 
     def along(self, distance: float) -> "Place":
-        """Return the frame a distance further along its z axis."""
+        """Return the frame moved along its z axis."""
         return Place(self.vertex + self.turn.apply((0.0, 0.0, distance)), self.turn)
 
     def on_axis(self, length: float) -> bool:
-        """Return whether this frame differs from the object's by a shift along z alone.
+        """Tell whether this frame differs from the object's only by a shift along z.
 
         Parameters
         ----------
         length : float
-            Of the lens.
+            Length of the lens.
         """
         return self.turn.magnitude() <= SAME and float(np.hypot(*self.vertex[:2])) <= SAME * length
 
     def continues(self, other: "Place", length: float) -> bool:
-        """Return whether another frame stands on this one's z axis and is turned like it."""
+        """Tell whether another frame lies on this one's z axis, equally oriented."""
         apart = self.turn.inv().apply(other.vertex - self.vertex)
         turned = (self.turn.inv() * other.turn).magnitude()
         return bool(turned <= SAME and float(np.hypot(*apart[:2])) <= SAME * length)
@@ -103,14 +102,14 @@ START = Place(np.zeros(3), Rotation.identity())
 
 
 def straightened(places: Sequence[Place], sums: Sequence[float]) -> tuple[list[float], list[Element]]:
-    """Return where surfaces stand along the axis without their poses, and the elements that put them in their places.
+    """Return the axial positions of the surfaces without their poses, and the elements with their poses.
 
     Parameters
     ----------
     places : sequence of Place
-        Of the surfaces, mm.
+        Frames of the surfaces, mm.
     sums : sequence of float
-        Thicknesses up to each, mm: groups off the axis start so far behind what comes before them.
+        Summed thicknesses up to each surface, mm: they set the spacing before off-axis groups.
     """
     length = max(1.0, *(float(np.linalg.norm(place.vertex)) for place in places))
     groups: list[list[int]] = []
@@ -133,12 +132,12 @@ def straightened(places: Sequence[Place], sums: Sequence[float]) -> tuple[list[f
 
 
 def gaps(vertices: Sequence[float]) -> list[float]:
-    """Return the distances of neighbours."""
+    """Return the distances between neighbours."""
     return [back - front for front, back in pairwise(vertices)]
 
 
 def _element(group: list[int], first: Place, vertex: float) -> Element:
-    """Return a group with the pose that takes its first vertex from the axis to its place."""
+    """Return a group with the pose that moves its first vertex from the axis into place."""
     x, y, z = np.round(first.vertex - [0.0, 0.0, vertex], _DIGITS) + 0.0
     about_x, about_y, about_z = np.round(first.turn.as_euler("xyz", degrees=True), _DIGITS) + 0.0
     pose = Pose(shift_mm=(float(x), float(y), float(z)), tilt_deg=(float(about_x), float(about_y), float(about_z)))
@@ -146,7 +145,7 @@ def _element(group: list[int], first: Place, vertex: float) -> Element:
 
 
 def move_of(element: Element) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return the shift, mm, and the tilts, degrees, about the own x, y and z axes one after the other, of an element.
+    """Return an element's shift, mm, and tilts about its own x, y and z axes in turn, degrees.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Faults of a lens in the words of the file that it comes from, not in the keys of a scene."""
+"""Faults of a lens in terms of its source file rather than the keys of a scene."""
 
 import re
 
@@ -19,16 +19,16 @@ _FAULT = re.compile(r"(?:Lens\.)?surfaces?(?:\[([0-9]+)\])?((?:\.\w+(?:\[[0-9]+\
 
 
 def file_fault(said: str, kept: list[FileSurface], number: int | None = None) -> str:
-    """Return the first fault of a scene's lens with the file's line, without advice on a scene's keys.
+    """Return the first fault of a scene's lens with the file's line, without advice on scene keys.
 
     Parameters
     ----------
     said : str
-        The scene's message, one fault a line.
+        Message of the scene, one fault per line.
     kept : list of FileSurface
-        The file's lines of the lens's surfaces, in their order.
+        The file's surfaces, in the order of the lens.
     number : int, optional
-        Number of the faulty surface, where the message does not give it.
+        Number of the faulty surface, if not in the message.
     """
     fault = next((line.strip() for line in said.splitlines() if _FAULT.match(line.strip())), said)
     found = _FAULT.match(fault)
@@ -42,6 +42,6 @@ def file_fault(said: str, kept: list[FileSurface], number: int | None = None) ->
     if number is None or not 0 <= number < len(kept):
         return f"as a lens of this program: {fault}"
     surface = kept[number]
-    # A file without lines counts them as 0.
+    # Files without lines have line number 0.
     place = f"line {surface.line}: " if surface.line else ""
     return f"{place}{surface.text or 'surface'}: surface {number} of the lens: {fault}"

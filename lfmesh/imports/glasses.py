@@ -1,4 +1,4 @@
-"""Glasses that lens files name: found in the catalogue or refused, never guessed."""
+"""Glasses named in lens files: found in the catalogue or refused, never guessed."""
 
 import math
 import re
@@ -29,32 +29,32 @@ from lfmesh.optics.glass import (
 from lfmesh.scene.materials.own_glass import OwnGlass
 
 UNLIKE = 2e-3
-"""Difference between the catalogue's nd and the one that a file gives beside the name, above which it is said."""
+"""Difference between the catalogue's nd and the file's above which the report says so."""
 
 SAME = 1e-4
-"""Difference of nd up to which glasses of one name count as the same: makers' melts differ by some 1e-5."""
+"""Largest difference of nd between equal glasses of one name; makers' melts differ by about 1e-5."""
 
 FORMULA_FROM_NM, FORMULA_STEP_NM, FORMULA_ROWS = 365.0, 5.0, 148
-"""Table that stands for a formula: from 365 to 1,100 nm, so close that a spline through it is off by 1e-9."""
+"""Tabulation of a dispersion formula from 365 to 1,100 nm, so dense that a spline is accurate to 1e-9."""
 
 Medium = float | str | OwnGlass
-"""Index without dispersion, name of a catalogue glass, or a glass by its dispersion."""
+"""Constant index, name of a catalogue glass, or a glass defined by its dispersion."""
 
 
 Stated = tuple[float, float | None]
-"""n_d, and the Abbe number where it is given, beside a glass's name."""
+"""n_d, and the Abbe number if given, beside a glass's name."""
 
 SPECIAL = "_SPECIAL"
-"""Suffix that CODE V writes behind a material that is in no maker's catalogue."""
+"""CODE V's suffix of materials that are in no maker's catalogue."""
 
 _FORMER = "SCHOTT's former glass"
 
 _FORMER_NAME = re.compile(r"[A-Z]{1,5}[0-9]{1,3}[A-Z]?")
-"""Names before makers marked their new glasses by a letter and a hyphen: BK7, LAKN12, SSK4A."""
+"""Names used before makers marked new glasses by a letter and hyphen: BK7, LAKN12, SSK4A."""
 
 
 def _material(name: str) -> tuple[str, str] | None:
-    """Return the catalogue's page of a crystal or plastic, and what to say of it; None if the name is none."""
+    """Return the catalogue page of a crystal or plastic, and a note on it; None for other names."""
     page = material_page(name)
     if page is None:
         return None
@@ -62,22 +62,22 @@ def _material(name: str) -> tuple[str, str] | None:
 
 
 def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) -> tuple[str, str]:
-    """Return the catalogue's name of a glass, and what to say where it is not from one of the file's catalogues.
+    """Return the catalogue name of a glass, with a note if it is not from the file's catalogues.
 
     Parameters
     ----------
     name : str
-        As the file writes it: "N-BK7", "NBK7_SCHOTT", "BK7".
+        Name in the file: "N-BK7", "NBK7_SCHOTT", "BK7".
     catalogues : list of str
-        Makers whose glasses the file uses, the first first; empty where it does not say.
+        Makers of the file's glasses, in order of preference; empty if not stated.
     stated : tuple of float and float or None, optional
-        n_d and Abbe number beside the name. They tell apart the glasses that share the name. They do not overrule the
-        name, since files often hold the indices of an earlier glass.
+        n_d and Abbe number beside the name. They distinguish glasses of equal name but do not overrule it, as files
+        often hold the indices of an earlier glass.
 
     Raises
     ------
     GlassError
-        There is no such glass, or the name means several; the message names the remedy.
+        The name matches no glass or several; the message gives the remedy.
     """
     name = name[: -len(SPECIAL)] if name.upper().endswith(SPECIAL) else name
     stem, _, maker = name.partition("_")
@@ -101,20 +101,20 @@ def named_glass(name: str, catalogues: list[str], stated: Stated | None = None) 
     if not is_glass(name):
         return _not_found(name, catalogues, stated)
     if not catalogues:
-        # SCHOTT's names are those that files without a maker mean; others have used some of them for other glasses.
+        # Files without a maker mean SCHOTT's names; other makers reused some of them for other glasses.
         own = "/" in name or find_glass(name)[:2] == find_glass("SCHOTT/N-BK7")[:2]
         return name, "" if own else f"the file names no catalogue; taken as {glass_in_words(name)}"
     return name, f"not in {', '.join(catalogues)}; the catalogue has it as {glass_in_words(name)}"
 
 
 def glass_code(name: str, stated: Stated | None = None) -> tuple[float, float] | None:
-    """Return n_d and Abbe number of a six-digit glass code, 1.517 and 64.2 for "517642"; None for other names.
+    """Return n_d and Abbe number of a six-digit glass code, e.g. 1.517 and 64.2 for "517642", or None.
 
     Parameters
     ----------
     name : str
     stated : tuple of float and float or None, optional
-        n_d and Abbe number beside the code. They have more digits, and are taken where they round to it.
+        n_d and Abbe number beside the code, used for their extra digits if they round to it.
     """
     if not re.fullmatch(r"[0-9]{6}", name) or not int(name[3:]):
         return None
@@ -125,9 +125,9 @@ def glass_code(name: str, stated: Stated | None = None) -> tuple[float, float] |
 
 
 def _of_catalogues(name: str, catalogues: list[str], stated: Stated | None) -> list[str]:
-    """Return the glasses of this name in the file's catalogues, only the ones with the stated n_d if there are any.
+    """Return the glasses of this name in the file's catalogues, only the ones with the stated n_d if any.
 
-    SCHOTT's former glasses are in its catalogue by their successors.
+    SCHOTT's successors stand in for its former glasses.
     """
     found = []
     for maker in catalogues:
@@ -136,13 +136,13 @@ def _of_catalogues(name: str, catalogues: list[str], stated: Stated | None) -> l
         elif maker == "SCHOTT" and (heir := successor(name)):
             found.append(heir)
         elif maker == "SCHOTT" and former_index(name) is not None:
-            # Older files mean the former glass, newer ones that of a later catalogue.
+            # Older files mean the former glass, newer ones the glass of a later catalogue.
             break
     return [each for each in found if _fits(each, stated)] or found
 
 
 def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str, str] | None:
-    """Return the glass of a bare name that only n_d or SCHOTT's custom decides; None where the name is enough.
+    """Return the glass of a bare name that needs n_d or SCHOTT's convention to resolve; None if the name suffices.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str
     if "/" in name or "_" in name:
         return None
     makers = [full for maker in MAKERS if is_glass(full := f"{maker}/{name}")]
-    # Not one whose data do not reach that line.
+    # Omit glasses without data at that line.
     found = {full: lines[1] for full in makers if (lines := line_indices(full)) is not None}
     heir, former = successor(name), former_index(name)
     words = {full: f"{full} (nd = {index:.5f})" for full, index in found.items()}
@@ -179,7 +179,7 @@ def _meant(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str
 
 
 def _succeeded(name: str, heir: str, stated: Stated | None) -> tuple[str, str]:
-    """Return SCHOTT's successor of a former glass, and say by how much the two differ."""
+    """Return SCHOTT's successor of a former glass, and a note on their difference."""
     said = f"SCHOTT's former {name}; taken as its successor {glass_in_words(heir)}"
     if stated is not None and abs(stated[0] - refractive_index(heir, D_LINE_NM)) <= UNLIKE:
         return heir, f"{said}, {_apart(heir, stated)}"
@@ -187,7 +187,7 @@ def _succeeded(name: str, heir: str, stated: Stated | None) -> tuple[str, str]:
 
 
 def _by_indices(name: str, stated: Stated | None, called: str = "") -> tuple[str, str] | None:
-    """Return the glass that continues a former name, or any melt, with the stated n_d and Abbe number; None without."""
+    """Return the successor of a former name, or any melt, with the stated n_d and Abbe number, or None."""
     bare = name.partition("_")[0].upper()
     if stated is None or not stated[1] or not _FORMER_NAME.fullmatch(bare):
         return None
@@ -201,7 +201,7 @@ def _by_indices(name: str, stated: Stated | None, called: str = "") -> tuple[str
 
 
 def _former_melt(name: str, catalogues: list[str], maker: str, stated: Stated | None) -> tuple[str, str] | None:
-    """Return a melt of the indices of SCHOTT's former glass without a successor, where the name is SCHOTT's."""
+    """Return a melt with the indices of a former SCHOTT glass without successor, if the name is SCHOTT's."""
     former = FORMER.get(name.upper())
     used = any(is_glass(f"{each}/{name}") for each in catalogues or MAKERS)
     if former is None or maker.upper() not in ("", "SCHOTT"):
@@ -214,19 +214,18 @@ def _former_melt(name: str, catalogues: list[str], maker: str, stated: Stated | 
 
 
 def _not_found(name: str, catalogues: list[str], stated: Stated | None) -> tuple[str, str]:
-    """Return the crystal, plastic or glass of the same indices that a name means, which no maker has as a glass.
+    """Return the crystal, plastic or glass of equal indices for a name that is no maker's glass.
 
     Raises
     ------
     GlassError
-        There is none; the message names the remedy, the nearest glass of the file's makers, and the file's catalogues
-        that lfmesh does not have.
+        None exists; the message gives the remedy, the nearest glass of the file's makers, and its unknown catalogues.
     """
     if (found := _material(name) or _by_indices(name, stated)) is not None:
         return found
     stem, _, maker = name.partition("_")
     try:
-        # Names close to a CODE V name are found by maker and glass.
+        # Similar CODE V names are searched by maker and glass.
         return glass_name(f"{maker}/{stem}" if maker.upper() in MAKERS else name), ""
     except GlassError as error:
         said = str(error)
@@ -248,13 +247,13 @@ def _counted(noun: str, names: list[str]) -> str:
 
 
 def _fits(glass: str, stated: Stated | None) -> bool:
-    """Return whether a file's n_d is that of a glass."""
+    """Tell whether a file's n_d agrees with a glass."""
     lines = line_indices(glass)
     return stated is not None and lines is not None and abs(lines[1] - stated[0]) <= OTHER_GLASS
 
 
 def _off(glass: str, other: str) -> float:
-    """Return the largest difference of two glasses of the catalogue at F, d and C."""
+    """Return the largest index difference of two catalogue glasses at F, d and C."""
     pair = line_indices(glass), line_indices(other)
     if pair[0] is None or pair[1] is None:
         return math.inf
@@ -262,7 +261,7 @@ def _off(glass: str, other: str) -> float:
 
 
 def _apart(glass: str, stated: Stated) -> str:
-    """Say by how much the index of a catalogue glass is above that which n_d and the Abbe number of a file tell."""
+    """Describe the index of a catalogue glass relative to the one given by the file's n_d and Abbe number."""
     lines = line_indices(glass)
     assert lines is not None
     if stated[1]:
@@ -277,11 +276,11 @@ def _apart(glass: str, stated: Stated) -> str:
 
 
 def formula_glass(formula: str, coefficients: list[float]) -> tuple[Medium, str]:
-    """Return a glass by one of CODE V's dispersion formulas, λ in µm, and what to say of it.
+    """Return a glass from one of CODE V's dispersion formulas, λ in µm, and a note on it.
 
-    "LAU" or "GML", Laurent's n² = a₀ + a₁ λ² + a₂ λ⁻² + a₃ λ⁻⁴ + a₄ λ⁻⁶ + a₅ λ⁻⁸; "GMS" or "SLM", Sellmeier's
-    n² = 1 + Σ b λ² / (λ² − c) by pairs of b and c; "CAU", Cauchy's n = a₀ + a₁ λ⁻² + a₂ λ⁻⁴ + ...; "HAR", Hartmann's
-    n = a₀ + a₁ / (λ − a₂).
+    "LAU", "GML" (Laurent): n² = a₀ + a₁ λ² + a₂ λ⁻² + a₃ λ⁻⁴ + a₄ λ⁻⁶ + a₅ λ⁻⁸; "GMS", "SLM" (Sellmeier): n² = 1 + Σ b
+    λ² / (λ² − c), pairs of b and c; "CAU" (Cauchy): n = a₀ + a₁ λ⁻² + a₂ λ⁻⁴ + ...; "HAR" (Hartmann): n = a₀ + a₁ / (λ
+    − a₂).
 
     Parameters
     ----------
@@ -291,7 +290,7 @@ def formula_glass(formula: str, coefficients: list[float]) -> tuple[Medium, str]
     Raises
     ------
     GlassError
-        The formula is none of these, has another number of coefficients, or they give no index.
+        The formula is unknown, has another number of coefficients, or gives no valid index.
     """
     if formula not in FORMULAS:
         raise GlassError(f"formula {formula} is not read; {', '.join(FORMULAS)} are")
@@ -306,7 +305,7 @@ def formula_glass(formula: str, coefficients: list[float]) -> tuple[Medium, str]
     steps = [abs(after - before) for before, after in pairwise(indices)]
     if not min(indices) >= 1.0 or max(steps) > MOST_STEP:
         raise GlassError("its formula gives no index of 1 or more, or a pole, from 365 to 1,100 nm")
-    # The manual that gives the coefficients' order was at hand for Laurent's formula alone.
+    # Only the order of Laurent's coefficients was verified in the manual.
     how = "" if formula == "LAU" else f"formula {formula} with its coefficients in the order that other readers take"
     return private_glass(rows, indices), how
 
@@ -334,14 +333,14 @@ FORMULAS: dict[str, tuple[range | tuple[int, ...], Callable[[list[float], float]
     "CAU": (range(1, 7), _cauchy),
     "HAR": ((3,), _hartmann),
 }
-"""Number of coefficients of each formula, and its index."""
+"""Allowed numbers of coefficients of each formula, and its function."""
 
 MOST_STEP = 0.01
-"""Step of the index in 5 nm, above which there is a pole: glasses change by a tenth of that."""
+"""Largest step of the index in 5 nm without a pole; glasses change by a tenth of it."""
 
 
 def unlike(name: str, index_d: float) -> str:
-    """Return what to say where a file's nd is not that of the glass it names; nothing where it is."""
+    """Return a note if a file's nd differs from that of the glass it names, else an empty text."""
     try:
         known = refractive_index(name, D_LINE_NM)
     except GlassError:
@@ -352,19 +351,19 @@ def unlike(name: str, index_d: float) -> str:
 
 
 def model_glass(index_d: float, abbe: float, wavelengths_nm: list[float]) -> Medium:
-    """Return a glass that is given by nd and Vd alone.
+    """Return a glass given only by nd and Vd.
 
     Parameters
     ----------
     index_d, abbe : float
-        nd, and Vd; a Vd of 0 says that it does not disperse.
+        nd and Vd; a Vd of 0 means no dispersion.
     wavelengths_nm : list of float
-        Light that the file uses.
+        Wavelengths that the file uses.
 
     Raises
     ------
     GlassError
-        There is no such glass, or nd and Vd do not tell its index at one of these wavelengths.
+        No such glass exists, or nd and Vd do not determine its index at one of the wavelengths.
     """
     if abbe == 0:
         return index_d
@@ -378,12 +377,12 @@ def model_glass(index_d: float, abbe: float, wavelengths_nm: list[float]) -> Med
 
 
 def private_glass(wavelengths_nm: list[float], indices: list[float]) -> Medium:
-    """Return a glass that a file gives by a table; an index where it does not disperse.
+    """Return a glass tabulated in a file; a constant index if it has no dispersion.
 
     Raises
     ------
     GlassError
-        The table is none.
+        The table is invalid.
     """
     if indices and max(indices) == min(indices):
         return indices[0]

@@ -1,9 +1,9 @@
-"""Punctual lights of glTF files as lights of the scene.
+"""Punctual lights of glTF files as scene lights.
 
-KHR_lights_punctual: a light stands at its node's origin and shines along its -z; point and spot have a luminous
-intensity in cd, directional ones an illuminance in lux. Blender's exporter has three modes (its properties
-`export_import_convert_lighting_mode`): "standard" multiplies its own watts by 683 lm/W, over 4π sr for points and
-spots; "unitless" leaves out the 683; "raw" writes the watts as they are.
+In KHR_lights_punctual, a light stands at its node's origin and shines along its -z. Point and spot lights have a
+luminous intensity in cd, directional ones an illuminance in lux. Blender's exporter has three modes
+(`export_import_convert_lighting_mode`): "standard" multiplies Blender's watts by 683 lm/W, over 4π sr for points and
+spots; "unitless" omits the 683; "raw" writes the watts unchanged.
 """
 
 import math
@@ -19,21 +19,21 @@ from lfmesh.optics.rgb_spectra import primary_reflectances
 from lfmesh.scene import DirectionalLight, PointLight, Scene, SpotLight
 
 LUMENS_PER_WATT = 683.0
-"""Of the definition of the candela, at 540 THz, and of Blender's exporter for light of any colour."""
+"""Definition of the candela at 540 THz; Blender's exporter uses it for light of any colour."""
 
 KINDS = ("point", "spot", "directional")
 
 LARGEST = 1e12
-"""Of an intensity."""
+"""Largest intensity."""
 
 STEP_NM = 5.0
-"""Of the spectrum of a coloured light: that of the spectra of the primaries."""
+"""Wavelength step of a coloured light's spectrum, as in the spectra of the primaries."""
 
 
 def light_of(
     where: str, node: Node, entry: Any, lighting: str, scene: Scene
 ) -> tuple[PointLight | SpotLight | DirectionalLight | None, list[str]]:
-    """Return a light, and in words what became of it.
+    """Return a light and its conversion in words.
 
     Parameters
     ----------
@@ -41,22 +41,22 @@ def light_of(
         File and node, for errors.
     node : Node
     entry : dict
-        What the file says of the light.
+        Definition of the light in the file.
     lighting : str
         "standard", "unitless" or "raw".
     scene : Scene
-        Whose wavelengths or bands say how a coloured light's power is spread.
+        Its wavelengths or bands determine the spectrum of a coloured light.
 
     Returns
     -------
     light : Light or None
-        None where it does not shine.
+        None if it emits nothing.
     how : list of str
 
     Raises
     ------
     MeshError
-        A value of it is not one of glTF.
+        A value is invalid in glTF.
     """
     if not isinstance(entry, dict) or entry.get("type") not in KINDS:
         kind = entry.get("type") if isinstance(entry, dict) else entry
@@ -89,7 +89,7 @@ def _radiant(kind: str, intensity: float, lighting: str) -> tuple[float, str]:
 
 
 def _spread(colour: Array, scene: Scene) -> tuple[float, dict[str, Any] | None, str]:
-    """Return the share of white light's power that a colour has, its spectrum for bands, and what is lost, in words."""
+    """Return a colour's fraction of the power of white, its spectrum for bands, and its losses in words."""
     if np.ptp(colour) == 0.0:
         return float(colour[0]), None, ""
     if scene.camera.sensor.bands is None:
@@ -112,7 +112,7 @@ def _made(
     shape: dict[str, Any] = {} if spectrum is None else {"spectrum": spectrum}
     if kind == "point":
         return PointLight(position_mm=position, power_w=4.0 * math.pi * radiant, **shape)
-    # Of a direction only the turn counts, not the scale (KHR_lights_punctual).
+    # Only the node's rotation affects directions, not its scale (KHR_lights_punctual).
     along = -node.to_scene[:3, 2]
     if not (length := float(np.linalg.norm(along))):
         raise MeshError(f"{where}: a light whose scale is 0 has no direction")
@@ -120,7 +120,7 @@ def _made(
     if kind == "directional":
         return DirectionalLight(direction=(x, y, z), irradiance_w_m2=radiant, **shape)
     inner, outer = _cone(where, entry)
-    # ∫ dω over the cone inside the edge, and half as much over the edge.
+    # ∫ dω over the cone inside the edge, and half as much over the edge itself.
     power = radiant * math.pi * ((1.0 - math.cos(inner)) + (1.0 - math.cos(outer)))
     half, edge = math.degrees(outer), math.degrees(outer - inner)
     return SpotLight(
@@ -129,7 +129,7 @@ def _made(
 
 
 def _cone(where: str, entry: dict[str, Any]) -> tuple[float, float]:
-    """Return inner and outer angle from the axis, rad."""
+    """Return the inner and outer angle from the axis, rad."""
     cone = entry.get("spot", {})
     if not isinstance(cone, dict):
         raise MeshError(f"{where}: its spot is {repr(cone)[:60]}; valid is an object")
@@ -144,7 +144,7 @@ def _cone(where: str, entry: dict[str, Any]) -> tuple[float, float]:
 
 
 HALF_TURN = 1e-6
-"""By which float32 may leave an angle above π/2."""
+"""Rounding excess of float32 angles over π/2."""
 
 
 def _three(where: str, values: Any) -> list[Any]:

@@ -1,7 +1,7 @@
-"""Scenes as glTF files, such as Blender's exporter writes: objects as targets, lights, and the place of a camera.
+"""Scenes as glTF files, e.g. from Blender: objects as targets, lights, and the pose of a camera.
 
-glTF's axes are those of the world (right-handed, y up, cameras look along -z); its metres become mm. The meshes stay in
-their file: each object becomes a target that names its node, and is loaded when the scene is built.
+glTF's axes are the world's (right-handed, y up, cameras look along -z); its metres become mm. Each object becomes a
+target that names its node; its mesh stays in the file until the scene is built.
 """
 
 from dataclasses import dataclass
@@ -23,25 +23,25 @@ from lfmesh.scene.light.lights import Light
 from lfmesh.scene.objects.gltf_keys import GltfKeys
 
 MOST_OBJECTS = 10_000
-"""Of one file: each is a target with a mesh of its own."""
+"""Most objects in one file; each is a target with its own mesh."""
 
 MOST_FACETS = 200_000_000
-"""Of all objects of one file together, instances counted: their meshes would take some 30 GB."""
+"""Most facets of all objects in one file, counting instances: about 30 GB of meshes."""
 
 
 @dataclass(frozen=True)
 class GltfScene:
-    """A glTF file's tree, and what became of each part of it that was asked for.
+    """Tree of a glTF file, and the report on the parts requested.
 
     Attributes
     ----------
     path : Path
     document : dict
-        The file's JSON.
+        JSON of the file.
     nodes : list of Node
-        Those of its scene.
+        Nodes of its scene.
     report : Report
-        One entry a part of the file, entered when the targets, the lights or the pose are asked for.
+        One entry per part, added when the targets, lights or pose are requested.
     """
 
     path: Path
@@ -50,17 +50,17 @@ class GltfScene:
     report: Report
 
     def targets(self, file: str) -> tuple[Target, ...]:
-        """Return one target for every node with a mesh.
+        """Return one target for each node with a mesh.
 
         Parameters
         ----------
         file : str
-            What the targets call the file.
+            Name for the file in the targets.
 
         Raises
         ------
         MeshError
-            The file has no objects, more than fit, or a broken one.
+            The file has no objects, too many, or a broken one.
         """
         self._whole_file()
         placed = []
@@ -86,14 +86,14 @@ class GltfScene:
         return tuple(placed)
 
     def lights(self, lighting: str, scene: Scene) -> tuple[Light, ...]:
-        """Return its punctual lights.
+        """Return the punctual lights.
 
         Parameters
         ----------
         lighting : str
-            What the intensities are; see `scene.gltf_keys.GltfLights`.
+            Meaning of the intensities, see `scene.gltf_keys.GltfLights`.
         scene : Scene
-            Whose wavelengths or bands say how a coloured light's power is spread.
+            Its wavelengths or bands determine the spectra of coloured lights.
 
         Raises
         ------
@@ -118,19 +118,19 @@ class GltfScene:
         return tuple(made)
 
     def pose(self, camera: str | int | None, pupil_z_mm: float) -> Pose:
-        """Return the pose that puts a camera's entrance pupil where one of the file stands.
+        """Return the pose that puts a camera's entrance pupil at a camera of the file.
 
         Parameters
         ----------
         camera : str or int, optional
-            Its node; may be left out where there is one.
+            Node of the camera; optional if there is only one.
         pupil_z_mm : float
-            Where the entrance pupil lies, from the first vertex towards the sensor.
+            Position of the entrance pupil, from the first vertex towards the sensor.
 
         Raises
         ------
         MeshError
-            The file has no such camera, or several and none is named, or it cannot tell which way it looks.
+            The file has no such camera, or several and none is named, or its orientation is undefined.
         """
         cameras = [node for node in self.nodes if "camera" in node.entry]
         if not cameras:
@@ -150,7 +150,7 @@ class GltfScene:
         self.report.add(0, place, verdict, how)
 
     def _whole_file(self) -> None:
-        """Enter what the file holds beside its nodes and is not taken."""
+        """Report the parts outside the nodes that are not imported."""
         for key, why in (
             ("animations", "objects stand where their nodes are without them"),
             ("skins", "meshes with bones stand in the shape that they were made in"),
@@ -161,7 +161,7 @@ class GltfScene:
             self._enter(place, Verdict.APPROXIMATED, words)
 
     def _facets(self, mesh: int, number: int) -> int:
-        """Return how many facets a primitive has, by what the file says of it."""
+        """Return the number of facets that the file declares for a primitive."""
         primitive = self.document["meshes"][mesh]["primitives"][number]
         accessors = self.document.get("accessors", [])
         try:
@@ -172,12 +172,12 @@ class GltfScene:
 
 
 def read_gltf(path: str | Path) -> GltfScene:
-    """Read the tree of a GLB or glTF file; its meshes are not loaded.
+    """Read the tree of a GLB or glTF file without its meshes.
 
     Raises
     ------
     MeshError
-        The file cannot be read, is broken, or requires what is not read.
+        The file cannot be read, is broken, or requires unsupported features.
     """
     path = Path(path)
     try:
@@ -188,20 +188,20 @@ def read_gltf(path: str | Path) -> GltfScene:
 
 
 def with_gltf(scene: Scene, keys: GltfKeys) -> Scene:
-    """Return a scene with the targets, lights and camera's place of glTF files in place of its own.
+    """Return a scene with targets, lights and camera pose from glTF files replacing its own.
 
-    Warns of what is not exactly the file's, in one LensFileWarning a file.
+    One LensFileWarning per file lists inexact conversions.
 
     Parameters
     ----------
     scene : Scene
     keys : GltfKeys
-        What is taken, and from which file, relative to the scene's folder.
+        Parts to import and their files, relative to the scene's folder.
 
     Raises
     ------
     LfmeshError
-        A file cannot be read, or has not what is asked for.
+        A file cannot be read or lacks a requested part.
     """
     opened: dict[str, GltfScene] = {}
 
@@ -233,7 +233,7 @@ def with_gltf(scene: Scene, keys: GltfKeys) -> Scene:
 
 
 def _named(key: str, file: str, read: Any) -> Any:
-    """Return what `read` does; its error names the key of the scene."""
+    """Return the result of `read`; its errors name the scene's key."""
     try:
         return read()
     except MeshError as error:
@@ -241,7 +241,7 @@ def _named(key: str, file: str, read: Any) -> Any:
 
 
 def _name(node: Node) -> str:
-    """Return what a target is called: a name that two nodes have is told apart by their numbers."""
+    """Return the name of a target; nodes with equal names are distinguished by number."""
     own = node.entry.get("name")
     if node.name is not None:
         return node.name
@@ -255,7 +255,7 @@ def _extension(entry: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _turn(where: str, linear: Array) -> Array:
-    """Return the rotation of a node's frame, whose scale does not count for a camera (glTF 2.0, section 3.10.1)."""
+    """Return the rotation of a camera node's frame, ignoring its scale (glTF 2.0, section 3.10.1)."""
     lengths = np.linalg.norm(linear, axis=0)
     if not (lengths > 0.0).all():
         raise MeshError(f"{where}: a camera whose scale is 0 looks nowhere")
@@ -267,15 +267,15 @@ def _turn(where: str, linear: Array) -> Array:
 
 
 SKEW = 1e-3
-"""Cosine between the axes of a camera up to which they count as square: the nearest rotation is taken."""
+"""Largest cosine between a camera's axes that count as perpendicular; the nearest rotation is used."""
 
 
 def _tilt_deg(turn: Array) -> tuple[float, float, float]:
-    """Return the rotations about x, then y, then z (fixed axes), in degrees, that make a rotation."""
+    """Return a rotation as angles about the fixed axes x, then y, then z, in degrees."""
     across = float(np.hypot(turn[0, 0], turn[1, 0]))
     y = np.arctan2(-turn[2, 0], across)
     z = np.arctan2(turn[1, 0], turn[0, 0])
-    # What is left about x; with z taken off first, this holds where the camera looks along the x axis, too.
+    # Find the rotation about x after removing z, which also works for a camera that looks along the x axis.
     about_z = np.array([-np.sin(z), np.cos(z), 0.0])
     x = np.arctan2(-about_z @ turn[:, 2], about_z @ turn[:, 1])
     return tuple(float(each) for each in np.rad2deg([x, y, z]))  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Lens files by their ending: reading with and without the report, and writing."""
+"""Lens files by extension: reading with and without the report, and writing."""
 
 from pathlib import Path
 
@@ -16,24 +16,24 @@ READERS = {
     ".json": optiland_json.read,
     ".csv": lens_table.read,
 }
-"""Readers of lens files of other programs, by their ending."""
+"""Readers of other programs' lens files, by extension."""
 
 _WRITERS = {".zmx": zemax_writer.written, ".seq": codev_writer.written}
 
 
 def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, tuple[float, ...]]:
-    """Return the lens of a file of another program, with a LensFileWarning of what is not exactly the file's.
+    """Return the lens of another program's file, with a LensFileWarning on inexact conversions.
 
     Returns
     -------
     lens : Lens
     wavelengths_nm : tuple of float
-        Of the file, the primary one first; empty where it has none.
+        Wavelengths of the file, the primary one first; empty if it has none.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read, or its lens is not supported.
     """
     lens, report = read_lens_file(path, choices)
     report.warn()
@@ -44,20 +44,19 @@ def read_lens(path: Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, tu
 
 
 def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of a file, and what became of its lines.
+    """Return the lens of a file and the report on its lines.
 
     Parameters
     ----------
     path : str or Path
-        A `.toml` file, or one of another program with an ending of `READERS`; or "lib:" and the name of a lens that
-        comes with lfmesh.
+        A `.toml` file, another program's file with an extension of `READERS`, or "lib:" and the name of a bundled lens.
     choices : FileChoices
-        Of a file of another program.
+        Options for another program's file.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read, or its lens is not supported.
     """
     name = str(path)
     path = Path(path)
@@ -70,25 +69,25 @@ def read_lens_file(path: str | Path, choices: FileChoices = AS_IT_STANDS) -> tup
 
 
 def write_lens_file(lens: Lens, path: str | Path, conditions: Conditions | None = None) -> list[str]:
-    """Write a lens as TOML, Zemax or CODE V file, by the ending of its path; a Zemax file has its coatings beside it.
+    """Write a lens as a TOML, Zemax (with coatings beside it) or CODE V file, by the extension of its path.
 
     Parameters
     ----------
     lens : Lens
     path : str or Path
     conditions : Conditions, optional
-        Light, fields, object and image that files of other programs hold, such as `Report.conditions` of the file that
-        the lens comes from; if left out, the d line, the axis, the object at infinity and the image in focus.
+        Light, fields, object and image for other programs' files, such as `Report.conditions` of the source file
+        (default: the d line, the axis, the object at infinity, the image in focus).
 
     Returns
     -------
     notes : list of str
-        What the file does not hold.
+        Properties that the file lacks.
 
     Raises
     ------
     SceneError
-        The ending is unknown, the format cannot hold the lens, or the file cannot be written.
+        The extension is unknown, the format cannot hold the lens, or the file cannot be written.
     """
     path = Path(path)
     ending = path.suffix.lower()

@@ -1,8 +1,7 @@
-"""The lens that a prescription of a lens file makes.
+"""Conversion of a lens file's prescription to a lens.
 
-Files of other programs describe more than glass: planes without effect, apertures that follow from the fields, a pupil
-in place of a stop. Here that becomes surfaces with clear apertures and a stop, by paraxial optics where the file leaves
-a size open.
+Other programs' files also hold planes without effect, apertures implied by the fields, or a pupil instead of a stop.
+These become clear apertures and a stop, sized by paraxial optics where necessary.
 """
 
 import math
@@ -30,23 +29,23 @@ from lfmesh.scene.materials.matter import Matter
 from lfmesh.scene.quantities import LARGEST
 
 OFF_MM = 1e-9
-"""Largest deviation of a surface after its term in r² was rewritten."""
+"""Largest deviation of a surface after its r² term was rewritten."""
 
 MOST_LISTED = 20
-"""Configurations whose focal lengths are noted."""
+"""Most configurations with listed focal lengths."""
 
 _MOST_DIGITS = 17
 
 
 def refuse_choices(path: Path, choices: FileChoices, configurations: bool = False) -> None:
-    """Raise a SceneError where a choice is made that the format of a lens file does not leave open.
+    """Raise a SceneError for choices that the lens file's format does not offer.
 
     Parameters
     ----------
     path : Path
     choices : FileChoices
     configurations : bool
-        Whether the format has several.
+        Whether the format supports several.
     """
     if choices.coating_file is not None:
         raise SceneError(f"{path}: coating_file = {choices.coating_file!r}: only for .zmx files; omit it")
@@ -55,7 +54,7 @@ def refuse_choices(path: Path, choices: FileChoices, configurations: bool = Fals
 
 
 def note_focal_lengths(report: Report, count: int, report_of: Callable[[int], Report]) -> None:
-    """Note the focal lengths of all configurations of a file, where it has several.
+    """Note the focal lengths of a file's configurations if there are several.
 
     Parameters
     ----------
@@ -84,14 +83,14 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     ----------
     prescription : Prescription
     report : Report
-        Gets what was approximated, and notes.
+        Receives approximations and notes.
     glasses : mapping, optional
-        Catalogue glass or index by the name that the file uses, in place of looking the name up.
+        Catalogue glass or index by name in the file, instead of a search.
 
     Raises
     ------
     SceneError
-        The file has lines that change the image and cannot be taken; all of them are named.
+        Unsupported lines affect the image; the message lists all of them.
     """
     if len(prescription.surfaces) < 3:
         report.raise_refusals()
@@ -117,7 +116,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     except GlassError as error:
         raise SceneError(f"{report.path}: {error}") from None
     kind, value = prescription.pupil
-    # Both f-numbers are the same for an object at infinity.
+    # Both f-numbers agree for an object at infinity.
     of_infinity = kind == "f_number" or (kind == "working_f_number" and math.isinf(made.object_mm))
     f_number = value if of_infinity else None
     stop_mm = stop_radius_mm(prescription, made, paraxial, report)
@@ -127,7 +126,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
     for surface, aperture in zip(made.kept, apertures, strict=True):
         if surface.rewritten is None:
             continue
-        # A scene may open the stop as far as the file draws the surface.
+        # A scene may open the stop to the size that the file draws.
         aperture = max(aperture, unit * (surface.extent or 0.0))
         if not (off := surface.rewritten.error_at(aperture / unit) * unit) <= OFF_MM:
             raise SceneError(
@@ -135,7 +134,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
                 f"{plain(off, 1)} mm only, {aperture:g} mm from the axis; {OFF_MM:g} mm is the limit"
             )
     coatings, names = lens_coatings(made.kept, [media[0], *made.media], prescription, report)
-    # Forbes' mild terms end at their radius, so that no f-number may size them.
+    # Forbes' mild terms end at their radius, so an f-number cannot set the aperture.
     f_number = None if made.kept[stop].forbes else f_number
     surfaces = []
     for i, surface in enumerate(made.kept):
@@ -145,7 +144,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
             "stop": i == stop,
             "coating": names[i],
         }
-        # Behind a stop before all others a scene has the object medium, unless it says air.
+        # Behind a leading stop a scene assumes the object medium unless it names air.
         air: dict[str, object] = {"index": AIR} if i == 0 and media[0] is not None and made.media[0] is None else {}
         values = given | _shape(surface, unit) | (air or _medium_keys(made.media[i]))
         surfaces.append({key: value for key, value in values.items() if value is not None})
@@ -169,7 +168,7 @@ def lens_of(prescription: Prescription, report: Report, glasses: Mapping[str, st
 
 
 def _refuse_faulty(surfaces: list[dict[str, object]], made: KeptSurfaces, report: Report) -> None:
-    """Raise if a surface cannot be one of a scene, in the words of the file."""
+    """Raise if a scene cannot have a surface, in terms of the file."""
     for i, values in enumerate(surfaces):
         try:
             Surface(**values)
@@ -178,7 +177,7 @@ def _refuse_faulty(surfaces: list[dict[str, object]], made: KeptSurfaces, report
 
 
 def _shape(surface: FileSurface, unit: float) -> dict[str, object]:
-    """Return the keys of a scene's surface that give its shape."""
+    """Return the scene keys for the shape of a surface."""
     coefficients = [a * unit ** (-2 * j - 3) for j, a in enumerate(surface.asphere)]
     odd = [a * unit ** (-2 * j - 2) for j, a in enumerate(surface.odd)]
     for terms in (coefficients, odd):
@@ -207,9 +206,9 @@ def _medium_keys(medium: Medium | None) -> dict[str, object]:
 
 
 def shortest_radius(curvature: float) -> float:
-    """Return the radius of a curvature with the fewest digits that has exactly this curvature.
+    """Return the radius with the fewest digits that gives exactly this curvature.
 
-    A curvature of 0, or of a radius beyond the longest of a scene, gives inf.
+    A curvature of 0, or of a radius beyond the largest in a scene, gives inf.
     """
     if curvature == 0 or abs(curvature) < 1e-300:
         return math.inf
@@ -234,7 +233,7 @@ def _count(prescription: Prescription) -> str:
 
 
 def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str | float]) -> list[Medium | None]:
-    """Return what follows each surface; None is air."""
+    """Return the medium behind each surface; None is air."""
     media: list[Medium | None] = []
     for surface in prescription.surfaces:
         if surface.is_break:
@@ -267,7 +266,7 @@ def _media(prescription: Prescription, report: Report, glasses: Mapping[str, str
 
 
 def _merged(prescription: Prescription, media: list[Medium | None], report: Report) -> KeptSurfaces:
-    """Leave out surfaces that neither bend nor stop light, and join the distances beside them."""
+    """Drop surfaces that neither refract nor stop light, and merge the distances beside them."""
     unit = prescription.unit_mm
     distances = [surface.thickness * unit for surface in prescription.surfaces]
     made = KeptSurfaces([], [], [], distances[0], 0.0)
@@ -325,7 +324,7 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
         _stand_off_axis(prescription, made, numbers, report)
     if abs(made.object_mm) >= FAR_MM:
         made.object_mm = math.inf
-    # Behind a mirror, which is refused already, light goes back.
+    # Behind a mirror, already refused, light travels backwards.
     forward = not report.of(Verdict.REFUSED)
     for surface, distance in zip(made.kept, made.gaps_mm, strict=False):
         if forward and distance < -1e-12 * unit:
@@ -340,9 +339,9 @@ def _merged(prescription: Prescription, media: list[Medium | None], report: Repo
 
 
 def _move_stop(prescription: Prescription, media: list[Medium | None], report: Report) -> None:
-    """Let a surface be the stop in place of a plane in its vertex that it bulges through.
+    """Make a surface the stop in place of a plane at its vertex, through which it bulges.
 
-    Programs that trace surfaces in their order put such planes there; as bodies the two would cross.
+    Sequential programs use such planes; as bodies, the plane and the surface would cross.
     """
     surfaces = prescription.surfaces
     k = next(k for k, surface in enumerate(surfaces) if surface.stop)
@@ -378,7 +377,7 @@ def _stop_of(kept: list[FileSurface]) -> int:
 
 
 def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: list[int], report: Report) -> None:
-    """Lay the kept surfaces out along the axis, and put those that moves of the frame take off it into elements."""
+    """Lay out the kept surfaces along the axis, and put surfaces moved off it into elements."""
     surfaces = prescription.surfaces
     moved = [each for each in surfaces if each.before or each.after or each.returns_to is not None]
     if not moved:
@@ -411,7 +410,7 @@ def _stand_off_axis(prescription: Prescription, made: KeptSurfaces, numbers: lis
 
 
 def _frames(surfaces: list[FileSurface], unit: float) -> tuple[list[Place], list[float]]:
-    """Return the frames of the surfaces after the object, and the sums of thicknesses up to each, mm."""
+    """Return the frames of the surfaces after the object, and the summed thicknesses up to each, mm."""
     frames, sums = list[Place](), list[float]()
     place, total = START, 0.0
     for surface in surfaces[1:]:
@@ -426,7 +425,7 @@ def _frames(surfaces: list[FileSurface], unit: float) -> tuple[list[Place], list
 
 
 def _note_telecentric(prescription: Prescription, paraxial: Paraxial, stop_mm: float, report: Report) -> None:
-    """Say whether the stop makes the chief rays parallel to the axis where the file asks for that."""
+    """Report whether the stop makes the lens telecentric in object space, if the file asks for it."""
     if prescription.telecentric is None:
         return
     place_mm, _ = paraxial.entrance_pupil(stop_mm)
@@ -441,7 +440,7 @@ def _note_telecentric(prescription: Prescription, paraxial: Paraxial, stop_mm: f
 
 
 def _note(prescription: Prescription, made: KeptSurfaces, paraxial: Paraxial, report: Report) -> None:
-    """Note what the file says beside the lens."""
+    """Note the file's conditions of use."""
     scale = 1.0 if prescription.field_kind == "angle" else prescription.unit_mm
     report.conditions = Conditions(
         wavelengths_nm=tuple(prescription.wavelengths_nm) or (D_LINE_NM,),

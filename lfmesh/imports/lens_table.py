@@ -1,8 +1,8 @@
-"""Prescriptions as tables (`.csv`): a row a surface, columns by their header, parted by semicolon, comma or tab.
+"""Prescriptions as tables (`.csv`): one row per surface, named columns, separated by semicolon, comma or tab.
 
-Spreadsheets and lens databases write such tables in many ways, so columns go by common names: radius or curvature,
-thickness, glass or index and Abbe number, semi-diameter or diameter, conic, coefficients A4, A6, ... of even aspheres,
-and a mark of the stop. Lengths are mm. The last row's thickness leads to the image.
+Columns are recognised by common names: radius or curvature, thickness, glass or index and Abbe number, semi-diameter or
+diameter, conic, coefficients A4, A6, ... of even aspheres, and a mark of the stop. Lengths are mm. The last thickness
+is the distance to the image.
 """
 
 import csv
@@ -44,40 +44,40 @@ _NAMES = {
 }
 _COLUMNS = {name: column for column, names in _NAMES.items() for name in names}
 _LABELS = ("surface", "surf", "number", "no", "id")
-"""Columns that number the surfaces, and may name the object, the stop and the image."""
+"""Columns that number the surfaces, and may name the object, stop and image."""
 _WITHOUT_EFFECT = ("", "comment", "name", "description")
 _TYPES = ("", "standard", "sphere", "spherical", "conic", "asphere", "evenasphere", "evenasph", "plane", "stop")
 _ENDS = ("obj", "object", "sto", "ima", "image")
-"""Types that are no shapes but places: they count as the row's label."""
+"""Types that are positions rather than shapes: they count as the row's label."""
 _MILLIMETRES = re.compile(r"(1/)?mm(\W*\d*)")
 """Units of lengths, curvatures and coefficients; others are refused."""
 _UNIT = re.compile(r"(.+?)\s*[\[(]([^\])]*)[\])]\s*")
-"""Name of a column with its unit behind it."""
+"""Column name followed by its unit."""
 _AIR = ("", "air", "vacuum")
 _FLAT = ("", "inf", "infinity", "∞", "plano", "flat")
 _DELIMITERS = ";\t,"
 _TERM = re.compile(r"a([0-9]{1,3})")
 _POWERS = range(4, 2 * MOST_ASPHERE_TERMS + 3, 2)
-"""Powers of r whose coefficients a table may give."""
+"""Powers of r allowed in a table."""
 UNREAD = "unread "
-"""Before the name of a column that bends light and is not read."""
+"""Prefix of the name of an unread column that affects refraction."""
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of a table, and what became of its columns and rows.
+    """Return the lens of a table and the report on its columns and rows.
 
     Parameters
     ----------
     path : Path
     lines : list of str, optional
-        Its text, in place of reading it.
+        Text of the file; read from `path` if omitted.
     choices : FileChoices
-        Substitutes of glasses; a table has one configuration.
+        Substitute glasses; a table has one configuration.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read, or its lens is not supported.
     """
     refuse_choices(path, choices)
     report = Report(path)
@@ -95,9 +95,9 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
             report.refuse(at, line, f"more cells than the {len(columns)} columns of the first line")
             continue
         values = {column: cell.strip() for column, cell in zip(columns, cells, strict=False) if cell.strip()}
-        # Tables that are copied from print have the sign for minus, which no hyphen is.
+        # Tables copied from print contain the minus sign instead of a hyphen.
         values = {column: cell.replace("\N{MINUS SIGN}", "-") for column, cell in values.items()}
-        # A comma that parts no columns is a decimal one.
+        # A comma that does not separate columns is a decimal comma.
         if delimiter != ",":
             values = {column: cell.replace(",", ".") for column, cell in values.items()}
         label = values.get("label", "").lower()
@@ -129,12 +129,12 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 
 
 def _plain(name: str) -> str:
-    """Return a name by which columns and types go: small letters and digits alone."""
+    """Return the normalised name of a column or type: only lower-case letters and digits."""
     return "".join(sign for sign in name.lower() if sign.isalnum())
 
 
 def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[str]:
-    """Return what each column is; "" of one that is left out."""
+    """Return the meaning of each column; "" for an ignored one."""
     at, line = header
     columns = []
     for name in next(csv.reader([line], delimiter=delimiter)):
@@ -154,7 +154,7 @@ def _columns(report: Report, header: tuple[int, str], delimiter: str) -> list[st
         elif power in _POWERS:
             columns.append(f"a{power}")
         elif power is not None:
-            # Not of an even asphere: it must be 0.
+            # An even asphere has no such power: it must be 0.
             columns.append(f"{UNREAD}{name.strip()}")
         else:
             columns.append("")
@@ -201,7 +201,7 @@ def _surface(at: int, line: str, values: Mapping[str, str]) -> FileSurface:
 
 
 def _fill(surface: FileSurface, values: Mapping[str, str]) -> None:
-    """Put the medium behind a surface in: a glass of the catalogue, else one by its index and Abbe number."""
+    """Set the medium behind a surface: a catalogue glass, or one given by its index and Abbe number."""
     name = values.get("glass", "")
     if name.lower() in _AIR and "index" not in values:
         return

@@ -1,11 +1,11 @@
-"""Multilayer files of CODE V (`.mul`), each of which holds the layers of one coating.
+"""CODE V multilayer files (`.mul`), each with the layers of one coating.
 
-Their maker describes no format. The layout is the one that the authors of TFStudio (github.com/aai2k/TFStudio, its
-reader of CODE V coatings) found in files of CODE V 11.2 and in its samples, formats 6 and 5: blocks of integers or
-reals, each on lines of its own. A block of counts gives the lengths of those that follow. Media stand from the incident
-one to the substrate, each with a thickness in waves, n d / λ, of the reference wavelength λ, and either n and k or the
-place of a material. The catalogue holds groups of tables (wavelengths in µm, then for each material a word, n and k),
-then n and k of the materials in use at the wavelengths of the analysis. Integers beside it link its parts.
+The format is undocumented. The layout follows the authors of TFStudio (github.com/aai2k/TFStudio, its reader of CODE V
+coatings), who examined files of CODE V 11.2 and its samples, formats 6 and 5: blocks of integers or reals, each on its
+own lines. A block of counts gives the lengths of the following blocks. Media run from the incident one to the
+substrate. Each has a thickness in waves, n d / λ at the reference wavelength λ, and either n and k or the place of a
+material. The catalogue holds groups of tables (wavelengths in µm, then a word, n and k of each material), then n and k
+of the materials in use at the analysis wavelengths. Integers beside it link its parts.
 """
 
 import re
@@ -21,16 +21,16 @@ from lfmesh.scene.materials.coatings import Coating, Layer, MeasuredIndex
 
 FORMATS = ("5", "6")
 HEAD, COUNTS, UNKNOWN, TARGETS = 5, 45, 12, 4
-"""Sizes of the blocks of integers before the media, and number of blocks with as many reals as wavelengths."""
+"""Sizes of the integer blocks before the media, and the number of blocks with one real per wavelength."""
 MEDIA, WAVELENGTHS, CATALOGUE, SETTINGS, INTERFACES, SAMPLED = 16, 17, 18, 22, 26, 35
-"""Places of lengths among the counts: of the media, ..., and where the catalogue's second part begins."""
+"""Places of lengths among the counts (the media, ...), and of the start of the catalogue's second part."""
 REFERENCE = 6
 """Place of the reference wavelength among the settings."""
 LABEL = 10
-"""Letters of a label, and of the number before the first one of a line."""
+"""Columns of a label, and of the field before the first one of each line."""
 
 _WITHOUT_E = re.compile(r"(?<=[\d.])(?:[Dd]|(?=[+-]))(?=[+-]?\d+$)")
-"""Place of the missing E before the exponent of a real of Fortran."""
+"""Place of the missing E before the exponent of a Fortran real."""
 
 _ORDER = (
     "its layers are taken from its incident medium on: from the air to the glass, between two glasses from the object "
@@ -64,7 +64,7 @@ class _Blocks:
         return [int(value) for value in self.reals(count)]
 
     def labels(self) -> list[str]:
-        """Return the labels of a block, which stand in columns behind their number."""
+        """Return the labels of a block, arranged in columns after their number."""
         labels, count = list[str](), None
         while count is None or len(labels) < count:
             line = self.line()
@@ -84,7 +84,7 @@ def multilayer(path: Path) -> FoundCoating:
     Raises
     ------
     UnreadableCoatingError
-        There is no such file, or it is none that can be read.
+        The file is missing or cannot be read.
     """
     try:
         blocks = _Blocks(iter(read_lines(path)))
@@ -107,7 +107,7 @@ def _coating(blocks: _Blocks) -> Coating:
     media, waves, size, start = (counts[place] for place in (MEDIA, WAVELENGTHS, CATALOGUE, SAMPLED))
     if min(waves, size, start) < 1 or media < 3 or counts[INTERFACES] != media - 1:
         raise ValueError("its counts do not fit each other")
-    # Codes of thicknesses, for the design of the coating.
+    # Thickness codes for the coating's design.
     blocks.integers(media)
     places, links = blocks.integers(media), blocks.integers(size)
     reference_nm = 1e3 * blocks.reals(counts[SETTINGS])[REFERENCE]
@@ -128,7 +128,7 @@ def _coating(blocks: _Blocks) -> Coating:
 def _materials(
     catalogue: list[float], links: list[int], labels: list[str], sampled_nm: list[float], start: int
 ) -> dict[int, MeasuredIndex]:
-    """Return the materials in use by the place of their second part in the catalogue, counted from 1."""
+    """Return the materials in use by the place (from 1) of their second part in the catalogue."""
     tables = list(_tables(catalogue, links)) if start > 1 else []
     by_label = dict(zip(labels, tables, strict=False))
     count, materials = len(sampled_nm), dict[int, MeasuredIndex]()
@@ -144,16 +144,16 @@ def _materials(
 
 
 def _rows(nm: list[float], catalogue: list[float], place: int) -> dict[float, tuple[float, float]]:
-    """Return n and k by wavelength of the material whose word stands at a place, from 1."""
+    """Return n and k by wavelength for the material with its word at a place, from 1."""
     count = len(nm)
     return {nm[i]: (catalogue[place + i], catalogue[place + count + i]) for i in range(count)}
 
 
 def _tables(catalogue: list[float], links: list[int]) -> Iterator[dict[float, tuple[float, float]]]:
-    """Yield n and k of each material by wavelength, nm, as they were given.
+    """Yield the given n and k of each material by wavelength, nm.
 
-    At the start of a group its links tell the number of wavelengths and the place of the first material's word; behind
-    each word the place of the next word or group, 0 after the last.
+    The links at the start of a group give the number of wavelengths and the place of the first material's word. The
+    link behind each word gives the next word or group, 0 after the last.
     """
     start, nm = 1, list[float]()
     while start:
@@ -169,5 +169,5 @@ def _tables(catalogue: list[float], links: list[int]) -> Iterator[dict[float, tu
 
 
 def _nanometres(micrometres: list[float]) -> list[float]:
-    """Return wavelengths in nm, as rounded as those that were given and stored in single precision."""
+    """Return wavelengths in nm, undoing the rounding to single precision."""
     return [round(1e3 * value, 3) for value in micrometres]

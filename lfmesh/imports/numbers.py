@@ -1,4 +1,4 @@
-"""Numbers in lens files: finite, and said to be wrong with their line where they are not."""
+"""Parsing of numbers in lens files, which must be finite."""
 
 import math
 from decimal import Decimal
@@ -10,7 +10,7 @@ def number(word: str) -> float:
     Raises
     ------
     ValueError
-        The word is none; the message says so.
+        The word is not a finite number; the message says so.
     """
     try:
         value = float(word)
@@ -22,23 +22,23 @@ def number(word: str) -> float:
 
 
 def numbers(words: list[str]) -> list[float]:
-    """Return some words as numbers; errors as in `number`."""
+    """Return words as numbers; raise the errors of `number`."""
     return [number(word) for word in words]
 
 
 def nanometres(word: str) -> float:
-    """Return a length that a word gives in µm, in nm, rounded once; errors as in `number`."""
+    """Convert a word in µm to nm, rounded once; raise the errors of `number`."""
     number(word)
     return float(Decimal(word).scaleb(3))
 
 
 def micrometres(nm: float) -> str:
-    """Return a length in nm as a word in µm, from which `nanometres` makes the same number."""
+    """Return a length in nm as a word in µm that `nanometres` converts back exactly."""
     return str(Decimal(repr(nm)).scaleb(-3))
 
 
 def is_number(word: str) -> bool:
-    """Return whether a word is a number, finite or not."""
+    """Tell whether a word is a number, finite or not."""
     try:
         float(word)
     except ValueError:
@@ -47,5 +47,5 @@ def is_number(word: str) -> bool:
 
 
 def may_matter(word: str) -> bool:
-    """Return whether a word is anything but a number that is zero."""
+    """Tell whether a word is anything but a zero."""
     return not is_number(word) or float(word) != 0.0

@@ -1,8 +1,8 @@
-"""Lens files of optiland (`.json`): what its `save_optiland_file` writes, as far as it is centred and refracts.
+"""Lens files of optiland (`.json`), from its `save_optiland_file`: centred, refracting lenses.
 
-The format is the dictionary of optiland's `Optic`: `surface_group.surfaces` from the object to the image, each with a
-`geometry` (kind, vertex in the frame of the first surface, radius, conic, coefficients) and the `material_post` that
-follows. Lengths are mm, wavelengths µm. What a surface has beyond what is known here is *unknown*, unless it is empty.
+The format is the dictionary of optiland's `Optic`: `surface_group.surfaces` from object to image, each with a
+`geometry` (kind, vertex in the frame of the first surface, radius, conic, coefficients) and the `material_post` behind
+it. Lengths are mm, wavelengths µm. Unrecognised, non-empty properties of a surface are reported as *unknown*.
 """
 
 import json
@@ -29,7 +29,7 @@ _FIELDS = {
     **dict.fromkeys(("real_image_height", "RealImageHeightField"), "image"),
 }
 _FIRST_POWER = {"Plane": 0, "StandardGeometry": 0, "EvenAsphere": 2, "OddAsphere": 1}
-"""Kinds of surface that are read, and the power of r of their first coefficient; 0: they have none."""
+"""Supported kinds of surface, with the power of r of their first coefficient; 0 means no coefficients."""
 _TOLERANCES = ("tol", "max_iter")
 _KNOWN = {
     "geometry": ("type", "cs", "radius", "conic", "coefficients", *_TOLERANCES),
@@ -40,24 +40,24 @@ _KNOWN = {
     "file": ("version", "name", "aperture", "fields", "wavelengths", "surface_group"),
 }
 _WITHOUT_EFFECT = ("ray_tracer", "pickups", "solves")
-"""Keys about aiming and optimisation, which are ignored: present values stand in the surfaces."""
+"""Keys about aiming and optimisation, which are ignored: the surfaces hold the present values."""
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of an optiland file, and what became of its parts.
+    """Return the lens of an optiland file and the report on its parts.
 
     Parameters
     ----------
     path : Path
     lines : list of str, optional
-        Its text, in place of reading it.
+        Text of the file; read from `path` if omitted.
     choices : FileChoices
-        Substitutes of glasses.
+        Substitute glasses.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read, or its lens is not supported.
     """
     refuse_choices(path, choices)
     try:
@@ -73,13 +73,13 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 
 
 class _Reader:
-    """Reads part by part; a part is named by its path in the file."""
+    """Reader of the file's parts; each part is named by its path in the file."""
 
     def __init__(self, report: Report, data: Mapping[str, Any]) -> None:
         self.report, self.data = report, data
 
     def prescription(self, entries: list[Any]) -> Prescription:
-        """Return what the file holds."""
+        """Return the prescription in the file."""
         name = self.data.get("name")
         made = Prescription(name=name if isinstance(name, str) and name else None)
         z: list[float] = []
@@ -113,7 +113,7 @@ class _Reader:
         return float(value)
 
     def _rest(self, where: str, entry: Mapping[str, Any], known: tuple[str, ...]) -> None:
-        """Name the keys that are not known and hold something."""
+        """Report unrecognised keys with content."""
         for key, value in entry.items():
             filled = any(value.values()) if isinstance(value, dict) else bool(value)
             if key not in known and filled:
@@ -121,7 +121,7 @@ class _Reader:
                 self.report.add(0, f"{where}{key}", verdict)
 
     def _surface(self, surface: FileSurface, entry: Mapping[str, Any], where: str) -> float:
-        """Read a surface; return where its vertex stands along the axis."""
+        """Read a surface; return the axial position of its vertex."""
         surface.stop = bool(entry.get("is_stop"))
         shape = _held(entry, "geometry", dict)
         self._rest(f"{where}.", entry, _KNOWN["surface"])
@@ -134,7 +134,7 @@ class _Reader:
                 raise ValueError("only round apertures without a dark middle are supported")
             largest = self._number(stops, "r_max", infinite=True)
             surface.aperture = largest if math.isfinite(largest) and largest > 0.0 else None
-        # Versions before 0.4 have what light does there on the surface itself.
+        # Versions before 0.4 describe the interaction on the surface itself.
         model = entry if entry.get("interaction_model") is None else _held(entry, "interaction_model", dict)
         self._interaction(surface, model, where)
         return self._number(_held(shape, "cs", dict), "z", infinite=True)
@@ -167,7 +167,7 @@ class _Reader:
         elif kind == "AbbeMaterial":
             surface.model = self._number(medium, "index"), self._number(medium, "abbe")
         elif kind == "Material":
-            # The folder of its data tells the maker: .../glass/schott/N-BK7.yml.
+            # The data folder names the maker: .../glass/schott/N-BK7.yml.
             file = "" if medium.get("filename") is None else _held(medium, "filename", str)
             folder, name = PureWindowsPath(file).parent.name.upper(), _held(medium, "name", str)
             surface.glass = f"{folder}/{name}" if folder in MAKERS else name
@@ -224,7 +224,7 @@ class _Reader:
             unit = _held(each, "unit", str) if "unit" in each else "um"
             if unit not in _UNITS_NM:
                 raise ValueError(f"unit {unit} is unknown; known are {', '.join(_UNITS_NM)}")
-            # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
+            # Micrometres have up to ten digits; the product would add rounding in the eleventh.
             wavelength = float(f"{self._number(each, 'value') * _UNITS_NM[unit]:.10g}")
             if not wavelength > 0.0:
                 raise ValueError(f"wavelength {wavelength:g}: it must be above 0")
@@ -237,7 +237,7 @@ class _Reader:
 
 
 def _held(entry: Mapping[str, Any], key: str, kind: Any) -> Any:
-    """Return what a part of the file has under a key; ValueError unless that is of a kind."""
+    """Return the value under a key; ValueError unless it has the expected type."""
     if key not in entry:
         raise ValueError(f"it has no {key}")
     value = entry[key]
@@ -247,10 +247,10 @@ def _held(entry: Mapping[str, Any], key: str, kind: Any) -> Any:
 
 
 def _table(entry: Any, name: str) -> Mapping[str, Any]:
-    """Return a part of the file that must be an object of JSON."""
+    """Return a part of the file that must be a JSON object."""
     table: Mapping[str, Any] = _held({name: entry}, name, dict)
     return table
 
 
 _KINDS = {dict: "object", list: "list", str: "text", int | float: "number"}
-"""JSON's names of the kinds of values."""
+"""JSON names of the types."""

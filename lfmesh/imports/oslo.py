@@ -1,10 +1,10 @@
 """OSLO lens files (`.len`): the sequential, refracting part of the format.
 
-The format, by OSLO's Program Reference: commands separated by `;` or line ends, their words by blanks or commas, `//`
-starts a comment, `NXT` goes on to the next surface, the first of which is the object, and `GTO` to another one. Radii,
-thicknesses and apertures are in units of UNI mm, wavelengths in µm, the primary one first. `AP` sizes a surface for
-drawing, and stops light with `CHK` alone. Tilts and decentres of a surface move the axis for all that follows, unless
-`RCO` undoes them (Optics Reference, coordinate transforms).
+In OSLO's Program Reference, commands end at `;` or line ends, blanks or commas separate words, and `//` starts a
+comment. `NXT` goes to the next surface (the object is the first), `GTO` to any other. Radii, thicknesses and apertures
+are in units of UNI mm, wavelengths in µm, primary first. `AP` sizes a surface for drawing, and stops light only with
+`CHK`. Tilts and decentres of a surface move the axis for everything behind it, unless `RCO` undoes them (Optics
+Reference, coordinate transforms).
 """
 
 import math
@@ -24,16 +24,16 @@ from lfmesh.imports.text import command_names, read_lines
 from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
 COEFFICIENTS = ("AD", "AE", "AF", "AG")
-"""Of r⁴, r⁶, r⁸, r¹⁰: other names of AS2 to AS5."""
+"""Coefficients of r⁴, r⁶, r⁸, r¹⁰: other names of AS2 to AS5."""
 
 _ASPHERES = {"ASR": 2, "ARA": 1}
-"""General aspheres, and by how much the power of r grows from one coefficient AS to the next."""
+"""General aspheres, with the step of the power of r from one coefficient AS to the next."""
 
 _FIXED = {"RDF": "RD", "CVF": "CV", "THF": "TH", "AIF": "AIR", "GLF": "GLA", "APF": "AP"}
-"""Commands for values that an optimisation may not change."""
+"""Commands for values that an optimisation must not change."""
 
 _MOVES = ("DCX", "DCY", "DCZ", "TLA", "TLB", "TLC", "TOX", "TOY", "TOZ")
-"""Decentres, turns about the own x and y axes, left-handed, and z axis, right-handed, and the point to turn about."""
+"""Decentres, rotations about the own x and y axes (left-handed) and z axis (right-handed), and their pivot."""
 
 _NUMBERED = re.compile(r"(WV|WW|SNO|AS|CBK|ELMDF)(\d+)")
 
@@ -53,30 +53,30 @@ _REFUSED = {
 }
 
 _FAR = 1e8
-"""Distance of the object, in the file's unit, from which it is infinite (Optics Reference, telecentric ray aiming)."""
+"""Distance, in the file's unit, from which the object is infinite (Optics Reference, telecentric ray aiming)."""
 
 _USUAL_NM = (587.56, 486.13, 656.27)
-"""Wavelengths of a file that gives none."""
+"""Default wavelengths."""
 
 _SOLVES = command_names("PY PYC PU PUC PI PIC CVS EC PCR")
-"""Solves; the present value stands beside them, or the surface has none."""
+"""Solves; the present value is given beside them, or the surface has none."""
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of an OSLO file, and what became of its commands.
+    """Return the lens of an OSLO file and the report on its commands.
 
     Parameters
     ----------
     path : Path
     lines : list of str, optional
-        Its text, in place of reading it.
+        Text of the file; read from `path` if omitted.
     choices : FileChoices
-        Substitutes of glasses.
+        Substitute glasses.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read, or its lens is not supported.
     """
     refuse_choices(path, choices)
     reader = _Reader(Report(path))
@@ -87,7 +87,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 
 
 def commands(line: str) -> list[list[str]]:
-    """Return the commands of a line, each as its words; quoted words lose their quotes."""
+    """Return the commands of a line, each as its words without quotes."""
     found: list[list[str]] = [[]]
     for quoted, sign, word in re.findall(r'"([^"]*)"?|(;|//.*)|([^\s,;"]+)', line):
         if sign.startswith("//"):
@@ -100,7 +100,7 @@ def commands(line: str) -> list[list[str]]:
 
 
 class _Reader:
-    """Reads command by command; one without a method of its name is looked up in the tables above."""
+    """Reader of commands; a command without its own method is looked up in the tables above."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -151,7 +151,7 @@ class _Reader:
             self.report.refuse(at, self.text, str(error) if isinstance(error, ValueError) else "it is cut short")
 
     def _behind(self, command: str, words: list[str]) -> None:
-        """Read what follows the surfaces: points of the field; other states of the lens are not read."""
+        """Read the field points behind the surfaces; other states of the lens are not supported."""
         if command == "F" and self.edge is not None:
             y, x, low, up = numbers([words[1], words[2], words[6], words[7]])
             self.made.fields.append(self._field_point(x, y, up, -low))
@@ -163,7 +163,7 @@ class _Reader:
             self._add(Verdict.WITHOUT_EFFECT)
 
     def finished(self) -> Prescription:
-        """Return what was read, with what only the whole file shows."""
+        """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not self.begun:
             raise SceneError(f"{self.report.path}: no OSLO lens file: it has no line LEN NEW")
@@ -181,13 +181,13 @@ class _Reader:
             if not self.checked and surface.aperture is not None:
                 surface.aperture, surface.extent = None, surface.aperture
         if behind > 1:
-            # The thickness of the image surface is a shift of the focus.
+            # The thickness of the image surface is a focus shift.
             made.surfaces[-2].thickness += made.surfaces[-1].thickness
         self._end_conditions(made)
         return made
 
     def _end_conditions(self, made: Prescription) -> None:
-        """Set the aperture and the fields, which depend on where the object is."""
+        """Set the aperture and fields, which depend on the object distance."""
         distance = made.surfaces[0].thickness
         if abs(distance) >= _FAR:
             distance = made.surfaces[0].thickness = math.inf
@@ -195,7 +195,7 @@ class _Reader:
             self.beam = 1.0
             self.report.add(1, "EBR", Verdict.APPROXIMATED, "no aperture in the file: OSLO's own is taken, EBR 1")
         if self.beam is not None:
-            # Of a near object it is the beam's radius in the plane of the first surface.
+            # For a near object it is the beam radius in the plane of the first surface.
             near = math.sin(math.atan2(self.beam, distance))
             made.pupil = ("epd", 2.0 * self.beam) if math.isinf(distance) else ("object_na", near)
         if self.edge is not None:
@@ -205,7 +205,7 @@ class _Reader:
             made.fields = made.fields or [self._field_point(0.0, share) for share in (0.0, 1.0)]
 
     def _field_point(self, x: float, y: float, up: float = 1.0, low: float = 1.0) -> FieldPoint:
-        """Return a point at shares of the field's edge: of the tangent of an angle, or of a height."""
+        """Return the field point at fractions of the field's edge: of a height, or of an angle's tangent."""
         kind, edge = self.edge or ("angle", 0.0)
         if kind != "angle":
             return FieldPoint(x * edge, y * edge, up, low)
@@ -215,7 +215,7 @@ class _Reader:
         return FieldPoint(math.degrees(math.atan(x * slope)), math.degrees(math.atan(y * slope)), up, low)
 
     def _end_terms(self, place: int, surface: FileSurface) -> None:
-        """Put the coefficients of an asphere, whose powers depend on its kind, into a surface."""
+        """Apply an asphere's coefficients; their powers depend on its kind."""
         step = self.aspheres.get(place)
         for n, (at, text, value) in self.terms.get(place, {}).items():
             try:
@@ -227,7 +227,7 @@ class _Reader:
                 self.report.refuse(at, text, str(error))
 
     def _end_moves(self, place: int, surface: FileSurface) -> None:
-        """Put tilts and decentres into a surface."""
+        """Apply a surface's tilts and decentres."""
         values = self.moves.get(place, {})
         x, y, z, a, b, c, *pivot = (values.get(name, 0.0) for name in _MOVES)
         make = Move.shifted_then_tilted if values.get("DT", 1.0) > 0.0 else Move.tilted_then_shifted
@@ -280,12 +280,12 @@ class _Reader:
         self._pupil("working_f_number", self._above_zero(words))
 
     def _on_puk(self, words: list[str]) -> None:
-        """Take the slope of the marginal ray at the image."""
+        """Read the slope of the marginal ray at the image."""
         slope = abs(number(words[0]))
         self._pupil("working_f_number", 0.5 / self._above_zero([repr(slope)]))
 
     def _pupil(self, kind: str, value: float) -> None:
-        # The last of such commands counts.
+        # The last such command counts.
         self.made.pupil, self.beam = (kind, value), None
 
     def _on_ang(self, words: list[str]) -> None:
@@ -388,7 +388,7 @@ class _Reader:
         self._add(Verdict.TAKEN)
 
     def _on_rco(self, words: list[str]) -> None:
-        """Let the axis go on as if the surface had no tilts and decentres."""
+        """Continue the axis as if the surface had no tilts and decentres."""
         if any(map(may_matter, words)) and number(words[0]) != self.place:
             raise ValueError("a return to the axis of another surface is not supported")
         self.returns[self.place] = self.at, self.text
@@ -436,7 +436,7 @@ class _Reader:
     def _on_gla(self, words: list[str]) -> None:
         surface = self._surface
         if words[0].upper() == "MOD":
-            # A name may stand before the numbers.
+            # A name may precede the numbers.
             words = words[1:] if is_number(words[1]) else words[2:]
             if len(words) == 2 and number(words[1]) > 10.0:
                 surface.model = number(words[0]), number(words[1])

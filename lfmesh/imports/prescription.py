@@ -1,4 +1,4 @@
-"""A prescription as lens files hold it, with object and image, lengths in the file's unit."""
+"""Prescription as in a lens file, with object and image, lengths in the file's unit."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,21 +13,21 @@ from lfmesh.scene.camera.qbfs import Qbfs
 from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 FAR_MM = 1e9
-"""Distance of the object from which it counts as infinite; files write 1e10 to 1e14."""
+"""Distance from which an object counts as infinite; files write 1e10 to 1e14."""
 
 MOST_SURFACES = 1000
-"""More than any lens has; a file of more ends in an error before it takes the memory."""
+"""More than any lens has; larger files are refused before they exhaust the memory."""
 
 MOST_CONFIGURATIONS = 1000
-"""Of one file: more than any has."""
+"""More configurations than any file has."""
 
 
 @dataclass
 class FileSurface:
-    """A surface as the file has it, lengths in the file's unit."""
+    """Surface as in the file, lengths in the file's unit."""
 
     line: int
-    """Line of the file at which it starts, from 1."""
+    """First line in the file, from 1."""
     text: str = ""
     curvature: float = 0.0
     thickness: float = 0.0
@@ -35,47 +35,47 @@ class FileSurface:
     glass_line: tuple[int, str] | None = None
     """Line of the glass, if not the surface's own."""
     model: tuple[float, float] | None = None
-    """nd and Vd in place of a name."""
+    """nd and Vd, in place of a name."""
     stated_index: float | None = None
-    """nd that the file gives beside the name."""
+    """nd given beside the name."""
     stated_abbe: float | None = None
-    """Vd that the file gives beside the name."""
+    """Vd given beside the name."""
     conic: float = 0.0
     asphere: list[float] = field(default_factory=list)
     """Coefficients of r⁴, r⁶, ..."""
     odd: list[float] = field(default_factory=list)
     """Coefficients of r³, r⁵, ..."""
     square: float = 0.0
-    """Coefficient of r², beside the curvature."""
+    """Coefficient of r², in addition to the curvature."""
     forbes: tuple[str, float, list[float]] | None = None
-    """"qbfs" or "qcon", the radius that heights are counted in, and the coefficients, of a Forbes asphere."""
+    """"qbfs" or "qcon", normalisation radius, and coefficients, for a Forbes asphere."""
     rewritten: SquareTerm | None = None
-    """Surface before that term was put into the others."""
+    """Shape before the r² term was absorbed by the others."""
     section: str | None = None
-    """"biconic" or "toroid", where the section x–z is another one: the other shape is that of y–z."""
+    """"biconic" or "toroid" if the x–z section differs; the other shape is that of y–z."""
     curvature_x: float = 0.0
     conic_x: float = 0.0
     aperture: float | None = None
-    """Radius beyond which the file's program stops light."""
+    """Radius beyond which the file's program blocks light."""
     extent: float | None = None
-    """Radius that rays of the file's fields fill: what its program computed and draws."""
+    """Radius filled by rays of the file's fields, as computed and drawn by its program."""
     stop: bool = False
     coating: tuple[int, str, str | Path] | None = None
-    """Line, text and name of its coating; or the path of a file that holds it alone."""
+    """Line, text and name of its coating; or the path of a file that holds only this coating."""
     focal_length: float | None = None
-    """Of a thin lens in the surface's place; NaN: not given."""
+    """Focal length of a thin lens in place of the surface; NaN: not given."""
     is_break: bool = False
-    """True for a move of the frame alone, in the medium that is there."""
+    """True for a mere move of the frame, without change of medium."""
     before: Move | None = None
-    """Of the frame, before the surface."""
+    """Move of the frame before the surface."""
     after: Move | None = None
-    """Of the frame, at the surface's vertex, before its thickness."""
+    """Move of the frame at the surface's vertex, before its thickness."""
     returns_to: int | None = None
-    """Number of an earlier surface in whose frame its thickness counts, in place of its own; 0 is the object."""
+    """Number of an earlier surface in whose frame its thickness counts instead of its own; 0 is the object."""
 
     @property
     def vertex_curvature(self) -> float:
-        """Curvature at the vertex, where Forbes' mild terms have a share in it."""
+        """Curvature at the vertex, including the contribution of Forbes' mild terms."""
         if self.forbes is None or self.forbes[0] != "qbfs":
             return self.curvature
         form = Qbfs(norm_radius_mm=self.forbes[1], coefficients_mm=tuple(self.forbes[2])).even_form(
@@ -84,7 +84,7 @@ class FileSurface:
         return self.curvature if form is None else 1.0 / form.radius_mm
 
     def add_term(self, power: int, value: float) -> None:
-        """Let the sag have a term in a power of r; ValueError where there can be none."""
+        """Add a term in a power of r to the sag; ValueError if impossible."""
         if not value:
             return
         if power < 1:
@@ -103,7 +103,7 @@ class FileSurface:
         terms[place] = value
 
     def take_square(self) -> None:
-        """Put a term in r² into the curvature, the conic constant and the other terms."""
+        """Absorb the r² term into the curvature, conic constant and other terms."""
         if self.square:
             self.rewritten = SquareTerm(self.curvature, self.conic, self.square)
             self.curvature, self.conic, self.asphere = without_square(
@@ -114,25 +114,25 @@ class FileSurface:
 
 @dataclass
 class Prescription:
-    """Content of a lens file, from the object to the image.
+    """Content of a lens file, from object to image.
 
     Attributes
     ----------
     unit_mm : float
         Length of the file's unit.
     pupil : tuple of str and float
-        What sets the aperture: "epd", "f_number" (of the object at infinity), "working_f_number", "object_na",
-        "image_na", each with its value, or "stop" for the stop surface's own size.
+        Definition of the aperture: "epd", "f_number" (object at infinity), "working_f_number", "object_na", "image_na",
+        each with its value, or "stop" for the stop surface's own size.
     field_kind : str
         "angle" in degrees, "object" or "image": heights.
     makers : list of str
-        Glass catalogues that the file uses, the first first.
+        Glass catalogues of the file, in order of preference.
     indices : dict
-        Index, or glass, by name of the materials that the file defines itself.
+        Index or glass, by name, of materials that the file defines.
     coating_file : str or Path, optional
-        Name of the file, beside this one, that defines coatings; or the path of one that is given in its place.
+        Name of the coating file beside this one, or path of another.
     telecentric : tuple of int and str, optional
-        Line, with its text, that asks for chief rays parallel to the axis in object space.
+        Line and text that require object-space telecentricity.
     """
 
     surfaces: list[FileSurface] = field(default_factory=list)
@@ -151,20 +151,20 @@ class Prescription:
 
     @property
     def primary_nm(self) -> float:
-        """Wavelength of first-order figures; the d line where the file gives none."""
+        """Wavelength of first-order figures; the d line if the file gives none."""
         lines = self.wavelengths_nm
         return lines[min(self.primary, len(lines) - 1)] if lines else D_LINE_NM
 
 
 @dataclass
 class KeptSurfaces:
-    """The surfaces that matter, in mm, with the gaps after merging."""
+    """Surfaces that matter, in mm, with the gaps after merging."""
 
     kept: list[FileSurface]
     media: list[Medium | None]
     gaps_mm: list[float]
     object_mm: float
-    """Distance of the object before the first one; inf where it counts as infinite."""
+    """Distance of the object before the first one; inf if treated as infinite."""
     image_mm: float
     elements: list[Element] = field(default_factory=list)
-    """Groups that stand off the axis, by their numbers among these surfaces."""
+    """Off-axis groups, by the numbers of their surfaces in `kept`."""

@@ -11,7 +11,7 @@ from lfmesh.errors import LensFileWarning, SceneError
 from lfmesh.imports.conditions import Conditions
 
 _MOST_SHOWN = 60
-"""Characters of a line that a message quotes."""
+"""Most characters of a line quoted in a message."""
 
 _MOST_FAULTS = 20
 
@@ -22,23 +22,23 @@ class Verdict(Enum):
     TAKEN = "taken"
     APPROXIMATED = "approximated"
     WITHOUT_EFFECT = "without effect"
-    """It does not change where light goes: names, merit functions, colours of drawings."""
+    """Does not change the path of light: names, merit functions, drawing colours."""
     UNKNOWN = "unknown"
-    """A command that this reader does not know: the lens is made without it."""
+    """Command unknown to this reader; the lens is made without it."""
     REFUSED = "refused"
-    """It changes the image in a way that the lens cannot have."""
+    """Changes the image in a way that the lens cannot reproduce."""
 
 
 _BY_WEIGHT = (Verdict.WITHOUT_EFFECT, Verdict.TAKEN, Verdict.APPROXIMATED, Verdict.UNKNOWN, Verdict.REFUSED)
-"""Verdicts on one line: a later one outweighs an earlier one."""
+"""Verdicts on one line in ascending weight."""
 
 OTHER_AIR = Verdict.APPROXIMATED, "indices are those of the catalogue, at its own temperature and pressure"
-"""Verdict on a temperature or pressure that is not the catalogues'."""
+"""Verdict on temperatures and pressures other than the catalogue's."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the file, a command on it, or a part of a file without lines, and what became of it."""
+    """Line, command or part of a file, with its verdict."""
 
     number: int
     """From 1; 0 in a file without lines."""
@@ -47,7 +47,7 @@ class Line:
     how: str = ""
 
     def joined(self, other: "Line") -> "Line":
-        """Return the line with the weightier of its verdict and another's, and that one's reasons."""
+        """Return the line with the weightier of two verdicts; for equal verdicts, join the reasons."""
         if self.verdict is not other.verdict:
             return max(self, other, key=lambda line: _BY_WEIGHT.index(line.verdict))
         told = [self.how] if other.how in self.how else [self.how, other.how]
@@ -58,26 +58,25 @@ class Line:
 
     @property
     def place(self) -> str:
-        """Place of the line, and its text."""
+        """Place and text of the line."""
         return f"line {self.number}: {_cut(self.text)}" if self.number else _cut(self.text)
 
 
 @dataclass
 class Report:
-    """Verdicts on the lines of one file.
+    """Verdicts on the lines of a file.
 
     Attributes
     ----------
     path : Path
-        The file.
     lines : list of Line
-        In the order of reading, each with the weightiest of its verdicts.
+        In reading order, each with its weightiest verdict.
     notes : list of str
-        What the file says beside the lens: wavelengths, fields, where the object and the image are.
+        Conditions of use in the file: wavelengths, fields, positions of object and image.
     focal_length_mm : float
-        Of the lens, at the file's primary wavelength; NaN until it is made.
+        Focal length at the file's primary wavelength; NaN until the lens is made.
     conditions : Conditions, optional
-        In which the file uses its lens; None until it is made.
+        Conditions under which the file uses its lens; None until the lens is made.
     """
 
     path: Path
@@ -88,19 +87,19 @@ class Report:
     _places: dict[tuple[int, str], int] = field(default_factory=dict, repr=False, compare=False)
 
     def add(self, number: int, text: str, verdict: Verdict, how: str = "") -> None:
-        """Enter what became of a line; a line that stands here already keeps the weightier verdict.
+        """Add the verdict on a line; an existing entry keeps the weightier verdict.
 
-        A part of a file without lines may stand here several times, once for each of its properties.
+        In files without lines, a part may have several entries, one per property.
 
         Parameters
         ----------
         number : int
             From 1; 0 in a file without lines.
         text : str
-            The line, or the command on it.
+            Line, or the command on it.
         verdict : Verdict
         how : str
-            What was done with it, or why nothing was.
+            Treatment of the line, or reason for none.
         """
         line = Line(number, text, verdict, how)
         place = self._places.setdefault((number, text), len(self.lines)) if number else len(self.lines)
@@ -110,25 +109,25 @@ class Report:
             self.lines.append(line)
 
     def refuse(self, number: int, text: str, why: str) -> None:
-        """Enter a line that makes the file unusable; `raise_refusals` speaks of all of them at once.
+        """Add a line that makes the file unusable; `raise_refusals` reports them together.
 
         Parameters
         ----------
         number : int
             From 1.
         text : str
-            The line, or the command on it.
+            Line, or the command on it.
         why : str
-            What the lens cannot have.
+            Property that the lens cannot have.
         """
         self.add(number, text, Verdict.REFUSED, why)
 
     def of(self, verdict: Verdict) -> list[Line]:
-        """Return the lines with one verdict."""
+        """Return the lines with a given verdict."""
         return [line for line in self.lines if line.verdict is verdict]
 
     def raise_refusals(self) -> None:
-        """Raise a SceneError that names every refused line, if there is one."""
+        """Raise a SceneError that names every refused line, if any."""
         refused = [f"{line.place}: {line.how}" for line in self.of(Verdict.REFUSED)]
         if len(refused) == 1:
             raise SceneError(f"{self.path}: {refused[0]}")
@@ -138,7 +137,7 @@ class Report:
             raise SceneError("\n".join([f"{self.path}: {len(refused)} faults", *listed]))
 
     def warn(self) -> None:
-        """Warn of what was approximated and of what is unknown, in one warning."""
+        """Issue one warning about approximated and unknown lines."""
         doubtful = [str(line) for line in self.lines if line.verdict in (Verdict.APPROXIMATED, Verdict.UNKNOWN)]
         if doubtful:
             beyond = [f"and {len(doubtful) - _MOST_FAULTS} more"] if len(doubtful) > _MOST_FAULTS else []
@@ -146,7 +145,7 @@ class Report:
             warnings.warn(f"{self.path}: {text}", LensFileWarning, stacklevel=2)
 
     def text(self, every_line: bool = False) -> list[str]:
-        """Return the report as lines, in the file's order: what needs a look, or all of them, then counts and notes."""
+        """Return the report as lines in file order (doubtful lines only, or all), then counts and notes."""
         look = (Verdict.APPROXIMATED, Verdict.UNKNOWN, Verdict.REFUSED)
         in_order = sorted(self.lines, key=lambda line: line.number)
         listed = [str(line) for line in in_order if every_line or line.verdict in look]

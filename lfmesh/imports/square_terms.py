@@ -1,4 +1,4 @@
-"""Surfaces with a term in r² beside their curvature, rewritten without it."""
+"""Elimination of a term in r² from a surface's sag."""
 
 import math
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 def without_square(
     curvature: float, conic: float, terms: list[float], square: float
 ) -> tuple[float, float, list[float]]:
-    """Return curvature, conic constant and coefficients of r⁴, r⁶, ... of a surface with a term a r² more.
+    """Return curvature, conic constant and coefficients of r⁴, r⁶, ... of a surface plus a term a r².
 
-    The conic's sag is Σ b_m ((1 + k) c²)^(m−1) c r^(2m), with b_m = C_(m−1) / 2^(2m−1) of Catalan's numbers C. The new
-    curvature is c + 2a, and the new conic constant keeps (1 + k) c², so that what is left are the terms
-    −2 a b_m ((1 + k) c²)^(m−1) of r⁴ and up. Exact for a flat surface and a parabola; else see `SquareTerm.error_at`.
+    The conic's sag is Σ b_m ((1 + k) c²)^(m−1) c r^(2m), with b_m = C_(m−1) / 2^(2m−1) and Catalan's numbers C. The new
+    curvature is c + 2a, and the new conic constant keeps (1 + k) c², which leaves the terms −2 a b_m ((1 + k) c²)^(m−1)
+    of r⁴ and up. Exact for a flat surface and a parabola; else see `SquareTerm.error_at`.
 
     Parameters
     ----------
     curvature : float
-        Any unit of length, as the other arguments.
+        In any unit of length, shared by the other arguments.
     conic : float
     terms : list of float
-        Of r⁴, r⁶, ...
+        Coefficients of r⁴, r⁶, ...
     square : float
-        Of r².
+        Coefficient of r².
     """
     new = curvature + 2.0 * square
     bend = (1.0 + conic) * curvature**2
@@ -41,7 +41,7 @@ def without_square(
 
 @dataclass(frozen=True)
 class SquareTerm:
-    """Surface as it was before its term in r² was rewritten, lengths in any one unit.
+    """Surface before its r² term was rewritten, lengths in any one unit.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class SquareTerm:
     square: float
 
     def error_at(self, radius: float) -> float:
-        """Return how far the rewritten surface lies off at a height: the terms of the series beyond the last one.
+        """Return the deviation of the rewritten surface at a height: the omitted terms of the series.
 
         Parameters
         ----------

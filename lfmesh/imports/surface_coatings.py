@@ -1,4 +1,4 @@
-"""Coatings of the surfaces of a lens file, from the files that hold them."""
+"""Coatings of a lens file's surfaces, from the files that define them."""
 
 import re
 from collections.abc import Sequence
@@ -19,17 +19,17 @@ def lens_coatings(
     prescription: Prescription,
     report: Report,
 ) -> tuple[dict[str, Coating], list[str | None]]:
-    """Return the coatings of a lens by name, and the name that each surface gives.
+    """Return the coatings of a lens by name, and the coating name of each surface.
 
     Parameters
     ----------
     surfaces : sequence of FileSurface
     media : sequence of Medium
-        What stands before the first, then what follows each; None is air.
+        Medium before the first surface, then behind each; None is air.
     prescription : Prescription
-        Gives the primary wavelength, in which quarter waves count, and the coating file.
+        Gives the coating file, and the primary wavelength for quarter waves.
     report : Report
-        Gets the verdict on each line with a coating.
+        Receives the verdict on each line with a coating.
     """
     coatings: dict[str, Coating] = {}
     names: list[str | None] = []
@@ -64,7 +64,7 @@ def lens_coatings(
 
 
 def _beyond_tables(coating: Coating, wavelengths_nm: Sequence[float]) -> str:
-    """Return what to say of a coating whose tables do not reach all of some wavelengths."""
+    """Return a note on a coating if some of the wavelengths lie outside its tables."""
     tables = {layer.measured.wavelengths_nm for layer in coating.layers or () if layer.measured is not None}
     tables |= {coating.measured.wavelengths_nm} if coating.measured is not None else set()
     for table in sorted(tables):
@@ -78,6 +78,6 @@ def _beyond_tables(coating: Coating, wavelengths_nm: Sequence[float]) -> str:
 
 
 def _name_in_scene(name: str | Path) -> str:
-    """Return a coating's name, or that of its file, with the letters that a scene allows."""
+    """Return the name of a coating or of its file, restricted to letters that a scene allows."""
     allowed = re.sub(r"[^A-Za-z0-9_-]", "_", name.stem if isinstance(name, Path) else name)
     return f"{allowed}_" if allowed == UNCOATED else allowed

@@ -1,4 +1,4 @@
-"""Text of files that other programs wrote: UTF-8, UTF-16 with or without its mark, or Latin-1; never too much of it."""
+"""Text files of other programs: UTF-8, UTF-16 with or without byte-order mark, or Latin-1, up to a limit."""
 
 from pathlib import Path
 
@@ -7,13 +7,13 @@ from lfmesh.regular_file import open_regular
 
 MOST_BYTES = 8_000_000
 MOST_LINES = 100_000
-"""Far above any lens file, and read in well under a second."""
+"""Far more than any lens file, and read in well under a second."""
 
 _MARKS = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be", b"\xef\xbb\xbf": "utf-8"}
 
 
 def command_names(text: str) -> frozenset[str]:
-    """Return the names in a text, set apart by spaces."""
+    """Return the space-separated names in a text."""
     return frozenset(text.split())
 
 
@@ -23,7 +23,7 @@ def read_lines(path: Path) -> list[str]:
     Raises
     ------
     SceneError
-        The file cannot be read, is too large, or is no text.
+        The file cannot be read, is too large, or is not text.
     """
     try:
         with open_regular(path) as file:
@@ -40,11 +40,11 @@ def read_lines(path: Path) -> list[str]:
 
 
 def _decoded(data: bytes, path: Path) -> str:
-    """Decode by the mark at the start, else by where zero bytes stand, else as UTF-8 or Latin-1."""
+    """Decode by the byte-order mark, else by the pattern of zero bytes, else as UTF-8 or Latin-1."""
     mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
     encoding = _MARKS.get(mark, "utf-8")
     if not mark:
-        # UTF-16 of plain text has a zero in every pair of bytes.
+        # Plain text in UTF-16 has a zero in every pair of bytes.
         if data[1:400:2] and not any(data[1:400:2]):
             encoding = "utf-16-le"
         elif data[0:400:2] and not any(data[0:400:2]):

@@ -1,6 +1,6 @@
-"""Reads VTK image data in a process of its own, which VTK's reader may take with it on a damaged file.
+"""Trial reader of VTK image data in a separate process, as damaged files may crash VTK's reader.
 
-It is run as a script, with the path of the file and a limit of its memory in bytes, and ends with 0 if it lives.
+Run as a script with a path and a memory limit in bytes; exits with 0 if it survives.
 """
 
 import sys
@@ -8,10 +8,10 @@ from contextlib import suppress
 
 
 def main(arguments: list[str]) -> None:
-    """Read a file, and let go what is in it."""
+    """Read a file and discard its content."""
     from vtkmodules.vtkIOXML import vtkXMLImageDataReader
 
-    # Not to be had on Windows.
+    # Unavailable on Windows.
     with suppress(ImportError):
         import resource
 

@@ -1,4 +1,4 @@
-"""VTK image data (.vti): voxel grids of media, as ParaView and pyvista write them."""
+"""VTK image data (.vti): voxel grids of media, as written by ParaView and pyvista."""
 
 import math
 import re
@@ -18,30 +18,30 @@ from lfmesh.regular_file import open_regular, why_no_file
 from lfmesh.scene.inputs import file_stamp
 
 NOT_TURNED = 1e-9
-"""Largest entry by which the axes of an image may differ from x, y and z."""
+"""Largest deviation of the image axes' direction cosines from x, y and z."""
 
 
 LIBRARY_BYTES, BYTES_A_POINT, BYTES_A_BYTE = 4 << 30, 64, 20
-"""Memory that reading a file may take: whatever it holds, for each point, for each byte of the file."""
+"""Memory limit of a reader: fixed part, per point, and per byte of the file."""
 
 MOST_SECONDS = 600
-"""To read it."""
+"""Time limit of a reader."""
 
 NOTHING = (0, -1, 0, -1, 0, -1)
-"""Extent without a point."""
+"""Empty extent."""
 
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
 
 
 class _DataReachedError(Exception):
-    """The parser is at data that need not be text."""
+    """The parser has reached data that may not be text."""
 
 
 def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, most: int) -> dict[str, Any]:
     """Read the quantities of a grid, with `spacing_mm` and `origin_mm`; lengths in the file are mm.
 
-    Values at points are those of voxels about the points; values in cells those of voxels that are the cells. Arrays
-    with other names are left alone.
+    Point data are values of voxels centred on the points, cell data of voxels equal to the cells. Arrays with other
+    names are ignored.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     known : tuple of str
         Names of quantities.
     quantity : str, optional
-        What the file's only array is, where it has another name.
+        Meaning of the file's only array if it has another name.
     most : int
         Largest number of voxels.
 
     Raises
     ------
     FileError
-        The file cannot be read, announces more voxels, holds no quantity, or its axes are turned.
+        The file cannot be read, declares more voxels, holds no quantity, or has rotated axes.
     """
     if not path.is_file():
         raise FileError(f"{path}: cannot be read as VTK image data: it {why_no_file(path)}")
@@ -71,13 +71,13 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     import pyvista
     from vtkmodules.vtkCommonCore import vtkObject
 
-    # VTK says on standard error what is wrong with a file, line by line, and returns something empty.
+    # VTK reports faults on standard error, line by line, and returns something empty.
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.GlobalWarningDisplayOff()
     try:
         image = pyvista.read(path)
     except Exception as error:
-        # Of a damaged file the reader may raise anything.
+        # The reader may raise anything for a damaged file.
         raise FileError(f"{path}: cannot be read as VTK image data: {' '.join(str(error).split())}") from None
     finally:
         vtkObject.SetGlobalWarningDisplay(shown)
@@ -87,7 +87,7 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
         raise FileError(f"{path}: its axes are turned; write it along x, y and z, and give rotation_deg to the medium")
     dimensions = np.array(image.dimensions)
     spacing, origin = np.array(image.spacing, float), np.array(image.origin, float)
-    # The numbers of the first points, of a part that was cut out of a larger image.
+    # First point numbers of a part cut from a larger image.
     origin = origin + spacing * np.array(image.GetExtent()[::2])
     kinds = (
         (image.point_data, dimensions, origin),
@@ -109,18 +109,18 @@ def read_vtk_image(path: Path, known: tuple[str, ...], quantity: str | None, mos
     for name, array in arrays.items():
         if array.shape != (int(np.prod(shape)),):
             raise FileError(f"{path}: {name} must have one number for each voxel, and has the shape {array.shape}")
-    # VTK counts x fastest.
+    # In VTK, x varies fastest.
     read: dict[str, Any] = {name: array.reshape(tuple(shape), order="F") for name, array in arrays.items()}
     return read | {"spacing_mm": spacing, "origin_mm": first}
 
 
 @lru_cache(maxsize=64)
 def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
-    """Tell whether VTK can read the file with this stamp without crashing and in the memory that it may need."""
+    """Tell whether VTK can read the file with this stamp within its memory limit and without crashing."""
     extent = _extents(path, stamp)[0]
     points = math.prod(max(last - first + 1, 0) for first, last in zip(extent[::2], extent[1::2], strict=True))
     most = LIBRARY_BYTES + BYTES_A_POINT * points + BYTES_A_BYTE * path.stat().st_size
-    # Not by -m: see `geometry.files.cad_file`.
+    # Without -m: see `geometry.files.cad_file`.
     command = [sys.executable, "-P", vtk_child.__file__, str(path), str(min(most, sys.maxsize))]
     try:
         return subprocess.run(command, capture_output=True, timeout=MOST_SECONDS, check=False).returncode == 0
@@ -130,10 +130,10 @@ def _is_survived(path: Path, stamp: tuple[object, ...]) -> bool:
 
 @lru_cache(maxsize=64)
 def _extents(path: Path, _: tuple[object, ...]) -> tuple[tuple[int, ...], ...]:
-    """Return the extent of the whole image in the file with this stamp, and those of its pieces.
+    """Return the extents of the whole image and of its pieces, for the file with this stamp.
 
-    An extent is the first and last point along x, y and z; (0, -1, 0, -1, 0, -1) where it cannot be read: VTK is told
-    to keep to the memory that every file may take.
+    An extent holds the first and last point along x, y and z; (0, -1, 0, -1, 0, -1) if unreadable, which limits VTK to
+    the memory of an empty image.
     """
     found: dict[str, list[tuple[int, ...]]] = {"ImageData": [], "Piece": []}
 
@@ -145,7 +145,7 @@ def _extents(path: Path, _: tuple[object, ...]) -> tuple[tuple[int, ...], ...]:
 
     parser = ParserCreate()
     parser.StartElementHandler = begin
-    # Of a damaged file VTK says more.
+    # VTK reports damage in more detail.
     with suppress(_DataReachedError, ExpatError), open_regular(path) as file:
         parser.ParseFile(file)
     return (found["ImageData"] or [NOTHING])[0], *found["Piece"]
@@ -158,13 +158,13 @@ def _extent(text: str) -> tuple[int, ...]:
 
 
 def _cells(extent: tuple[int, ...]) -> int:
-    """Return the number of cells in an extent; a direction with one point alone counts as one."""
+    """Return the number of cells in an extent; a direction with a single point counts as one."""
     ends = zip(extent[::2], extent[1::2], strict=True)
     return math.prod(0 if last < first else max(last - first, 1) for first, last in ends)
 
 
 def _check_pieces(path: Path, whole: tuple[int, ...], *pieces: tuple[int, ...]) -> None:
-    """Raise if the pieces of an image are not all of it: VTK would leave voxels as the memory is, or data unread."""
+    """Raise if the pieces do not make up the image: VTK would leave voxels uninitialised, or data unread."""
     for piece in pieces:
         for axis in range(3):
             (first, last), (low, high) = whole[2 * axis : 2 * axis + 2], piece[2 * axis : 2 * axis + 2]

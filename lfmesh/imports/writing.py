@@ -1,4 +1,4 @@
-"""Properties of a lens that lens files of other programs can hold, for the writers of both formats."""
+"""Lens properties that other programs' files can hold, shared by the writers of both formats."""
 
 from lfmesh.errors import GlassError, SceneError
 from lfmesh.imports.coating_writer import coating_names
@@ -13,12 +13,12 @@ ZEMAX = "Zemax"
 
 
 def check_writable(lens: Lens, program: str) -> list[str]:
-    """Return what a file will not hold.
+    """Return notes on properties that a file will lack.
 
     Raises
     ------
     SceneError
-        The lens has parts without which it would be another lens.
+        Without the missing properties it would be another lens.
     """
     for i, surface in enumerate(lens.surfaces):
         if surface.paraxial and program != ZEMAX:
@@ -48,11 +48,11 @@ PRIVATE_NM = (
     930.0,
     1013.98,
 )
-"""Wavelengths of the table that stands for a glass without a name: spectral lines, and one in a gap between them."""
+"""Wavelengths of the table for an unnamed glass: spectral lines, and one in a gap between them."""
 
 
 def table_of(glass: OwnGlass) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return wavelengths, in nm, and indices that stand for a glass without a name."""
+    """Return the wavelengths, in nm, and indices that represent an unnamed glass."""
     if glass.wavelengths_nm is not None and glass.values is not None and glass.air is None:
         return glass.wavelengths_nm, glass.values
     return PRIVATE_NM, tuple(glass.index_at(line) for line in PRIVATE_NM)
@@ -64,7 +64,7 @@ def maker_and_name(glass: str, program: str) -> tuple[str, str]:
     Raises
     ------
     SceneError
-        It is no maker's glass, by whose name the other program would know it.
+        It is no maker's glass, so the other program cannot find it.
     """
     try:
         shelf, book, name = find_glass(glass)
@@ -77,19 +77,19 @@ def maker_and_name(glass: str, program: str) -> tuple[str, str]:
 
 
 def stop_radius_mm(lens: Lens) -> float | None:
-    """Return the radius of the stop, in mm; None where the f-number sets it, or no surface is the stop."""
+    """Return the radius of the stop, in mm; None if the f-number sets it, or no surface is the stop."""
     stop = lens.stop_index
     return None if stop is None else lens.aperture_mm(stop)
 
 
 def entrance_pupil_mm(lens: Lens, radius_mm: float, wavelength_nm: float) -> float:
-    """Return the diameter of the entrance pupil that a stop makes.
+    """Return the entrance pupil diameter for a stop.
 
     Parameters
     ----------
     lens : Lens
     radius_mm : float
-        Of the stop.
+        Radius of the stop.
     wavelength_nm : float
     """
     return Paraxial.of(lens, wavelength_nm).entrance_pupil(radius_mm)[1]

@@ -1,13 +1,13 @@
 """Zemax lens files (`.zmx`): the sequential, centred, refracting part of the format.
 
-The reader is this program's own. ray-optics and Optiland read the format, too, but put n = 1.5, a model or another
-maker's glass (K-SK15 for N-SK15) in place of one that they do not find, and pass over commands that they do not know;
-ray-optics also evaluates a file beside the lens file as Python, and asks the network for glasses. Here every line has
-a verdict, and what would change the image is refused. ray-optics serves the tests as truth.
+The reader is lfmesh's own. ray-optics and Optiland replace unknown glasses by n = 1.5, a model or another maker's glass
+(K-SK15 for N-SK15) and skip unknown commands; ray-optics also evaluates a file beside the lens file as Python, and
+queries the network for glasses. Here every line has a verdict, and unsupported lines that change the image are refused.
+The tests use ray-optics as reference.
 
-The format: one command a line, its name first; `SURF n` starts a surface, whose commands are indented. Lengths are in
-the unit of UNIT, curvatures its reciprocal, wavelengths µm. Aperture stops are given by the pupil (ENPD, FNUM, OBNA) or
-by the stop's own size (FLOA). DIAM is the semi-diameter that rays fill, and stops nothing; CLAP and FLAP do.
+Each line is a command, its name first; `SURF n` starts a surface, with its commands indented. Lengths are in the unit
+of UNIT, curvatures in its reciprocal, wavelengths in µm. The pupil (ENPD, FNUM, OBNA) or the stop's own size (FLOA)
+sets the aperture. DIAM is the semi-diameter filled by rays and blocks nothing; CLAP and FLAP block light.
 """
 
 import math
@@ -31,20 +31,20 @@ from lfmesh.scene.camera.lens import AS_IT_STANDS, FileChoices, Lens
 
 
 def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_IT_STANDS) -> tuple[Lens, Report]:
-    """Return the lens of a Zemax file, and what became of its lines.
+    """Return the lens of a Zemax file and the report on its lines.
 
     Parameters
     ----------
     path : Path
     lines : list of str, optional
-        Its text, in place of reading it.
+        Text of the file; read from `path` if omitted.
     choices : FileChoices
-        Substitutes of glasses, and the configuration.
+        Substitute glasses and the configuration.
 
     Raises
     ------
     SceneError
-        The file cannot be read, or holds what the lens cannot have.
+        The file cannot be read or its lens is not supported.
     """
     lines = read_lines(path) if lines is None else lines
     lens, report, count = _read(path, lines, choices)
@@ -53,7 +53,7 @@ def read(path: Path, lines: list[str] | None = None, choices: FileChoices = AS_I
 
 
 def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Report, int]:
-    """Return the lens in one configuration, what became of the lines, and the number of configurations."""
+    """Return the lens in one configuration, its report, and the number of configurations."""
     reader = _Reader(Report(path))
     for at, line in enumerate(lines, 1):
         reader.take(at, line)
@@ -65,7 +65,7 @@ def _read(path: Path, lines: list[str], choices: FileChoices) -> tuple[Lens, Rep
 
 
 class _Reader(SurfaceReader):
-    """Reads line by line; a command without a method of its name is looked up in the tables above."""
+    """Reader of lines; a command without its own method is looked up in the tables above."""
 
     def __init__(self, report: Report) -> None:
         super().__init__(report)
@@ -92,9 +92,9 @@ class _Reader(SurfaceReader):
             elif command in APERTURES_REFUSED and inside:
                 self._refuse(f"{APERTURES_REFUSED[command]} is not supported; only circular apertures are")
             elif not inside and self.configurations.take(self.at, self.text):
-                pass  # What becomes of it is known with the configuration that is asked for.
+                pass  # Its verdict depends on the requested configuration.
             elif command in WITHOUT_EFFECT or (self.made.surfaces and not inside):
-                # What follows the surfaces are merit functions, configurations and tolerances.
+                # Merit functions, configurations and tolerances follow the surfaces.
                 self._without_effect()
             else:
                 self.report.add(at, self.text, Verdict.UNKNOWN)
@@ -102,7 +102,7 @@ class _Reader(SurfaceReader):
             self._refuse(str(error) if isinstance(error, ValueError) else "it is cut short")
 
     def finished(self) -> Prescription:
-        """Return what was read, with what only the whole file shows."""
+        """Return the prescription, completed by values that depend on the whole file."""
         made = self.made
         if not made.surfaces:
             raise SceneError(f"{self.report.path}: no Zemax lens file: it has no line SURF")
@@ -188,7 +188,7 @@ class _Reader(SurfaceReader):
             self._taken()
 
     def _on_gcat(self, words: list[str]) -> None:
-        # Catalogues of a certain date are named like SUMITA_AUG2011.
+        # Dated catalogues have names like SUMITA_AUG2011.
         self.catalogues = [word.upper().split("_")[0] for word in words]
         self._taken()
 
@@ -241,7 +241,7 @@ class _Reader(SurfaceReader):
     def _wave(self, place: int, micrometres: float) -> None:
         if micrometres <= 0:
             raise ValueError("a wavelength must be above 0")
-        # Micrometres with up to ten digits; the product would bring rounding into the eleventh.
+        # Micrometres have up to ten digits; the product would add rounding in the eleventh.
         self.waves[place] = float(f"{micrometres * 1000.0:.10g}")
         if self.count and place > self.count:
             self._without_effect()

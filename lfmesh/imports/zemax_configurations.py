@@ -1,8 +1,7 @@
-"""Configurations of Zemax files: zoom positions and other states of one lens, by the operands behind its surfaces.
+"""Configurations of Zemax files: zoom positions and other states of a lens.
 
-`MNUM count current` starts them. Each line after it gives one operand in one configuration: its name, the surface (or
-field, or wavelength) that it belongs to, the configuration from 1, and the value. The surfaces themselves hold the
-values of the current configuration.
+`MNUM count current` starts them, behind the surfaces. Each following line gives one operand in one configuration: its
+name, surface (or field, or wavelength), configuration from 1, and value. The surfaces hold the current configuration.
 """
 
 from collections.abc import Callable
@@ -31,7 +30,7 @@ def _conic(surface: FileSurface, value: str) -> None:
 
 
 def _semi_diameter(surface: FileSurface, value: str) -> None:
-    # A clear aperture without a size of its own is the semi-diameter.
+    # A clear aperture without its own size equals the semi-diameter.
     clear = surface.aperture is not None and surface.aperture == surface.extent
     surface.extent = abs(number(value)) or None
     if clear:
@@ -65,17 +64,17 @@ _WITHOUT_EFFECT = command_names("MOFF CWGT FLWT WLWT LTTL")
 
 @dataclass
 class Configurations:
-    """Configurations of one file.
+    """Configurations of a file.
 
     Attributes
     ----------
     line : int
-        That of MNUM, from 1.
+        Line of MNUM, from 1.
     text : str
         Its text.
     count : int
     current : int
-        The one whose values stand in the surfaces, from 1.
+        Configuration held by the surfaces, from 1.
     """
 
     line: int = 0
@@ -83,7 +82,7 @@ class Configurations:
     count: int = 1
     current: int = 1
     _lines: dict[tuple[str, int], dict[int, tuple[int, str, str]]] = field(default_factory=dict, init=False)
-    """By operand and place: by configuration its line, text and value."""
+    """Line, text and value by configuration, by operand and place."""
 
     def take(self, at: int, text: str) -> bool:
         """Read a line behind MNUM; return whether it gives a value of a configuration."""
@@ -95,21 +94,21 @@ class Configurations:
         return False
 
     def apply(self, made: Prescription, report: Report, wanted: int | None) -> None:
-        """Give a prescription the values of one configuration.
+        """Set a prescription to one configuration.
 
         Parameters
         ----------
         made : Prescription
-            With the values of the current configuration; changed in place.
+            Prescription in the current configuration; changed in place.
         report : Report
-            Gets the verdict on every line.
+            Receives the verdict on every line.
         wanted : int, optional
-            From 1; the current one if left out.
+            From 1; the current one if omitted.
 
         Raises
         ------
         SceneError
-            The file does not have it.
+            The file has no such configuration.
         """
         chosen = self.current if wanted is None else wanted
         if not 1 <= chosen <= self.count:
@@ -154,7 +153,7 @@ class Configurations:
 
 
 def _set(made: Prescription, name: str, place: int, value: str) -> None:
-    """Set one value of a prescription; ValueError where it cannot be."""
+    """Set one value of a prescription; ValueError if impossible."""
     if name in _OF_SURFACES:
         if not 0 <= place < len(made.surfaces):
             raise ValueError(f"there is no surface {place}")

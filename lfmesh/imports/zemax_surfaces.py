@@ -1,4 +1,4 @@
-"""Surfaces of Zemax lens files: the commands behind a line `SURF`, which `lfmesh.imports.zemax` hands on."""
+"""Surfaces of Zemax lens files: the commands behind `SURF`, passed on by `lfmesh.imports.zemax`."""
 
 import math
 
@@ -25,15 +25,15 @@ from lfmesh.scene.camera.qcon import MOST_ASPHERE_TERMS
 
 
 class SurfaceReader:
-    """Reads the lines of surfaces; a command NAME goes to the method `_on_name`, with its words.
+    """Reader of surface lines; a command NAME goes to the method `_on_name` with its words.
 
     Attributes
     ----------
     report : Report
     made : Prescription
-        Gets the surfaces.
+        Receives the surfaces.
     at, text : int, str
-        Number, from 1, and text of the line that is read.
+        Number (from 1) and text of the current line.
     """
 
     def __init__(self, report: Report) -> None:
@@ -47,7 +47,7 @@ class SurfaceReader:
         self.extra: dict[int, tuple[int, str, float]] = {}
 
     def end_surfaces(self) -> None:
-        """Put what only the whole file shows into the surfaces."""
+        """Complete the surfaces with values that depend on the whole file."""
         if self.distance_line[0]:
             self.report.add(*self.distance_line, Verdict.WITHOUT_EFFECT, "nothing stands behind the image")
             self.distance_line = 0, ""
@@ -55,7 +55,7 @@ class SurfaceReader:
         self._end_drawn()
 
     def _end_drawn(self) -> None:
-        """Say which semi-diameters are used: where a pupil or a clear aperture decides, they only draw."""
+        """Report which semi-diameters are used: a pupil or clear aperture makes them drawing sizes only."""
         for at, text, surface in self.drawn:
             sized = surface.stop and self.made.pupil[0] != "stop"
             ends = surface is self.made.surfaces[0] or surface is self.made.surfaces[-1]
@@ -90,7 +90,7 @@ class SurfaceReader:
         self._taken()
 
     def _end_surface(self) -> None:
-        """Put what only a surface's last line completes into it."""
+        """Complete a surface after its last line."""
         if self.distance_line[0]:
             self.report.add(*self.distance_line, Verdict.TAKEN)
             self.distance_line = 0, ""
@@ -153,7 +153,7 @@ class SurfaceReader:
             surface.model = values[0], values[1]
         else:
             surface.glass = name
-            # Files of catalogue glasses carry 1.5 and 40 where the program never wrote what it knows.
+            # Catalogue glasses carry 1.5 and 40 if the program never wrote their values.
             if values and values[0] not in (0.0, 1.5):
                 surface.stated_index, surface.stated_abbe = values[0], values[1] or None
         self._taken(self._solve(["2"] if len(words) > 1 and words[1] == "2" else []))
@@ -167,7 +167,7 @@ class SurfaceReader:
         if not value:
             self._taken()
         elif self.kind in FIRST_TERM and place > BEFORE_EXTRA:
-            # Later versions count extra data among the parameters.
+            # Later versions store extra data among the parameters.
             self._on_xdat([str(place - BEFORE_EXTRA), words[1]])
         elif self.kind == "EVENASPH" and 1 <= place <= 8:
             self._add_term(2 * place, value)
@@ -195,10 +195,10 @@ class SurfaceReader:
             self._taken()
         elif self.kind in ("STANDARD", "PARAXIAL"):
             self._without_effect()
-        # Parameters of a refused type are refused with it.
+        # Parameters of a refused type are covered by its refusal.
 
     def _add_term(self, power: int, value: float) -> None:
-        """Let the sag have a term in a power of r."""
+        """Add a term in a power of r to the sag."""
         if not math.isfinite(value):
             self._refuse(f"its term in r^{power} is beyond the range of numbers")
             return
@@ -212,12 +212,12 @@ class SurfaceReader:
     def _on_xdat(self, words: list[str]) -> None:
         place, value = int(number(words[0])), number(words[1])
         if self.kind in FIRST_TERM:
-            # What it means is known with the number of terms, at the surface's end.
+            # Its meaning depends on the number of terms, known at the surface's end.
             self.extra[place] = self.at, self.text, value
         elif not value:
             self._taken()
         elif self.kind == "TOROIDAL":
-            # The number of terms, and the radius that heights are counted in, come before the coefficients.
+            # The number of terms and the normalisation radius precede the coefficients.
             if place > 2:
                 self._refuse("Zernike terms of a toroid are not supported")
             else:
@@ -226,7 +226,7 @@ class SurfaceReader:
             self.report.add(self.at, self.text, Verdict.UNKNOWN)
 
     def _end_extra(self) -> None:
-        """Put the values of XDAT into the surface."""
+        """Apply the XDAT values to the surface."""
         first = FIRST_TERM.get(self.kind, 0)
         values = {place: value for place, (_, _, value) in self.extra.items()}
         count = values.get(first - 2, float(MOST_EXTRA))
@@ -272,7 +272,7 @@ class SurfaceReader:
     _on_flap = _on_clap
 
     def _on_coat(self, words: list[str]) -> None:
-        # What becomes of it is known with the primary wavelength and the media, at the end.
+        # The verdict comes at the end, as it depends on the primary wavelength and the media.
         self._surface.coating = (self.at, self.text, words[0])
 
     def _on_sqap(self, words: list[str]) -> None:
@@ -294,7 +294,7 @@ class SurfaceReader:
 
 
 def _over(value: float, radius: float, power: int) -> float:
-    """Return a coefficient over a power of a radius; inf beyond the range of numbers."""
+    """Return a coefficient over a power of a radius; 0 or inf beyond the range of floats."""
     try:
         return value / radius**power
     except OverflowError:

@@ -1,4 +1,4 @@
-"""Names, numbers of parameters and units of Zemax lens files, as the reader looks them up."""
+"""Lookup tables for the Zemax reader: names, parameter numbers and units."""
 
 from lfmesh.imports.text import command_names
 
@@ -11,17 +11,17 @@ WITHOUT_EFFECT = command_names(
     "WWGN WAVN VANN GFAC COMM SLAB HIDE MIRR MEMA OEMA POPS PZUP MAZH VDSZ VPAR PPAR PRAM STKP FCOM BRDF SSID "
     "TCED TCEX TCMM WFNO RCMF FIMP XDAF"
 )
-"""Names, settings of the program, solves whose present value stands in the line, drawing, mechanics."""
+"""Names, program settings, solves (their present value is in the line), drawing, mechanics."""
 
 EXTENDED = {"XASPHERE": 2, "XOSPHERE": 1}
-"""Aspheres of terms of r over a radius of their own, in XDAT, and by how much the power grows from term to term."""
+"""Aspheres in powers of r over a normalisation radius, in XDAT, with the step of the power between terms."""
 
 ASPHERES = ("EVENASPH", "ODDASPHE", *EXTENDED)
 
 FORBES = "QED_TYPE"
-"""Forbes' aspheres: XDAT 1 is 0 for mild ones and 1 for strong ones, 2 the number of terms, 3 the radius that heights
-are counted in, the rest the coefficients from a₀, as a catalogue lens has them (ASL5040-UV of Thorlabs, whose focus is
-sharp at 405 nm with the deviation along the normal of its conic)."""
+"""Forbes' aspheres. XDAT 1 is 0 for mild and 1 for strong ones, 2 the number of terms, 3 the normalisation radius, the
+rest the coefficients from a₀. This follows a catalogue lens (ASL5040-UV of Thorlabs), which focuses sharply at 405
+nm with the deviation along the normal of its conic."""
 
 FIRST_TERM = {FORBES: 4, **dict.fromkeys(EXTENDED, 3)}
 """Place of the first coefficient in XDAT, behind the number of terms and the radius."""
@@ -30,30 +30,33 @@ BEFORE_EXTRA = 12
 """Parameters of a surface before its extra data.
 
 OpticStudio's help, 24.2, "Extended Asphere", counts the number of terms, the radius and the coefficients as parameters
-13, 14 and 15 to 254, which are XDAT 1, 2 and 3 to 242. It gives no meaning to parameters 1 to 12."""
+13, 14 and 15 to 254, which are XDAT 1, 2 and 3 to 242. It gives no meaning to parameters 1 to 12.
+"""
 
 SECTIONS = {"BICONICX": "biconic", "TOROIDAL": "toroid"}
-"""Surfaces with another section in x: parameter 1 is its radius, 0 that of a flat one, and of a biconic parameter 2
-its conic constant; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
+"""Surfaces with a different section in x. Parameter 1 is its radius, 0 if flat. Parameter 2 is the conic constant of a
+biconic; a toroid has the coefficients of y², y⁴, ... from parameter 2 on.
 
-Held against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
-coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). Of the biconic no vendor's page of
-the sequential surface was at hand: the help's biconic object has a radius in x, 0 for a flat one, as pyrate reads it;
-prysm takes parameter 1 for a curvature."""
+Checked against OpticStudio's online help, 24.2, "Toroidal" (parameters 0 Extrapolate, 1 radius of rotation, 2 to 8 the
+coefficients, 13 number of Zernike terms), and 26.1, "Odd Asphere" (1 to 8: r to r⁸). No vendor's page on the sequential
+biconic was available: the help's biconic object has a radius in x, 0 if flat, as pyrate reads it; prysm takes parameter
+1 for a curvature.
+"""
 
 MOST_EXTRA = 1000
 
 LAST_OF_TOROID, ZERNIKE_TERMS = 8, 13
-"""Parameters of a toroid: y¹⁴, and how many Zernike terms it has."""
+"""Parameters of a toroid: the coefficient of y¹⁴, and the number of Zernike terms."""
 
 OF_ZERNIKE_TERMS = 0, 14
-"""Parameters of a toroid that say nothing without these terms: whether they go on beyond their radius, and this."""
+"""Parameters of a toroid without meaning unless it has Zernike terms: extrapolation beyond their radius, and that
+radius."""
 
 ORDER_OF_BREAK = 6
 """Parameter of a coordinate break: 0 shifts and then tilts about x, y and z, others tilt about z, y and x first. It
-follows the shifts in x and y and the three angles, right-handed, each about the axes that the last one left (Zemax's
-"Rotation Matrix and Tilt About X/Y/Z in OpticStudio"; the sign also by its help, 24.2, "Tilt/Decenter", and the global
-coordinates of a chain of prisms that its article 194 lists)."""
+follows the shifts in x and y and the three right-handed angles, each about the axes left by the previous one
+(Zemax's "Rotation Matrix and Tilt About X/Y/Z in OpticStudio"; the sign also by its help, 24.2, "Tilt/Decenter", and
+the global coordinates of a chain of prisms listed in its article 194)."""
 
 REFUSED_TYPES = {
     "XODDASPH": "extended odd aspheres are not supported",

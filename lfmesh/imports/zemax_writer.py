@@ -1,4 +1,4 @@
-"""Writing a lens as a Zemax file."""
+"""Writer of a lens as a Zemax file."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -18,26 +18,26 @@ from lfmesh.scene.materials.own_glass import OwnGlass
 from lfmesh.scene.pose import Pose
 
 _MOST_TERMS = 7
-"""Even aspheres have the powers r⁴ to r¹⁶; those of more terms are written as extended ones."""
+"""Even aspheres have the powers r⁴ to r¹⁶; longer ones are written as extended aspheres."""
 
 _MOST_OF_TOROID = 6
-"""A toroid has the powers y² to y¹⁴."""
+"""Toroids have the powers y² to y¹⁴."""
 
 _LAST_ODD_POWER = 8
 """Odd aspheres have the powers from r to this."""
 
 
 def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, bytes], list[str]]:
-    """Return a lens as the bytes of a `.zmx` file (UTF-16, as the program writes it), and what it does not hold.
+    """Return a lens as the bytes of a `.zmx` file (UTF-16, like Zemax's), and notes on properties it lacks.
 
-    A lens with coatings of its own has a second file beside it, which defines them.
+    The lens's own coatings go into a second file.
 
     Parameters
     ----------
     lens : Lens
     conditions : Conditions
     path : Path
-        Where the lens goes.
+        Path of the lens file.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
         text, inexact = coating_file(lens, coatings)
         beside = path.with_name(f"{path.stem}_coating.dat".replace('"', "_"))
         files[beside] = text.encode()
-        # OpticStudio wants the names of its other three files, too.
+        # OpticStudio also requires the names of its other three files.
         lines.append(f'COFN QF "{beside.name}" "SCATTER_PROFILE.DAT" "ABG_DATA.DAT" "PROFILE.GRD"')
         notes += [f"the coatings stand in {beside.name}; OpticStudio looks for it in its folder Coatings", *inexact]
     far = math.isinf(conditions.object_mm)
@@ -77,7 +77,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
         ),
         *_rows(lens, radius, coatings),
     ]
-    # What follows a group that is turned back stands in the row of the way back.
+    # The distance behind a group that is turned back belongs to the row of the return.
     rows[-1].distance += conditions.image_mm
     rows.append(_Row(["  TYPE STANDARD", "  CURV 0.0"], 0.0))
     for number, row in enumerate(rows):
@@ -89,7 +89,7 @@ def written(lens: Lens, conditions: Conditions, path: Path) -> tuple[dict[Path, 
 
 @dataclass
 class _Row:
-    """A surface of the file: its lines, and the distance to the next, mm."""
+    """Surface of the file: its lines, and the distance to the next, mm."""
 
     lines: list[str]
     distance: float
@@ -99,7 +99,7 @@ _KINDS_OF_FIELD = {"angle": 0, "object": 1, "image": 3}
 
 
 def _conditions(conditions: Conditions) -> list[str]:
-    """Return the lines of fields and wavelengths."""
+    """Return the lines for fields and wavelengths."""
     fields = conditions.fields
     waves = conditions.wavelengths_nm
 
@@ -119,7 +119,7 @@ def _conditions(conditions: Conditions) -> list[str]:
 
 
 def _rows(lens: Lens, stop_mm: float | None, coatings: dict[str, str]) -> list[_Row]:
-    """Return the surfaces, with coordinate breaks round the elements that stand off the axis."""
+    """Return the surfaces, with coordinate breaks around off-axis elements."""
     rows: list[_Row] = []
     for i, surface in enumerate(lens.surfaces):
         which = lens.element_of(i)
@@ -147,12 +147,12 @@ def _rows(lens: Lens, stop_mm: float | None, coatings: dict[str, str]) -> list[_
 
 
 def _break(values: Iterable[float]) -> list[str]:
-    """Return a coordinate break: shifts, tilts, and which of them come first."""
+    """Return a coordinate break: shifts, tilts, and their order."""
     return ["  TYPE COORDBRK", *(f"  PARM {place} {value + 0.0!r}" for place, value in enumerate(values, 1))]
 
 
 def _surface(number: int, surface: Surface, medium: Matter | None, aperture_mm: float | None) -> list[str]:
-    """Return the lines of a surface; a medium takes the place of the one that it names."""
+    """Return the lines of a surface; `medium` overrides the surface's own."""
     lines = ["  STOP"] if surface.stop else []
     if surface.focal_length_mm is not None and math.isfinite(surface.focal_length_mm):
         lines += ["  TYPE PARAXIAL", f"  PARM 1 {surface.focal_length_mm!r}"]
@@ -168,7 +168,7 @@ def _surface(number: int, surface: Surface, medium: Matter | None, aperture_mm: 
 
 
 def _glass(where: str, matter: Surface | Matter) -> list[str]:
-    """Return the line of what follows a surface, or stands before the lens; none for air."""
+    """Return the line of the medium behind a surface or before the lens; none for air."""
     glass = matter.glass
     if isinstance(glass, OwnGlass):
         if glass.nd is None or glass.air is not None:
@@ -176,18 +176,18 @@ def _glass(where: str, matter: Surface | Matter) -> list[str]:
         return [f"  GLAS ___BLANK 1 0 {glass.nd!r} {glass.vd!r} 0 0 0 0 0 0"]
     if glass is not None:
         return [f"  GLAS {maker_and_name(glass, 'Zemax')[1]} 0 0 1.5 40 0 0 0 0 0 0"]
-    # A model glass of Abbe number 0 does not disperse.
+    # A model glass with Abbe number 0 has no dispersion.
     return [] if matter.medium is None else [f"  GLAS ___BLANK 1 0 {matter.index!r} 0 0 0 0 0 0 0"]
 
 
 def _terms(terms_mm: Sequence[float]) -> list[str]:
-    """Return the type of a surface, and its coefficients from r⁴ up after that of r²."""
+    """Return a surface's type, and its coefficients of r² (zero), r⁴ and up."""
     if not terms_mm:
         return ["  TYPE STANDARD"]
     with_square = (0.0, *terms_mm)
     if len(terms_mm) <= _MOST_TERMS:
         return ["  TYPE EVENASPH", *(f"  PARM {place} {value!r}" for place, value in enumerate(with_square, 1))]
-    # Heights are counted in units of 1 mm.
+    # The normalisation radius is 1 mm.
     extended = (len(with_square), 1.0, *with_square)
     return ["  TYPE XASPHERE", *(f"  XDAT {place} {value!r} 0 0" for place, value in enumerate(extended, 1))]
 
@@ -206,12 +206,12 @@ def _shape(number: int, surface: Surface) -> list[str]:
 
 
 def _of_flat(radius_mm: float) -> float:
-    """Return a radius as a parameter, where 0 stands for a flat section."""
+    """Return a radius as a parameter; 0 means a flat section."""
     return 0.0 if math.isinf(radius_mm) else radius_mm
 
 
 def _odd_terms(number: int, surface: Surface) -> list[str]:
-    """Return the type of a surface with odd powers, and its coefficients by their powers."""
+    """Return the type of a surface with odd powers, and its coefficients by power."""
     terms = sorted((power, a) for power, a in surface.powers_mm if a)
     if terms[-1][0] > _LAST_ODD_POWER:
         raise SceneError(
@@ -222,7 +222,7 @@ def _odd_terms(number: int, surface: Surface) -> list[str]:
 
 
 def _makers(lens: Lens) -> list[str]:
-    """Return the makers of a lens's glasses in an order in which each name is found at its own maker."""
+    """Return the glass makers in an order that finds each name at its own maker."""
     glasses = list(dict.fromkeys(medium for medium in lens.media if isinstance(medium, str)))
     named = [(glass, *maker_and_name(glass, "Zemax")) for glass in glasses]
     makers = list(dict.fromkeys(maker for _, maker, _ in named))

@@ -1,1 +1,1 @@
-"""Rays made visible: launched, tabled and drawn, and the scene in 3D."""
+"""Visualisation: rays launched, tabulated and drawn, and the scene in 3D."""

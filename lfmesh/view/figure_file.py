@@ -1,4 +1,4 @@
-"""A matplotlib figure as a file: the ending and folder checked before anything is drawn, the same bytes every time."""
+"""Matplotlib figures as files: extension and folder are checked before drawing, and the bytes are reproducible."""
 
 import io
 import re
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PICTURES = (".svg", ".png", ".pdf")
-"""Endings of what matplotlib writes."""
+"""File extensions that matplotlib writes."""
 
 PNG_DPI = 150
 
 
 def checked_kind(path: Path, what: str, endings: Collection[str] = PICTURES) -> str:
-    """Return the kind of file that a path asks for, "svg" say.
+    """Return the kind of file for a path, such as "svg".
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def checked_kind(path: Path, what: str, endings: Collection[str] = PICTURES) -> 
     what : str
         The drawing in words, for the message: "a lens sheet".
     endings : collection of str
-        Those that are valid.
+        Valid extensions.
 
     Raises
     ------
     FileError
-        The ending is none of these, or the folder does not exist.
+        The extension is invalid, or the folder does not exist.
     """
     ending = path.suffix.lower()
     if ending not in endings:
@@ -43,18 +43,18 @@ def checked_kind(path: Path, what: str, endings: Collection[str] = PICTURES) -> 
 
 
 def encoded_figure(figure: "Figure", kind: str, title: str | None = None, dpi: float = PNG_DPI) -> bytes:
-    """Return a figure as the bytes of a file, without dates and versions: the same figure makes the same bytes.
+    """Return a figure as the bytes of a file, reproducible because it contains no dates or versions.
 
-    SVG numbers its parts by `svg.hashsalt` of the style in force, which has to be set.
+    SVG numbers its parts by `svg.hashsalt` of the current style, which must be set.
 
     Parameters
     ----------
     figure : Figure
     kind : {"svg", "png", "pdf"}
     title : str, optional
-        For the file's metadata.
+        Title in the file's metadata.
     dpi : float
-        Pixels an inch, of a PNG and of what is rastered in the others.
+        Pixels per inch of a PNG, and of rasterised parts in other formats.
     """
     metadata: dict[str, dict[str, Any]] = {
         "svg": {"Date": None, "Creator": None, "Title": title},
@@ -67,6 +67,6 @@ def encoded_figure(figure: "Figure", kind: str, title: str | None = None, dpi: f
 
 
 def inline_svg(svg: bytes) -> str:
-    """Return an SVG file as an element that can stand in a page of HTML."""
+    """Return an SVG file as an element for an HTML page."""
     text = svg.decode()
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)

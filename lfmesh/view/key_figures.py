@@ -1,4 +1,4 @@
-"""Key figures of results: names and values, in words, as notebooks show them."""
+"""Key figures of results as names and values in words, for notebooks."""
 
 import math
 from collections.abc import Sequence
@@ -29,12 +29,12 @@ from lfmesh.waves.wavefront import Wavefront
 Rows = list[tuple[str, str]]
 
 MOST_MEASURED = 4_000_000
-"""Pixels up to which the noise of an image is measured to be shown: that takes some microseconds a pixel."""
+"""Largest image with a displayed noise measurement, which takes some microseconds per pixel."""
 
 
 @singledispatch
 def key_figures(result: object) -> Rows:
-    """Return what there is to know of a result in short: names and values."""
+    """Return the key figures of a result: names and values."""
     raise LfmeshError(f"a {type(result).__name__} has no key figures")
 
 

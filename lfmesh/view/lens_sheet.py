@@ -1,8 +1,8 @@
-"""The lens sheet: what `lf.analyse` found, as PDF, SVG, PNG or HTML.
+"""Lens sheet: the results of `lf.analyse` as PDF, SVG, PNG or HTML.
 
-Ray fans, path differences, spots and point spreads of three fields, longitudinal aberration, foci and distortion over
-the field, lateral colour, illumination, and the MTF by waves and by rays, with the definitions of all of them. Below,
-for a camera with an array, its light field: cross-talk, and the MTF of photographs by depth and view.
+Ray fans, path differences, spots and point spreads of three fields; longitudinal aberration, foci and distortion over
+the field; lateral colour, illumination, wave and ray MTF; definitions. For a camera with an array also its light field:
+cross-talk, and the MTF of photographs by depth and view.
 """
 
 import math
@@ -32,7 +32,7 @@ from lfmesh.waves.wavefront import ACROSS as WAVEFRONT_ACROSS
 
 SHEET_IN = (14.0, 15.6)
 LIGHT_FIELD_IN = 5.0
-"""Height of the part on the light field."""
+"""Height of the light-field part."""
 
 WHAT = "a lens sheet"
 ENDINGS = (*PICTURES, ".html")
@@ -41,25 +41,25 @@ TEMPLATE = Path(__file__).parent / "templates" / "lens_sheet.html"
 
 DEPTH_COLOURS = ("#8c1f1f", "#c46a1b", "#222222", "#2a7f8c", "#1f3a8c")
 DEPTH_LINES = (":", "--", "-", "-.", (0, (5, 1, 1, 1, 1, 1)))
-"""From the nearest plane to the farthest."""
+"""Line styles from the nearest plane to the farthest."""
 
 WIDEST, NARROWEST = 2.2, 0.7
-"""Widths of the lines of the first and the last wavelength: where they coincide, both are seen."""
+"""Line widths of the first and last wavelength: both are visible where they coincide."""
 
 UM = 1e3
-"""Micrometres in a millimetre."""
+"""Micrometres per millimetre."""
 
 DARKEST = 0.75
-"""Lines of light wavelengths are drawn this much darker than they look, to be seen on paper."""
+"""Factor that darkens the lines of bright wavelengths for paper."""
 
 DEFINITION_COLUMNS, WIDE_COLUMNS = 66, 116
-"""Characters on a line of the definitions of the light field, and of the lens."""
+"""Characters per line in the definitions of the light field and of the lens."""
 
 NOTE_COLUMNS = 30
 """Characters on a line of a note that fills one of six panels in a row."""
 
 DARKEST_SPREAD = 1e-3
-"""Of a point spread, over its peak: black."""
+"""Point spread values below this fraction of the peak are black."""
 
 STYLE: Any = {
     **PAPER,
@@ -83,7 +83,7 @@ def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> P
     analysis : LensAnalysis
         From `lf.analyse`.
     path : str or Path
-        Ends in .pdf, .svg, .png or .html; it is written whole or not at all. The same analysis makes the same bytes.
+        Ends in .pdf, .svg, .png or .html. The file is written completely or not at all; its bytes are reproducible.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> P
     Raises
     ------
     FileError
-        The ending is not one of these, or the file cannot be written.
+        The extension is invalid, or the file cannot be written.
     """
     path = Path(path)
     kind = checked_kind(path, WHAT, ENDINGS)
@@ -102,12 +102,12 @@ def draw_lens_sheet(analysis: LensAnalysis, path: str | Path = "sheet.pdf") -> P
 
 
 def check_sheet_path(path: str | Path) -> None:
-    """Refuse a file that a lens sheet cannot be written to, before anything is analysed for it.
+    """Refuse a path where a lens sheet cannot be written, before the analysis.
 
     Raises
     ------
     FileError
-        The ending or the folder.
+        The extension or the folder is invalid.
     """
     checked_kind(Path(path), WHAT, ENDINGS)
 
@@ -118,7 +118,7 @@ def _picture(analysis: LensAnalysis, kind: str) -> bytes:
 
 
 def _page(analysis: LensAnalysis) -> str:
-    """Return a page of HTML that stands by itself: the key figures as text, and the sheet."""
+    """Return a self-contained HTML page: the key figures as text, and the sheet."""
     drawn = Markup(inline_svg(_picture(analysis, "svg")))
     return filled(TEMPLATE, title=analysis.name, lines=analysis.lines(), drawn=drawn)
 
@@ -214,13 +214,13 @@ def _header(figure: FigureBase, analysis: LensAnalysis) -> None:
 
 
 def _colours(analysis: LensAnalysis) -> list[tuple[float, float, float]]:
-    """Return the colour of each wavelength's lines."""
+    """Return the line colour of each wavelength."""
     shown = DARKEST * spectral_srgb(np.array(analysis.wavelengths_nm, dtype=np.float64))
     return [(float(r), float(g), float(b)) for r, g, b in shown]
 
 
 def _lines(analysis: LensAnalysis) -> list[dict[str, Any]]:
-    """Return the look of each wavelength's lines, the first the widest, below the others."""
+    """Return the line style of each wavelength, the first the widest and lowest."""
     widths = np.linspace(WIDEST, NARROWEST, len(analysis.wavelengths_nm)) if len(analysis.wavelengths_nm) > 1 else [0.9]
     return [{"color": colour, "linewidth": width} for colour, width in zip(_colours(analysis), widths, strict=True)]
 
@@ -230,7 +230,7 @@ def _field_names(analysis: LensAnalysis) -> list[str]:
 
 
 def _cross(axes: Axes) -> None:
-    """Draw the two axes through the origin, and few ticks."""
+    """Draw the two axes through the origin, with few ticks."""
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     axes.axvline(0.0, color=GREY, linewidth=0.5)
     axes.xaxis.set_major_locator(MaxNLocator(4))
@@ -261,7 +261,7 @@ def _fans(figure: FigureBase, grid: GridSpec, analysis: LensAnalysis) -> None:
 def _spots(places: list[Axes], analysis: LensAnalysis) -> None:
     reach = UM * max(max(spot.reach_mm for spot in analysis.spots), analysis.airy_radius_mm)
     for axes, name, spot in zip(places, _field_names(analysis), analysis.spots, strict=True):
-        # In an order by chance, so that no wavelength covers another.
+        # Random order, so that no wavelength covers another.
         order = np.random.default_rng(0).permutation(len(spot.place_mm))
         which = np.searchsorted(np.sort(analysis.wavelengths_nm), spot.wavelength_nm[order])
         colours = np.array(_colours(analysis))[np.argsort(analysis.wavelengths_nm)][which]
@@ -332,7 +332,7 @@ def _point_spreads(places: list[Axes], analysis: LensAnalysis) -> None:
 
 
 def _say_why(axes: Axes, reason: str) -> None:
-    """Write why there is no picture."""
+    """Write the reason for a missing picture."""
     axes.set_axis_off()
     axes.text(0.0, 0.9, textwrap.fill(f"no waves: {reason}", NOTE_COLUMNS), va="top", transform=axes.transAxes)
 

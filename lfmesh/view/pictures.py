@@ -1,4 +1,4 @@
-"""Pictures as 8-bit arrays, for pages and notebooks, and as data URLs, which need no file beside them."""
+"""Pictures as 8-bit arrays, for pages and notebooks, and as self-contained data URLs."""
 
 import base64
 import io
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 UNKNOWN = (221, 221, 221)
-"""Colour of what has no value, sRGB."""
+"""Colour of missing values, sRGB."""
 
 
 def data_url(pixels: NDArray[np.uint8]) -> str:
@@ -26,19 +26,19 @@ def data_url(pixels: NDArray[np.uint8]) -> str:
 
 
 def file_url(content: bytes, kind: str) -> str:
-    """Return a file's content as a data URL."""
+    """Return file content as a data URL."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def exposed(light: NDArray[np.floating], wavelengths_nm: tuple[float, ...], white: float) -> NDArray[np.uint8]:
-    """Return light as a picture for the eye; what is not known is black.
+    """Return light as a picture for the eye; unknown values are black.
 
     Parameters
     ----------
     light : (H, W, wavelengths)
     wavelengths_nm : tuple of float, nm
     white : float
-        Light that is shown as white.
+        Light shown as white.
     """
     shown = to_display(np.nan_to_num(light).astype(np.float64), wavelengths_nm)
     return srgb_encode(shown / white) if white > 0.0 else np.zeros(shown.shape, np.uint8)
@@ -50,13 +50,13 @@ def white_of(light: NDArray[np.floating], wavelengths_nm: tuple[float, ...]) -> 
 
 
 def coloured(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
-    """Return a map in the colours of viridis; grey where it is not finite.
+    """Return a map in viridis colours; grey where not finite.
 
     Parameters
     ----------
     values : (H, W)
     low, high : float
-        Values at the ends of the colours.
+        Values at the ends of the colour scale.
     """
     from matplotlib import colormaps
 

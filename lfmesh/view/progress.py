@@ -1,4 +1,4 @@
-"""Progress of a render: a bar on a terminal or below a notebook's cell, elsewhere plain lines on standard error."""
+"""Progress of a render: a bar on a terminal or in a notebook, otherwise plain lines on standard error."""
 
 import io
 import sys
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress() -> Iterator[Callable[["Progress"], None]]:
-    """Yield a function that shows progress: a bar on a terminal and in a notebook, elsewhere a line now and then."""
+    """Yield a function that shows progress: a bar on a terminal or in a notebook, otherwise occasional lines."""
     if in_notebook():
         with _cell() as report:
             yield report
@@ -39,9 +39,9 @@ def _bar() -> Iterator[Callable[["Progress"], None]]:
 
 @contextmanager
 def _cell() -> Iterator[Callable[["Progress"], None]]:
-    """Yield a function that shows progress below a notebook's cell, where the time it took stays at the end.
+    """Yield a function that shows progress below a notebook's cell, and leaves the elapsed time there.
 
-    rich would show its bar itself, but asks for ipywidgets.
+    rich's own bar would require ipywidgets.
     """
     from IPython.display import display
     from rich.console import Console
@@ -66,7 +66,7 @@ def _cell() -> Iterator[Callable[["Progress"], None]]:
 
 
 class _Html:
-    """Text of HTML that notebooks show; elsewhere nothing."""
+    """HTML text that only notebooks show."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -79,7 +79,7 @@ class _Html:
 
 
 def _html_of(shown: Any, width: int) -> str:
-    """Return what rich would print as HTML."""
+    """Return rich's output as HTML."""
     from rich.console import Console
 
     console = Console(file=io.StringIO(), record=True, width=width, force_jupyter=False, force_terminal=True)
@@ -101,7 +101,7 @@ def _rich_bar(**settings: Any) -> "bars.Progress":
 
 
 def _told(now: "Progress") -> dict[str, Any]:
-    """Return a report as the columns of the bar show it."""
+    """Return a report as the columns of the bar."""
     from lfmesh.files.words import count, duration
 
     left = now.seconds_left
@@ -116,7 +116,7 @@ def _told(now: "Progress") -> dict[str, Any]:
 
 
 class _Lines:
-    """Progress as plain lines, at most one every tenth of the work and every two seconds."""
+    """Progress as plain lines, at most one per tenth of the work and per two seconds."""
 
     STEPS = 10
     SECONDS = 2.0

@@ -1,4 +1,4 @@
-"""Subject of a view: a scene or a run, the rays in it, and their caption in words."""
+"""Subject of a view: a scene or run, its rays, and their caption."""
 
 import os
 from collections.abc import Sequence
@@ -28,44 +28,44 @@ from lfmesh.view.rays.paths import OF_PATHS, OF_VERTICES, FieldPoints, Rays
 Picture = NDArray[np.uint8]
 
 COUNT = 200
-"""Rays a launch."""
+"""Default number of rays per launch."""
 
 FIRST_COUNT = 24
-"""Rays a point of the first look: few enough to be told apart."""
+"""Rays per point of the first view: few enough to distinguish."""
 
 FIELDS = (0.0, 0.7, 1.0)
-"""Field points of the first look, over the half height of the field; the last is moved in a little."""
+"""Field points of the first view, relative to the half field; the last is moved slightly inwards."""
 
 INSIDE = 0.97
-"""Of the field's half height, so that the outermost lenslets still show the point."""
+"""Fraction of the half field at which the outermost lenslets still show the point."""
 
 FAR = 20.0
-"""Focal lengths at which the points of the first look stand where the camera is focused on infinity."""
+"""Object distance of the first view in focal lengths, for a camera focused on infinity."""
 
 BEFORE_MM = 0.01
-"""Distance from lens and targets at which points of the first look are seen, and lie."""
+"""Clearance of the first view's points from lens and targets."""
 
 MOST_PX = 4096
-"""Side of the picture on the sensor; larger ones are reduced."""
+"""Largest side of the picture on the sensor; larger pictures are reduced."""
 
 NONE = "none"
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Subject of a view: a world, and the picture (rows, columns, 3) on its sensor in its physical orientation."""
+    """Subject of a view: a world, and the picture (rows, columns, 3) on its sensor in physical orientation."""
 
     world: World
     picture: Picture | None
 
 
 def subject_of(what: "Scene | World | Image | str | os.PathLike[str]") -> Subject:
-    """Return what is looked at, from a scene file, a run folder, or what Python has of them.
+    """Return the subject for a scene file, a run folder, or their Python objects.
 
     Raises
     ------
     LfmeshError
-        Neither of these, or a file that cannot be read.
+        It is none of these, or the file cannot be read.
     """
     if isinstance(what, World):
         return Subject(what, None)
@@ -82,12 +82,12 @@ def subject_of(what: "Scene | World | Image | str | os.PathLike[str]") -> Subjec
 
 
 def _run(folder: Path) -> Subject:
-    """Read the scene and the preview of a run, not its large images."""
+    """Read the scene and preview of a run, but not its large images."""
     recover(folder)
     for name in (runs.SCENE, runs.PREVIEW):
         if not (folder / name).is_file():
             raise FileError(f"{folder}: has no {name}; give a scene file, or a run folder from lfmesh render")
-    # The picture of an older run would lie the wrong way round on the sensor.
+    # Pictures of older runs have the wrong orientation.
     runs.report_of(folder)
     try:
         with PIL.Image.open(folder / runs.PREVIEW) as preview:
@@ -96,13 +96,13 @@ def _run(folder: Path) -> Subject:
         raise FileError(
             f"{folder / runs.PREVIEW}: cannot be read as a picture ({error}); render the run again"
         ) from None
-    # The preview stands upright; it is turned back to how it lies on the sensor.
+    # Turn the upright preview back to the sensor's orientation.
     scene = load(folder / runs.SCENE)
     return Subject(build(scene), np.ascontiguousarray(Upright.of(scene).picture(picture)))
 
 
 def sensor_picture(image: Image) -> Picture:
-    """Return an image as (rows, columns, 3) sRGB, exposed as its preview is, in the sensor's physical orientation."""
+    """Return an image as (rows, columns, 3) sRGB, exposed like its preview, in physical orientation."""
     picture, _ = displayed(image.mean, image.wavelengths_nm, image.stderr)
     return _reduced(PIL.Image.fromarray(picture).convert("RGB"))
 
@@ -113,7 +113,7 @@ def _reduced(picture: PIL.Image.Image) -> Picture:
 
 
 class LaunchOptions(TypedDict, total=False):
-    """Settings of a launch, see `launched`; those left out or None are as the scene has them."""
+    """Settings of a launch, see `launched`; omitted or None: as in the scene."""
 
     count: int | None
     wavelength_nm: float | None
@@ -123,7 +123,7 @@ class LaunchOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Launched:
-    """Rays, what they are in words, and where on the array (x, y in its frame, mm) it is worth to look closely."""
+    """Rays, their description, and the point of the array (x, y in its frame, mm) for a close view."""
 
     rays: Rays | None
     caption: tuple[str, ...]
@@ -134,21 +134,21 @@ def launched(
     world: World, specs: Sequence[str] = (), count: int | None = None, *,
     wavelength_nm: float | None = None, split: str | None = None, weight_cutoff: float | None = None,
 ) -> Launched:  # fmt: skip
-    """Launch the rays of one or several lines of words, see `lfmesh.view.rays.launch_line.launch`.
+    """Launch rays from one or several lines of text, see `lfmesh.view.rays.launch_line.launch`.
 
-    Without any, a first look: three points of the plane in focus, their refracted rays alone. "none": no rays.
+    The default is a first view: refracted rays from three points of the plane of focus. "none": no rays.
 
     Parameters
     ----------
     world : World
     specs : sequence of str
-        Lines as "field 0,0,-500".
+        Lines such as "field 0,0,-500".
     count : int, optional
-        Rays of each launch.
+        Rays per launch.
     wavelength_nm : float, optional, nm
     split : {"both", "roulette", "transmit"}, optional
     weight_cutoff : float, optional
-        These three as the scene has them if left out.
+        Default of these three: as in the scene.
     """
     given = [spec.strip() for spec in specs]
     if NONE in given:
@@ -170,7 +170,7 @@ def launched(
 
 
 def why_dark(rays: Rays) -> str:
-    """Return, in words, why no ray gets from field points to the lens, or from pixels out of it; else nothing."""
+    """Return the reason why no ray from field points reaches the lens, or from pixels leaves it; else empty."""
     if rays.from_sensor and not rays.arrives.any():
         return "no ray leaves the camera"
     if rays.field is None or not (rays.status == Status.TARGET).all() or (np.diff(rays.offsets) > 2).any():
@@ -180,9 +180,9 @@ def why_dark(rays: Rays) -> str:
 
 
 def first_look(world: World) -> list[str]:
-    """Return the launches of the first picture: points of the plane in focus, on the axis, in the zone, at the edge.
+    """Return the launches of the first view: points of the plane of focus on the axis, in the zone and at the edge.
 
-    Where a target stands before one, the point lies on that.
+    If a target blocks a point, the point moves to its surface.
     """
     distance = world.facts.object_distance_mm
     half = 0.5 * world.facts.field_of_view_mm[1]
@@ -193,7 +193,7 @@ def first_look(world: World) -> list[str]:
     points = [[0.0, -INSIDE * field * half, -distance] for field in FIELDS]
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     placed = frames.points(to_world, points)
-    # From a place before the lens one sees what stands in the way.
+    # Look from in front of the lens for blocking targets.
     front = frames.points(to_world, [[0.0, 0.0, world.tables.lens.box_low[2] - BEFORE_MM]])
     ahead = placed - front
     seen = trace(world, np.repeat(front, len(ahead), axis=0), ahead, split="transmit", max_events=1, threads=1)
@@ -206,12 +206,12 @@ def first_look(world: World) -> list[str]:
 
 
 def together(parts: Sequence[Rays]) -> Rays:
-    """Return several launches into one world as one.
+    """Merge several launches into one world.
 
     Raises
     ------
     LfmeshError
-        Some go with the light and some against it: their powers have different units.
+        Some run backwards, so their powers have other units.
     """
     first = parts[0]
     if len(parts) == 1:
@@ -225,7 +225,7 @@ def together(parts: Sequence[Rays]) -> Rays:
         power = np.bincount(part.sequence, part.end_power * part.arrives, len(part.sequences))
         for sequence, brought in zip(part.sequences, power, strict=True):
             arriving[sequence] = arriving.get(sequence, 0.0) + float(brought)
-    # As in each of them: what brings the most power comes first.
+    # Sequences with the most power come first, as in each launch.
     sequences = sorted(arriving, key=lambda sequence: -arriving[sequence])
     number = {sequence: i for i, sequence in enumerate(sequences)}
     renumbered = [np.array([number[s] for s in part.sequences], np.int64)[part.sequence] for part in parts]
@@ -260,9 +260,9 @@ def _all_points(parts: Sequence[Rays]) -> FieldPoints | None:
 
 
 def pixels_on_array(rays: Rays) -> tuple[float, float]:
-    """Return the point (x, y) of the array in front of the pixels that rays were launched from, mm, in its own frame.
+    """Return the point (x, y) of the array in front of the rays' start pixels, mm, in its own frame.
 
-    Its middle, if they were launched elsewhere.
+    For other launches, return its centre.
     """
     world = rays.world
     hit = rays.pixel[(rays.pixel >= 0).all(axis=1)]
@@ -278,9 +278,9 @@ def pixels_on_array(rays: Rays) -> tuple[float, float]:
 
 
 def middle_pixel(world: World) -> tuple[int, int]:
-    """Return row and column of the sensor's middle pixel; with an array, in the middle of a micro-image next to it.
+    """Return row and column of the sensor's central pixel; with an array, the centre of a nearby micro-image.
 
-    The corner of four lenslets, which stands before the middle of an array of even numbers, lies in the dark.
+    The centre of an array with even counts is a corner of four lenslets, which is dark.
     """
     columns, rows = world.scene.camera.sensor.pixels
     pitch_px = world.facts.micro_image_pitch_px

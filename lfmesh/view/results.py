@@ -1,6 +1,6 @@
-"""Results in notebooks and figures: pictures upright, their scale in physical units, key figures in words.
+"""Results in notebooks and figures: upright pictures, physical scales, key figures in words.
 
-Results inherit from `lfmesh.notebook`, where this module is registered.
+Result classes inherit from `lfmesh.notebook`, where this module is registered.
 """
 
 import io
@@ -39,20 +39,19 @@ if TYPE_CHECKING:
 TEMPLATE = Path(__file__).parent / "templates" / "result.html"
 
 LARGEST_PX, SMALLEST_PX = 360, 200
-"""A picture in a notebook is reduced to the one, and a small one's pixels are enlarged until it is as large as the
-other."""
+"""Longest side to which notebook pictures are reduced, and to which the pixels of small ones are enlarged."""
 
 MOST_PLANES = 5
-"""Photographs of a focal stack that are shown."""
+"""Most photographs of a focal stack in a figure."""
 
 PANEL_IN = 4.4
 """Width of a panel in a figure, inches."""
 
 DECADES = 4.0
-"""Range of the picture of a point spread below its brightest sample."""
+"""Decades below the brightest sample in the picture of a point spread."""
 
 GAMMA = 1.0 / 2.2
-"""Of grey pictures in figures, about that of a screen, so that the scale beside them can tell the light."""
+"""Gamma of grey pictures in figures, close to a screen's, so that the scale bar gives the light."""
 
 FIGURE_DPI = 90
 
@@ -69,15 +68,15 @@ class Panel:
     values : (H, W) or (H, W, 3) float
         Upright; light is linear, three channels are sRGB primaries.
     low, high : float
-        Black and white of light, or the ends of the colours of a map.
+        Black and white of light, or the ends of a map's colour scale.
     unit : str
-        What the scale beside the picture says.
+        Label of the scale.
     is_light : bool
-        Shown as light; if not, as a map in colours.
+        Shown as light, otherwise as a map in colours.
     size_mm : (width, height), optional
-        For the axes, which count samples where it is None.
+        Size for the axes, which otherwise count samples.
     place : str
-        Where the size is measured.
+        Plane in which the size is measured.
     """
 
     title: str
@@ -91,7 +90,7 @@ class Panel:
 
 
 def _light(title: str, light: Floats, wavelengths_nm: tuple[float, ...], unit: str, **more: Any) -> Panel:
-    """Return a panel of upright (H, W, channels) light that exposes itself; `known` (H, W) pixels set the exposure."""
+    """Return a panel of upright (H, W, channels) light, automatically exposed for the `known` (H, W) pixels."""
     known = more.pop("known", None)
     shown = to_display(np.nan_to_num(light).astype(np.float64), wavelengths_nm)
     return Panel(title, shown, 0.0, white_point(shown, known), unit, **more)
@@ -105,7 +104,7 @@ def _map(title: str, values: Floats, unit: str, low: float | None = None, high: 
 
 @singledispatch
 def panels(result: object) -> list[Panel]:
-    """Return the pictures of a result, the most telling first."""
+    """Return the pictures of a result, the most informative first."""
     raise LfmeshError(f"a {type(result).__name__} has no picture")
 
 
@@ -182,7 +181,7 @@ def _(exposed: Exposed) -> list[Panel]:
 
 @panels.register
 def _(spread: PointSpread) -> list[Panel]:
-    # Rings are seen over decades alone. The lens inverts.
+    # Rings are visible only over decades. The lens inverts the picture.
     mean = spread.mean[:, ::-1]
     rows, columns = mean.shape
     top = float(np.log10(mean.max()))
@@ -198,7 +197,7 @@ def _(spread: PointSpread) -> list[Panel]:
 
 @panels.register
 def _(found: Wavefront) -> list[Panel]:
-    # Points are the middles of squares over the stop.
+    # Points are the centres of squares over the stop.
     across = round(2.0 / float(np.diff(np.unique(found.pupil.round(9))).min()))
     column, row = np.rint(0.5 * across * (found.pupil + 1.0) - 0.5).astype(int).T
     waves = np.full((across, across), np.nan)
@@ -207,7 +206,7 @@ def _(found: Wavefront) -> list[Panel]:
 
 
 def html_of(result: object) -> str:
-    """Return a result for a notebook: a table of key figures, beside its picture if it has one."""
+    """Return a result for a notebook: a table of key figures, with its picture if any."""
     picture, width = None, 0
     if _has_picture(result):
         shown = _enlarged(_pixels(panels(result)[0]))
@@ -235,7 +234,7 @@ def _pixels(panel: Panel) -> NDArray[np.uint8]:
 
 
 def _enlarged(pixels: NDArray[np.uint8]) -> PIL.Image.Image:
-    """Return a picture of a size that suits a notebook."""
+    """Return a picture at a size suitable for a notebook."""
     picture = PIL.Image.fromarray(np.ascontiguousarray(pixels))
     longest = max(picture.size)
     if longest > LARGEST_PX:
@@ -254,7 +253,7 @@ def _png(picture: PIL.Image.Image) -> bytes:
 
 
 def figure_of(result: object, make: Callable[..., "Figure"] | None = None) -> "Figure":
-    """Return the pictures of a result as a figure of matplotlib, side by side, with axes and scales.
+    """Return the pictures of a result as a matplotlib figure, side by side, with axes and scales.
 
     Parameters
     ----------
@@ -275,7 +274,7 @@ def figure_of(result: object, make: Callable[..., "Figure"] | None = None) -> "F
 
 
 def _draw(axes: Any, panel: Panel) -> None:
-    """Draw a panel: its picture, axes in mm, and what its shades or colours mean."""
+    """Draw a panel: its picture, axes in mm, and scale."""
     from matplotlib.colors import Normalize, PowerNorm
     from matplotlib.ticker import MaxNLocator
 
@@ -287,7 +286,7 @@ def _draw(axes: Any, panel: Panel) -> None:
     else:
         axes.set_xticks([])
         axes.set_yticks([])
-    # Names of bands and scenes in it are the user's, who may write $ and ^ in them.
+    # Names of bands and scenes are the user's and may contain $ and ^.
     axes.set_title(panel.title, fontsize=10, loc="left", parse_math=False)
     if panel.values.ndim == 3:
         axes.imshow(_pixels(panel), extent=extent, interpolation="nearest")
@@ -305,7 +304,7 @@ def _draw(axes: Any, panel: Panel) -> None:
 
 
 def show(result: object) -> None:
-    """Show the pictures of a result: in a notebook below the cell, else in a window until that is closed."""
+    """Show the pictures of a result below the notebook cell, or in a window until it is closed."""
     if in_notebook():
         from IPython.display import Image as Displayed
         from IPython.display import display

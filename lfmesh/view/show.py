@@ -1,4 +1,4 @@
-"""Showing a scene: in a window, in a notebook, or written as a picture, a page or a 3D model."""
+"""Display of a scene in a window or notebook, or as a picture, page or 3D model."""
 
 import io
 import os
@@ -27,10 +27,10 @@ from lfmesh.view.scene3d.plotter import Drawing, View, build_view
 
 WITH_INSET = ("whole", "side")
 INSET, INSET_PLACE = 0.3, (0.15, 0.04)
-"""Size of the magnified array over that of the picture, and where its lower left corner stands in it."""
+"""Size of the magnified array relative to the picture, and position of its lower left corner."""
 
 LETTER = "A"
-"""Of the magnified array, there and where it stands in the picture."""
+"""Label of the magnified array and of its place in the picture."""
 
 NO_DISPLAY = (
     "there is no display for a window: write a picture with --screenshot out.png or a page with --html out.html, "
@@ -40,7 +40,7 @@ NO_DISPLAY = (
 
 @dataclass(frozen=True)
 class Seen:
-    """A subject, its rays, and those of them that are chosen."""
+    """Subject, its rays, and the chosen ones among them."""
 
     subject: Subject
     all_rays: Rays | None
@@ -52,7 +52,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files that a view is written to, instead of a window."""
+    """Output files of a view, instead of a window."""
 
     screenshot: str | os.PathLike[str] | None = None
     html: str | os.PathLike[str] | None = None
@@ -65,12 +65,12 @@ class Outputs:
         return [(field.name, Path(path)) for field in fields(self) if (path := getattr(self, field.name)) is not None]
 
     def check(self) -> None:
-        """Refuse an output that could not be written, before anything is traced for it."""
+        """Refuse an output that cannot be written, before anything is traced."""
         for option, path in self._wished():
             check_output(option, path)
 
     def write(self, view: View) -> list[Path]:
-        """Write what is wished of a view; return the files."""
+        """Write the requested outputs of a view; return the files."""
         for option, path in self._wished():
             if option == "screenshot":
                 write_whole(path, png(picture_of(view)))
@@ -89,7 +89,7 @@ Taken = TypeVar("Taken", Drawing, Outputs)
 
 
 class Options(LaunchOptions, total=False):
-    """The keyword arguments of `show`."""
+    """Keyword arguments of `show`."""
 
     colour: ColourBy | None
     fade: bool
@@ -110,21 +110,20 @@ def show(
     filter: str | None = None,  # noqa: A002  # what it is called on the command line and in the browser
     **options: Unpack[Options],
 ) -> PIL.Image.Image | None:
-    """Show a scene in 3D with rays in it.
+    """Show a scene in 3D with rays.
 
-    In a notebook it returns the picture; in a script it opens a window and waits until that is closed; where an output
-    is given it writes that instead.
+    In a notebook it returns the picture; in a script it opens a window and waits until it is closed. With an output
+    file it writes that instead.
 
     Parameters
     ----------
     subject : Scene, World, Image, or path of a scene file or a run folder
-        A run's picture lies on its sensor.
+        The picture of a run appears on its sensor.
     rays : Rays, str or sequence of str, optional
         Rays, or how to launch them: "field 0,0,-500", "pixel 320,310", "none"; see
-        `lfmesh.view.rays.launch_line.FORMS`.
-        Left out: points of the plane in focus, refracted rays alone.
+        `lfmesh.view.rays.launch_line.FORMS`. Default: refracted rays from points of the plane of focus.
     filter : str, optional
-        Which paths to draw, see `lfmesh.view.rays.filters`.
+        Paths to draw, see `lfmesh.view.rays.filters`.
 
     Returns
     -------
@@ -134,27 +133,27 @@ def show(
     Other Parameters
     ----------------
     count : int
-        Rays a launch.
+        Rays per launch.
     wavelength_nm, split, weight_cutoff
-        Of the launches, as the scene has them if left out.
+        Settings of the launches (default: the scene's).
     colour : {"wavelength", "power", "events", "status", "path", "field"}
-        What the rays' colours mean; the wavelength if left out, or the field point where there is one wavelength.
+        Meaning of the ray colours (default: the wavelength, or the field point if there is one wavelength).
     fade : bool
-        Draw rays with less power fainter.
+        Draw weaker rays fainter.
     preset : {"whole", "side", "object", "lens", "array", "sensor"}
-        Where to look from; "whole" if left out.
+        Viewpoint (default: "whole").
     cut : bool
         Cut lens and array along the axis; rays stay whole.
     size : (width, height), pixels
     most_segments : int
-        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
+        Above this, a selection of whole paths is drawn, and the caption gives their number.
     screenshot, html, gltf : path
         PNG; self-contained page; binary glTF model (.glb).
 
     Raises
     ------
     LfmeshError
-        Nothing can be drawn here, a setting is out of its range, a file cannot be written.
+        Nothing can be drawn here, a setting is out of range, or a file cannot be written.
     """
     given: dict[str, Any] = dict(options)
     drawing, outputs = _taken(Drawing, given), _taken(Outputs, given)
@@ -181,7 +180,7 @@ def show(
 
 
 def _taken(kind: type[Taken], options: dict[str, Any]) -> Taken:
-    """Return a dataclass made from those of the options that are its fields; the others stay."""
+    """Return a dataclass made from the options that are its fields; the others remain."""
     return kind(**{name: options.pop(name) for name in kind.__dataclass_fields__ if name in options})
 
 
@@ -191,13 +190,13 @@ def look(
     expression: str | None = None,
     **launches: Unpack[LaunchOptions],
 ) -> Seen:
-    """Build a subject, launch rays into it, and choose those that a filter lets through.
+    """Build a subject, launch rays in it, and apply a filter.
 
     Parameters
     ----------
     subject : Scene, World, Image, or path of a scene file or a run folder
     rays : Rays, str or sequence of str, optional
-        As `show` takes them.
+        As for `show`.
     expression : str, optional
         The filter.
     **launches
@@ -220,7 +219,7 @@ def look(
 
 
 def draw_seen(seen: Seen, drawing: Drawing, *, off_screen: bool = True) -> View:
-    """Draw a subject and the rays chosen.
+    """Draw a subject and its chosen rays.
 
     Parameters
     ----------
@@ -242,7 +241,7 @@ ENDINGS = {
 
 
 def check_output(option: str, path: Path) -> None:
-    """Refuse a file that could not be written."""
+    """Refuse an output file that cannot be written."""
     endings = ENDINGS[option]
     if path.suffix.lower() not in endings:
         raise FileError(f"{option} {path}: the name must end in {' or '.join(endings)}")
@@ -253,7 +252,7 @@ def check_output(option: str, path: Path) -> None:
 
 
 def picture_of(view: View) -> PIL.Image.Image:
-    """Return what a view shows; in a picture of the whole the array, too small there, stands magnified in a corner."""
+    """Return the picture of a view; overviews have the magnified array in a corner."""
     if view.preset not in WITH_INSET or "array" not in view.presets:
         return _shot(view)
     view.overlay.mark(LETTER, view.array_edge)
@@ -279,7 +278,7 @@ def _shot(view: View) -> PIL.Image.Image:
 
 
 def _paste(picture: PIL.Image.Image, close: PIL.Image.Image) -> None:
-    """Put a picture, reduced and framed, into the corner of another that its views leave free."""
+    """Paste a reduced, framed picture into the corner of another that the views leave free."""
     width, height = (round(INSET * side) for side in picture.size)
     left, bottom = (round(place * side) for place, side in zip(INSET_PLACE, picture.size, strict=True))
     frame = PIL.Image.new("RGB", (width + 2, height + 2), FAINT_TEXT)
@@ -288,7 +287,7 @@ def _paste(picture: PIL.Image.Image, close: PIL.Image.Image) -> None:
 
 
 def png(picture: PIL.Image.Image) -> bytes:
-    """Return a picture as the content of a PNG file."""
+    """Encode a picture as PNG."""
     content = io.BytesIO()
     picture.save(content, format="PNG")
     return content.getvalue()

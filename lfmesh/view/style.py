@@ -1,11 +1,11 @@
-"""One style of the figures on paper: ink, colours that differ for every eye and in grey, fonts, repeatable files."""
+"""Common style of figures on paper: ink, colours for every eye and for grey, fonts, reproducible files."""
 
 from typing import Any
 
 INK, GREY, PALE = "#222222", "#666666", "#aaaaaa"
 
 FIELD_COLOURS = ("#1b3f7a", "#3fa88b", "#b4541a")
-"""Axis, zone and edge of the field: dark, light and middling where they are printed in grey."""
+"""Axis, zone and edge of the field: dark, light and medium when printed in grey."""
 
 PAPER: Any = {
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -18,4 +18,4 @@ PAPER: Any = {
     "xtick.color": INK,
     "ytick.color": INK,
 }
-"""matplotlib's settings of all of them; SVG keeps its text as text."""
+"""Common matplotlib settings; SVG keeps text as text."""

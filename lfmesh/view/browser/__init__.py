@@ -1,4 +1,4 @@
-"""The viewer as a page in a web browser: 3D view, path table, filter and light field, served by trame on loopback."""
+"""Viewer as a web page: 3D view, path table, filter and light field, served by trame on loopback."""
 
 from lfmesh.view.browser.server import refuse_to_serve, serve
 

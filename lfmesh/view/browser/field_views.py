@@ -1,4 +1,4 @@
-"""The light field of a run as the page shows it: views, photographs, epipolar-plane images, depth."""
+"""Light field of a run for the page: views, photographs, epipolar-plane images, depth."""
 
 import math
 import warnings
@@ -27,15 +27,15 @@ from lfmesh.view.pictures import coloured, exposed, white_of
 Picture = NDArray[np.uint8]
 
 STEPS = 100
-"""Of the refocus slider."""
+"""Steps of the refocus slider."""
 
 
 TURN, CIRCLE = 24, 0.65
-"""Views of a parallax animation, and the radius of its circle over the pupil's."""
+"""Views in a parallax animation, and the radius of its circle relative to the pupil's."""
 
 
 class Place(NamedTuple):
-    """Place of a raw pixel in the light field."""
+    """Position of a raw pixel in the light field."""
 
     lenslet: tuple[int, int]
     v: int
@@ -45,7 +45,7 @@ class Place(NamedTuple):
 
 
 def calibration_of_run(scene: Scene, folder: Path | None) -> Calibration:
-    """Return where the micro-images of a run are: as it keeps it, else traced."""
+    """Return the calibration stored in a run, or else trace it."""
     kept = run.open_calibration(folder) if folder is not None else None
     return calibrate(scene) if kept is None else kept
 
@@ -56,11 +56,11 @@ class FieldViews:
     Parameters
     ----------
     image : Image
-        Of a light-field camera.
+        Image from a light-field camera.
     folder : Path
-        The run's; what it lacks is made for the page and not kept.
+        Run folder; missing data are computed for the page and not stored.
     calibration : Calibration, optional
-        The run's, where it is known already.
+        Calibration of the run, if known.
 
     Raises
     ------
@@ -86,12 +86,12 @@ class FieldViews:
 
     @cached_property
     def _white(self) -> float:
-        """White of views and their photographs, that of the middle view."""
+        """White level of views and photographs, from the middle view."""
         rows, columns = self.field.views
         return white_of(self.field.view(rows // 2, columns // 2), self.field.wavelengths_nm)
 
     def place(self, row: int, column: int) -> Place | None:
-        """Return where a pixel of the raw image lies in the light field; None if no micro-image covers it."""
+        """Return a raw pixel's position in the light field; None if no micro-image covers it."""
         distance, nearest = self._tree.query((column, row))
         if not math.isfinite(distance):
             return None
@@ -106,7 +106,7 @@ class FieldViews:
         return Place((int(lenslet[0]), int(lenslet[1])), v, u, *self._sample(int(lenslet[0]), int(lenslet[1])))
 
     def _sample(self, row: int, column: int) -> tuple[int, int]:
-        """Return the sample (t, s) of a lenslet, by its place on the array: the nearest, where it was resampled."""
+        """Return the sample (t, s) of a lenslet from its position on the array, the nearest one if resampled."""
         mla = self.calibration.lattice._replace(pitch=self.calibration.lenslet_pitch_mm)
         x, _ = centre(mla, column, row)
         t, _ = self.upright.pixel(row, column, self.calibration.known.shape)
@@ -125,14 +125,14 @@ class FieldViews:
         return exposed(self.field.epi(s=s, u=u), self.field.wavelengths_nm, self._white)
 
     def round_trip(self) -> list[Picture]:
-        """Return the views that the viewpoint passes on a circle in the pupil."""
+        """Return the views along a circle in the pupil."""
         (rows, columns), angles = self.field.views, np.arange(TURN) * (2.0 * np.pi / TURN)
         v = np.rint(0.5 * (rows - 1) * (1.0 + CIRCLE * np.sin(angles))).astype(int)
         u = np.rint(0.5 * (columns - 1) * (1.0 + CIRCLE * np.cos(angles))).astype(int)
         return [self.view(int(row), int(column)) for row, column in zip(v, u, strict=True)]
 
     def photograph(self, distance_mm: float) -> Picture:
-        """Return a photograph focused on a plane, with all views."""
+        """Return a photograph focused on a plane, from all views."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             picture = refocus(self.field, distance_mm)
@@ -140,9 +140,9 @@ class FieldViews:
 
     @cached_property
     def planes_mm(self) -> list[float]:
-        """Distances that the slider reaches, the nearest first: equal steps in the shift between views.
+        """Slider distances, nearest first, at equal steps in the shift between views.
 
-        They span the range of sharp refocusing, or twice the focal length to infinity where that is wider.
+        They span the range of sharp refocusing or, if wider, twice the focal length to infinity.
         """
         model = self.field.model
         near, far = model.refocus_range_mm
@@ -153,12 +153,12 @@ class FieldViews:
 
     @property
     def focus_step(self) -> int:
-        """Step of the slider at which views do not shift: the plane that the camera is focused on."""
+        """Slider step of the plane in focus, where views do not shift."""
         focus = self.field.model.distance_mm(0.0)
         return int(np.argmin([abs(1.0 / plane - 1.0 / focus) for plane in self.planes_mm]))
 
     def depth(self) -> tuple[Picture, float, float] | None:
-        """Return the depth map in colours with the distances at their ends, mm; None if the run has none."""
+        """Return the depth map in colours with its end distances, mm; None if the run has none."""
         if self.depth_mm is None or self._true_depth_mm is None:
             return None
         low, high = shown_range(self.depth_mm, self._true_depth_mm) or (0.0, 1.0)

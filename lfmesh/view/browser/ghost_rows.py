@@ -1,4 +1,4 @@
-"""The ghosts of a launch as the page lists them: pair by pair, with the error and the origin of each power."""
+"""Ghosts of a launch as table rows: pair by pair, with the error and origin of each power."""
 
 from lfmesh.view.rays.ghosts import GhostPair
 
@@ -6,7 +6,7 @@ GHOST_HEADS = ("ghost", "power / {unit}", "±", "of the sensor's", "origin")
 
 
 def ghost_cells(pair: GhostPair) -> list[str]:
-    """Return a pair as a row of the table, in the order of `GHOST_HEADS`."""
+    """Return a pair as a table row, in the order of `GHOST_HEADS`."""
     origin = "rays" if pair.integrated == 0.0 else "quadrature" if pair.integrated == 1.0 else "quadrature and rays"
     percent = 100.0 * pair.error / pair.power
     return [

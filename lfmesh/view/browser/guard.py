@@ -1,9 +1,8 @@
-"""Access to the page: for the browser that was given its address, and no page of any other site.
+"""Access control of the page: only for the browser that was given its address, and no page of another site.
 
-A server on loopback is reachable by every site that the same browser shows: through a websocket, which browsers open
-across origins, and through a domain name that is pointed at 127.0.0.1 after its page was loaded (DNS rebinding); and by
-everybody else on a shared machine. So `Host` and `Origin` must be ours, and a browser must have been let in by the
-token in the address that was printed, which it keeps as a cookie.
+Every site open in the same browser can reach a server on loopback, through a websocket (browsers open these across
+origins) or a domain name redirected to 127.0.0.1 after its page was loaded (DNS rebinding); on a shared machine, so can
+everybody. So `Host` and `Origin` must match, and the browser must hold the token from the printed address as a cookie.
 """
 
 import hmac
@@ -21,14 +20,14 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
 
 _ADDRESS = re.compile(r"(?P<name>\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z._-]+)(:[0-9]{1,5})?")
-"""A `Host`: a name or an address, and a port."""
+"""A `Host` header: name or address, and port."""
 
 REFUSED = "lfmesh refuses this request"
-"""Beginning of every refusal."""
+"""Start of every refusal."""
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address can be reached from this machine alone."""
+    """Tell whether an address can be reached only from this machine."""
     if host == "localhost":
         return True
     try:
@@ -38,22 +37,22 @@ def is_loopback(host: str) -> bool:
 
 
 def is_of_ours(record: logging.LogRecord) -> bool:
-    """Tell whether a record of aiohttp's log is about this program: a filter of its logger.
+    """Tell whether a record of aiohttp's log concerns this program, as a logging filter.
 
-    A request that is no HTTP, such as one without `Host` or with two, never reaches `Guard`. aiohttp answers it by 400,
-    and would log it with a traceback as if a fault of the server's had come to light.
+    Requests that are not valid HTTP, such as ones with no `Host` or two, never reach `Guard`. aiohttp answers them with
+    400, and would log them with a traceback like a fault of the server.
     """
     return record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError)
 
 
 class Guard:
-    """Refuses every request that does not come from a page that this server made.
+    """Guard against requests from other pages than this server's.
 
     Parameters
     ----------
     host : str
-        The address that the server is bound to. On loopback the `Host` of a request must name this machine; elsewhere
-        the names of the machine are not known here, and the token alone keeps others out.
+        Address of the server. On loopback the `Host` of a request must name this machine. Otherwise the machine's names
+        are unknown here, and only the token protects the page.
     """
 
     def __init__(self, host: str) -> None:
@@ -61,7 +60,7 @@ class Guard:
         self.token = secrets.token_urlsafe(24)
 
     def fault(self, request: web.Request) -> str | None:
-        """Say why a request is refused; None if it is not."""
+        """Return the reason to refuse a request, or None."""
         if (name := _name_of_odd_header(request)) is not None:
             return f"{REFUSED}: its header {name} is not ASCII"
         host = request.host
@@ -77,7 +76,7 @@ class Guard:
 
     @web.middleware
     async def answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Answer a request, or refuse it: a middleware of aiohttp."""
+        """Answer or refuse a request, as aiohttp middleware."""
         if fault := self.fault(request):
             return web.Response(status=403, text=fault + "\n")
         if self._same(request.query.get("token")):
@@ -85,7 +84,7 @@ class Guard:
         try:
             response = await handler(request)
         except ConnectionResetError:
-            # The browser left in the middle of an answer: nobody is there to be told.
+            # The browser disconnected during the answer: nobody needs to be told.
             return web.Response()
         if not response.prepared:
             response.headers.update(_headers(request.host))
@@ -95,29 +94,29 @@ class Guard:
         return self._same(request.cookies.get(_cookie(request.host))) or self._same(request.query.get("token"))
 
     def _same(self, token: str | None) -> bool:
-        # aiohttp decodes bytes of a header that are no UTF-8 as surrogates.
+        # aiohttp decodes header bytes outside UTF-8 as surrogates.
         return token is not None and hmac.compare_digest(token.encode(errors="surrogatepass"), self.token.encode())
 
     def _admit(self, request: web.Request) -> web.StreamResponse:
-        """Let a browser keep the token, and take it out of the address, which others may see over a shoulder."""
+        """Store the token in the browser's cookies, and remove it from the address, which others may see."""
         response = web.HTTPFound("/index.html")
         response.set_cookie(_cookie(request.host), self.token, httponly=True, samesite="Strict")
         return response
 
 
 def _name_of_odd_header(request: web.Request) -> str | None:
-    """Return the name of a header that no browser sends: one that is not ASCII, but for cookies, which others set."""
+    """Return the name of a non-ASCII header other than the cookie; browsers send none."""
     odd = (name for name, value in request.headers.items() if not value.isascii() and name.title() != hdrs.COOKIE)
     return next(odd, None)
 
 
 def _cookie(host: str) -> str:
-    """Cookies are kept by name, not by port: two pages on one machine must not take each other's."""
+    """Return a cookie name with the port: cookies are stored by name only, and two pages must not share one."""
     return f"lfmesh-{host.rsplit(':', 1)[-1]}"
 
 
 def _headers(host: str) -> dict[str, str]:
-    """Headers by which the browser itself lets nothing of the page leave for another host.
+    """Return headers that keep the browser from sending anything of the page to another host.
 
     Vue compiles the page's template in the browser, which needs 'unsafe-eval'.
     """

@@ -1,4 +1,4 @@
-"""The light field in the page: raw image, the view under the mouse, refocusing, epipolar-plane image, depth."""
+"""Light-field part of the page: raw image, view under the mouse, refocusing, epipolar-plane image, depth."""
 
 import math
 from collections.abc import Callable
@@ -13,10 +13,10 @@ from lfmesh.view.browser.subject import PageSubject
 from lfmesh.view.pictures import data_url
 
 SCREEN_PX = 560.0
-"""About how wide the picture is on a screen."""
+"""Approximate width of the picture on a screen."""
 
 CENTRES_FROM_PX, CIRCLES_FROM_PX = 6.0, 24.0
-"""Centres are drawn where a micro-image is this wide on the screen; with a circle round it where it is this wide."""
+"""Micro-image widths on the screen from which centres are drawn, and circles around them."""
 
 NO_RUN = (
     "The light-field views need a run: render the scene with lfmesh render scene.toml -o run/, then open the page with "
@@ -26,7 +26,7 @@ NO_ARRAY = "This camera has no microlens array: it records no light field."
 
 
 class LightFieldPanel:
-    """State and answers of the light field's part of the page, and of the sensor's picture beside the rays.
+    """State and handlers of the page's light-field part, and of the sensor picture beside the rays.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LightFieldPanel:
 
     @property
     def picture(self) -> SensorPicture:
-        """The sensor's picture; made when it is first looked at."""
+        """Picture of the sensor, made at first use."""
         if self._picture is None:
             columns, rows = self._scene.camera.sensor.pixels
             calibration = self._subject.calibration if self._scene.camera.mla is not None else None
@@ -64,7 +64,7 @@ class LightFieldPanel:
         return self._picture
 
     def mark(self, rows: range, columns: range) -> None:
-        """Mark pixels in the sensor's picture."""
+        """Mark pixels in the sensor picture."""
         self._state.raw_marked = list(self.picture.box(rows, columns))
         self._marked = (rows.start, columns.start) if len(rows) == len(columns) == 1 else None
 
@@ -74,7 +74,7 @@ class LightFieldPanel:
         return self._marked
 
     def _open(self) -> None:
-        """Fill a tab when it is opened for the first time."""
+        """Fill a tab when it is first opened."""
         state = self._state
         if state.tab == "field" and state.has_field and self._views is None:
             try:
@@ -104,7 +104,7 @@ class LightFieldPanel:
             self.mark(range(row, row + 1), range(column, column + 1))
 
     def _moved(self, move: Callable[..., None]) -> Callable[..., None]:
-        """Return what moves the picture's part, then shows it; an area that was marked is let go."""
+        """Return a function that moves the visible part of the picture, shows it, and clears the marked area."""
 
         def moved(*arguments: float) -> None:
             move(self.picture, *arguments)
@@ -114,7 +114,7 @@ class LightFieldPanel:
         return moved
 
     def _show_field(self, views: FieldViews) -> None:
-        """Show the middle view, the plane in focus, the middle row's epipolar-plane image and the depth."""
+        """Show the middle view, the plane of focus, the middle row's epipolar-plane image and the depth."""
         state, field = self._state, views.field
         (rows, columns), (height, width) = field.views, field.size
         ratio = width / height
@@ -127,7 +127,7 @@ class LightFieldPanel:
         self._show_depth(views)
 
     def _hover(self, x: float, y: float) -> None:
-        """Say what lies under the mouse, and show the view that its pixel belongs to."""
+        """Describe the pixel under the mouse, and show its view."""
         row, column = self.picture.pixel(x, y)
         words = f"pixel row {row}, column {column}"
         if self._image is not None:
@@ -146,7 +146,7 @@ class LightFieldPanel:
         return f", {depth:.4g} mm away"
 
     def _pick(self, x: float, y: float) -> None:
-        """Mark a pixel, and show the epipolar-plane image of its row of lenslets."""
+        """Mark a pixel, and show the epipolar-plane image of its lenslet row."""
         row, column = self.picture.pixel(x, y)
         self.mark(range(row, row + 1), range(column, column + 1))
         place = self._views.place(row, column) if self._views is not None else None
@@ -171,7 +171,7 @@ class LightFieldPanel:
         self._draw_epi()
 
     def _draw_epi(self) -> None:
-        """Draw the epipolar-plane image of the row or the column through the place that was chosen."""
+        """Draw the epipolar-plane image of the row or column through the chosen position."""
         if self._views is None or self._epi_at is None:
             return
         state, field, (_, v, u, t, s) = self._state, self._views.field, self._epi_at
@@ -187,7 +187,7 @@ class LightFieldPanel:
             state.epi_note = f"column s {s} ({field.s_mm[s]:+.3g} mm), u {u}"
 
     def _parallax(self) -> None:
-        """Let the viewpoint go round in the pupil, or stop it."""
+        """Start or stop the circular motion of the viewpoint in the pupil."""
         if self._views is not None:
             self._state.parallax = [] if self._state.parallax else list(map(data_url, self._views.round_trip()))
 
@@ -202,7 +202,7 @@ class LightFieldPanel:
 
 
 def _first_state(subject: PageSubject) -> dict[str, Any]:
-    """Return the panel's variables before anything is shown."""
+    """Return the panel's initial variables."""
     scene, folder = subject.scene, subject.folder
     has_field = subject.image is not None and folder is not None and scene.camera.mla is not None
     names = ["raw_src", "raw_note", "raw_under", "view_src", "view_note", "focus_src", "focus_note", "focus_near"]

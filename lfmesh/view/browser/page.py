@@ -1,4 +1,4 @@
-"""The page: its template, its variables, and what stands behind each of its parts."""
+"""The page: its template, variables and parts."""
 
 import asyncio
 from pathlib import Path
@@ -12,29 +12,29 @@ from lfmesh.view.scene3d.colours import ColourBy, default_colour
 from lfmesh.view.scene3d.plotter import Drawing, build_view
 
 SIZE = (1000, 760)
-"""Of the 3D view until the browser says how large it is, px."""
+"""Size of the 3D view in px, until the browser reports its own."""
 
 STATIC = Path(__file__).with_name("static")
 
 LATEST_SECONDS = 0.03
-"""After so long a picture that is being encoded is asked for again."""
+"""Interval after which a picture still being encoded is requested again."""
 
 SAID = '<div class="page"><div id="fault" class="fault wide">{{ fault }}</div></div>'
-"""Template of a page that says one thing."""
+"""Template of a page with a single message."""
 
 VIEW = "<!-- view -->"
-"""Mark of the place of the 3D view in the template."""
+"""Placeholder for the 3D view in the template."""
 
 
 class Page:
-    """Fills a trame server with a page of a scene or run, which has a camera, rays, filter and light field of its own.
+    """Page of a scene or run in a trame server, with its own camera, rays, filter and light field.
 
     Parameters
     ----------
     server : trame_server.Server
     subject : PageSubject
     expression : str
-        Stands in the filter box from the start.
+        Initial content of the filter box.
     colour, fade, preset, cut
         See `lfmesh.view.scene3d.plotter.Drawing`.
     """
@@ -64,19 +64,19 @@ class Page:
             {"expression": expression, "colour": colour or default_colour(rays), "fade": fade, "cut": cut}
         )
         self.rays = RaysPanel(server, replies, view, rays, self.light_field)
-        # Rays from pixels have moved the place of the array that is looked at.
+        # Rays from pixels have moved the visible part of the array.
         view.look(preset)
         self._sending: asyncio.Task[None] | None = None
         self._lay_out(server)
 
     def close(self) -> None:
-        """Give up the 3D view."""
+        """Close the 3D view."""
         if self._sending is not None:
             self._sending.cancel()
         self._view.plotter.close()
 
     def _lay_out(self, server: Any) -> None:
-        """Give the server the template, with the 3D view in its place."""
+        """Give the server the template with the 3D view in it."""
         from trame.ui.html import DivLayout
         from trame.widgets.vtk import VtkRemoteView
 
@@ -95,7 +95,7 @@ class Page:
 
 
 def add_files(server: Any) -> None:
-    """Give a server the files that the templates need."""
+    """Register the files that the templates need."""
     server.enable_module(
         {
             "serve": {"lfmesh": str(STATIC)},
@@ -107,7 +107,7 @@ def add_files(server: Any) -> None:
 
 
 def say(server: Any, words: str) -> None:
-    """Fill a server with a page that says one thing and shows nothing."""
+    """Fill a server with a page that only shows a message."""
     from trame.ui.html import DivLayout
 
     server.state.update({"trame__title": "lfmesh", "fault": words})
@@ -117,9 +117,9 @@ def say(server: Any, words: str) -> None:
 
 
 async def _send_what_is_encoded(server: Any, window: Any) -> None:
-    """Send every picture of the 3D view that was not encoded yet when it should have been sent.
+    """Send every picture of the 3D view that was not yet encoded when it was due.
 
-    trame looks a second time, half a second later, and then no more: on a busy machine the last picture would be lost.
+    trame tries again only once, half a second later; on a busy machine the last picture would be lost.
     """
     publisher, _ = server.protocol.getRPCMethod("viewport.image.push")
     view = str(publisher.get_global_id(window))

@@ -1,4 +1,4 @@
-"""The rays in the page: launching them, the 3D view, the path table with its filter, and what is picked."""
+"""Rays in the page: launching, the 3D view, the path table with its filter, and picking."""
 
 import math
 from typing import TYPE_CHECKING, Any, get_args
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from lfmesh.view.rays.paths import Rays
 
 COUNT = 100
-"""Rays that are launched if the user does not say."""
+"""Default number of launched rays."""
 
 ALL = "all"
-"""The choice of every wavelength of the scene."""
+"""Choice of all the scene's wavelengths."""
 
 FORM = (
     "launch", "light", "point_x", "point_y", "point_z", "row", "column", "count", "wavelength", "split", "cutoff",
 )  # fmt: skip
-"""Variables of the form that rays are launched by."""
+"""Variables of the launch form."""
 
 PICKED, PICKED_COLOUR, PICKED_WIDTH = "picked path", "white", 3.0
-"""Name, colour and width in px of the line along the path that was clicked."""
+"""Name, colour and width in px of the line along the clicked path."""
 
 MOST_ROWS = 300
-"""Of the path table that the page holds."""
+"""Most rows of the path table in the page."""
 
 HEADS = {
     "path": "path",
@@ -55,25 +55,25 @@ HEADS = {
     "error": "±",
     "irradiance": "peak / {unit}\N{NO-BREAK SPACE}mm⁻²",
 }
-"""Columns of the path table that are shown, with their heads."""
+"""Visible columns of the path table, with their headings."""
 
 STEP_HEADS = ["surface", "event", "angle / °", "R", "T", "power / {unit}", "goes on in", "x, y, z / mm", "roulette"]
-"""Of a history's table."""
+"""Headings of a history's table."""
 
 
 class RaysPanel:
-    """State and answers of everything in the page that has to do with rays.
+    """State and handlers of the ray controls in the page.
 
     Parameters
     ----------
     server : trame_server.Server
     replies : Replies
     view : View
-        The scene in 3D, off screen.
+        3D scene, off screen.
     rays : Rays, optional
-        Shown from the start.
+        Initial rays.
     light_field : LightFieldPanel
-        Has the picture of the sensor, in which pixels are chosen and marked.
+        Owner of the sensor picture for choosing and marking pixels.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class RaysPanel:
         self._show(rays, self._said_in_the_form(rays))
 
     def _said_in_the_form(self, rays: "Rays | None") -> str:
-        """Fill the form with how given rays were launched, as far as they tell; return it in words."""
+        """Set the form from given rays as far as possible; return their launch in words."""
         if rays is None or not len(rays):
             return ""
         state, starts = self._state, np.unique(rays.position[rays.offsets[:-1]].round(9), axis=0)
@@ -132,9 +132,9 @@ class RaysPanel:
         return f"from x = {x:g}, y = {y:g}, z = {z:g} mm"
 
     def _launch(self, form: dict[str, Any]) -> None:
-        """Launch rays as the form says.
+        """Launch rays according to the form.
 
-        Its values come with the call: what a busy page has written into its state may arrive later.
+        The values come with the call, as a busy page's state may arrive later.
         """
         state, world = self._state, self._view.world
         state.update({name: value for name, value in form.items() if name in FORM})
@@ -152,7 +152,7 @@ class RaysPanel:
             self._show(launch.as_in_run(world, self._count(), **self._options()), "as in a run")
 
     def _ghost_rays(self, form: dict[str, Any]) -> None:
-        """Launch rays from where the form says, as many and with such settings as ghosts need, all of them kept."""
+        """Launch rays from the source in the form with the number and settings for ghosts, and keep all of them."""
         self._state.expression = ""
         self._launch({**form, "count": GHOST_RAYS, "split": "both", "cutoff": GHOST_CUTOFF})
 
@@ -169,7 +169,7 @@ class RaysPanel:
             self._from_pixels(range(row, row + 1), range(column, column + 1))
 
     def _from_pixels(self, rows: range, columns: range) -> None:
-        """Launch rays from pixels against the light, and say so in the form."""
+        """Launch rays backwards from pixels, and update the form."""
         rays = launch.from_pixels(self._view.world, rows, columns, self._count(), **self._options())
         if len(rows) == len(columns) == 1:
             self._state.update({"launch": "pixel", "row": rows.start, "column": columns.start})
@@ -191,7 +191,7 @@ class RaysPanel:
         }
 
     def _show(self, rays: "Rays | None", whence: str = "") -> None:
-        """Show other rays, through the filter if it fits them; `whence` they come, in words."""
+        """Show new rays with the filter if it fits; `whence` is their source in words."""
         self._rays, self._whence, self._exact = rays, whence, None
         self._state.chosen = None
         self._forget_pick()
@@ -203,12 +203,12 @@ class RaysPanel:
         self._filter()
 
     def _filter_by(self, expression: str) -> None:
-        """Keep the paths that another expression is true of, which comes with the call as a form does."""
+        """Keep the paths that match another expression, which is passed with the call like a form."""
         self._state.expression = expression
         self._filter()
 
     def _filter(self) -> None:
-        """Keep the paths that the expression is true of; a mistake in it changes nothing and is shown below it."""
+        """Keep the paths that match the expression; show a mistake below it and change nothing."""
         if self._rays is None:
             return
         self._state.filter_fault = ""
@@ -240,7 +240,7 @@ class RaysPanel:
             self._state.table_note += " Those without ± are integrated over the pupil."
 
     def _choose(self, number: int) -> None:
-        """Draw one sequence alone; all again, if it was."""
+        """Draw only one sequence, or all again if it was already chosen."""
         self._state.chosen = None if self._state.chosen == number else number
         self._forget_pick()
         self._draw()
@@ -250,7 +250,7 @@ class RaysPanel:
         return "" if self._table is None else self._table.csv_text()
 
     def _draw(self) -> None:
-        """Draw the paths that the filter keeps, of them the chosen sequence."""
+        """Draw the filtered paths of the chosen sequence, or of all."""
         self._drawn = None
         if self._rays is not None:
             chosen = self._state.chosen
@@ -260,7 +260,7 @@ class RaysPanel:
         self._view.write([])
         hidden = why_dark(self._rays) if self._rays is not None else ""
         words = [*self._view.caption, self._whence, hidden] if self._rays is not None else ["No rays"]
-        # The page says it beside the picture, not on it.
+        # The page has these words beside the picture, not in it.
         self._view.overlay.write("", [], self._view.legend)
         words.append(self._view.scale)
         self._state.drawn = ", ".join(filter(None, words))
@@ -279,7 +279,7 @@ class RaysPanel:
             self._controller.redraw()
 
     def _pick(self, x: float, y: float) -> None:
-        """Show what lies under a place of the 3D view: shares of its width and height, from the upper left."""
+        """Show the object at a point of the 3D view, given in fractions of its width and height from the upper left."""
         width, height = self._view.plotter.render_window.GetSize()
         found = pick(self._view, x * width, y * height)
         self._forget_pick()
@@ -292,7 +292,7 @@ class RaysPanel:
         self._redraw()
 
     def _show_history(self, found: PickedRay) -> None:
-        """Show what happened to a path, with the segment that was clicked marked."""
+        """Show the history of a path, with the clicked segment marked."""
         assert self._drawn is not None
         rays, state = self._drawn, self._state
         first = int(rays.offsets[found.path])
@@ -313,7 +313,7 @@ class RaysPanel:
         )  # fmt: skip
 
     def _show_part(self, name: str) -> None:
-        """Show the prescription of glass, or what else there is to know about a part."""
+        """Show the prescription of glass, or the facts about another part."""
         rows = [list(fact) for fact in describe(self._view.world, name)]
         self._state.update({"picked": name, "picked_heads": [], "picked_left": 2, "picked_rows": rows})
 
@@ -322,13 +322,13 @@ class RaysPanel:
         self._state.update({"picked": "Nothing picked", "picked_note": "", "picked_rows": [], "picked_at": -1})
 
     def _show_ghosts(self) -> None:
-        """Draw the ghosts by pair of surfaces, when that tab is looked at."""
+        """Draw the ghosts by pair of surfaces when their tab is open."""
         if self._state.side != "ghosts" or self._rays is None:
             return
         state, rays = self._state, self._rays
         state.update({"ghosts_src": "", "ghosts_note": "", "ghost_rows": []})
         if self._exact is None:
-            # It takes seconds, which only those who look at ghosts shall wait.
+            # This takes seconds, so only do it for an open ghost tab.
             self._exact = exact_of(rays)
             self._tabulate()
         whole = bool(self._kept.all())
@@ -393,7 +393,7 @@ def _first_state(world: World, presets: list[str]) -> dict[str, Any]:
 
 
 def _row(row: PathRow) -> dict[str, Any]:
-    """Return a row of the path table as the page shows it."""
+    """Return a path-table row in the form that the page shows."""
     return {
         "path": row.path,
         "short": row.short,
@@ -422,12 +422,12 @@ def _step_cells(step: Step) -> list[str]:
 
 
 def _number(value: Any, name: str) -> float:
-    """Return what stands in a field of the form for numbers.
+    """Return the number in a form field.
 
     Raises
     ------
     LfmeshError
-        The field is empty or holds no number.
+        The field is empty or not a number.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise LfmeshError(f"{name} = {value!r}: must be a number")

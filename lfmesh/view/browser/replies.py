@@ -1,4 +1,4 @@
-"""Answers of the server to the page: a mistake of the user is shown in it, and only the newest wish is worked on."""
+"""Answers to the page: user mistakes are shown in it, and only the latest request is processed."""
 
 import asyncio
 import functools
@@ -12,7 +12,7 @@ OWN_MISTAKE = "lfmesh made a mistake of its own; the terminal says where."
 
 
 class Replies:
-    """Ties methods to what the page asks for.
+    """Connection of methods to the page's requests.
 
     Parameters
     ----------
@@ -24,15 +24,15 @@ class Replies:
         self._wishes: dict[str, tuple[Any, ...]] = {}
 
     def on_call(self, name: str, answer: Callable[..., Any]) -> None:
-        """Answer ``trigger(name, [arguments])`` of the page."""
+        """Answer the page's ``trigger(name, [arguments])``."""
         self._server.controller.trigger(name)(self._with_messages(answer))
 
     def on_latest(self, name: str, answer: Callable[..., Any]) -> None:
-        """Answer as `on_call`, but of calls that come faster than answers only the last: mouse moves, sliders."""
+        """Answer like `on_call`, but only the last of calls that arrive faster than answers: mouse moves, sliders."""
         safe = self._with_messages(answer)
 
         async def work() -> None:
-            # What arrived together with this call is read before it is answered.
+            # Let other messages that arrived with this call be read first.
             await asyncio.sleep(0.0)
             with self._server.state:
                 safe(*self._wishes.pop(name))
@@ -46,12 +46,12 @@ class Replies:
         self._server.controller.trigger(name)(wish)
 
     def on_change(self, names: list[str], answer: Callable[[], Any]) -> None:
-        """Answer when the user, or the program, changes one of these variables of the page."""
+        """Answer when the user or the program changes one of these page variables."""
         safe = self._with_messages(answer)
         self._server.state.change(*names)(lambda **_state: safe())
 
     def _with_messages(self, answer: Callable[..., Any]) -> Callable[..., Any]:
-        """Return an answer whose mistakes are shown in the page."""
+        """Return an answer that shows its mistakes in the page."""
 
         @functools.wraps(answer)
         def safe(*arguments: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The raw image as the page shows it: upright, a part of it, with the centres of the micro-images."""
+"""Raw image in the page: a part of it, upright, with the centres of the micro-images."""
 
 from dataclasses import dataclass
 
@@ -14,19 +14,19 @@ from lfmesh.transport.render.image import Image
 Array = NDArray[np.float64]
 
 MOST_PX = 1000
-"""Parts with more pixels along a side are sent as means of several."""
+"""Parts with more pixels along a side are sent as averages."""
 
 MOST_CENTRES = 12_000
-"""No more centres are drawn than the eye can tell apart."""
+"""Most centres to draw; more cannot be distinguished."""
 
 LEAST_PX = 4.0
-"""The closest look: so many pixels along the picture's longer side."""
+"""Closest zoom: pixels along the picture's longer side."""
 
 DARK = 50
-"""Greys up to this count as unlit: 3 % of the light that is shown as white."""
+"""Highest grey that counts as unlit: 3 % of the light shown as white."""
 
 MARGIN, MOST_LIT = 0.1, 0.6
-"""Round what is lit, as a share of its size; and the share of the sensor up to which the picture is zoomed to it."""
+"""Margin around the lit part relative to its size, and the largest lit fraction of the sensor that is zoomed."""
 
 BLANK = 40
 """Grey of a sensor without an image."""
@@ -34,7 +34,7 @@ BLANK = 40
 
 @dataclass(frozen=True)
 class Part:
-    """Part of an upright picture that is shown: its first row and column, and its size, in whole pixels."""
+    """Visible part of an upright picture: first row and column, and size, in whole pixels."""
 
     row: int
     column: int
@@ -43,21 +43,21 @@ class Part:
 
 
 class SensorPicture:
-    """A raw image of which a part is shown, upright.
+    """Upright raw image with a visible part.
 
-    Places are shares of the part that is shown, x from its left edge, y from its upper one, from 0 to 1. Pixels are
-    rows and columns of the raw image, as it lies on the sensor.
+    Positions (x, y) are fractions of the visible part, 0 to 1 from its upper left corner. Pixels are rows and columns
+    of the raw image as on the sensor.
 
     Parameters
     ----------
     columns, rows : int
         Pixels of the sensor.
     upright : Upright
-        How the picture lies against the sensor.
+        Orientation of the picture relative to the sensor.
     image : Image, optional
         A blank sensor if omitted.
     calibration : Calibration, optional
-        Where the micro-images are.
+        Positions of the micro-images.
     """
 
     def __init__(
@@ -80,11 +80,11 @@ class SensorPicture:
         self.part = self.all
 
     def whole(self) -> None:
-        """Show all of the sensor."""
+        """Show the whole sensor."""
         self.part = self.all
 
     def lit(self) -> None:
-        """Show the part that got light, with a margin; all of the sensor, if that is most of it or nothing."""
+        """Show the lit part with a margin, or the whole sensor if most or none of it is lit."""
         bright = self._picture.reshape(self.rows, self.columns, -1).max(axis=2) > DARK
         if self.part != self.all or not bright.any() or self._blank:
             return
@@ -98,12 +98,12 @@ class SensorPicture:
             self.part = self._within(row - margin, column - margin, round(height), round(width))
 
     def zoom(self, x: float, y: float, enlarge: float) -> None:
-        """Enlarge the part by a factor and keep a place of it where it is.
+        """Zoom by a factor about a fixed point.
 
         Parameters
         ----------
         x, y : float
-            The place, as shares of the part's width and height, from its upper left corner.
+            Fixed point.
         enlarge : float
             Below 1, more is shown.
         """
@@ -116,31 +116,31 @@ class SensorPicture:
         self.part = self._within(row, column, height, width)
 
     def move(self, dx: float, dy: float) -> None:
-        """Move what is shown by shares of the part: to the right and down."""
+        """Shift the picture to the right and down, by fractions of the visible part."""
         part = self.part
         self.part = self._within(part.row - dy * part.height, part.column - dx * part.width, part.height, part.width)
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
-        """Return the pixel of the raw image at a place, row and column."""
+        """Return row and column of the raw pixel at a position."""
         part = self.part
         row = min(max(int(part.row + y * part.height), 0), self.rows - 1)
         column = min(max(int(part.column + x * part.width), 0), self.columns - 1)
         return self._upright.pixel(row, column, self._shape)
 
     def pixels(self, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range]:
-        """Return the rows and columns of the raw image in the box between two places.
+        """Return the rows and columns of the raw image in the box between two positions.
 
         Parameters
         ----------
         x0, y0, x1, y1 : float
-            The places, as shares of the part's width and height, from its upper left corner.
+            Opposite corners.
         """
         first, last = self.pixel(x0, y0), self.pixel(x1, y1)
         rows, columns = (sorted(pair) for pair in zip(first, last, strict=True))
         return range(rows[0], rows[1] + 1), range(columns[0], columns[1] + 1)
 
     def box(self, rows: range, columns: range) -> tuple[float, float, float, float]:
-        """Return left, top, width and height of pixels of the raw image, as shares of the part; the inverse."""
+        """Return left, top, width and height of raw pixels as fractions of the visible part; inverse of `pixels`."""
         part = self.part
         shown_rows, shown_columns = self._upright.box(rows, columns, self._shape)
         return (
@@ -151,16 +151,16 @@ class SensorPicture:
         )
 
     def pixels_shown(self) -> NDArray[np.uint8]:
-        """Return the part, in whole pixels or, where it has too many, in means of several."""
+        """Return the visible part in whole pixels or, if there are too many, in averages."""
         part = self.part
         cut = self._picture[part.row : part.row + part.height, part.column : part.column + part.width]
         factor = -(-max(cut.shape[:2]) // MOST_PX)
         return cut if factor <= 1 else np.asarray(PIL.Image.fromarray(np.ascontiguousarray(cut)).reduce(factor))
 
     def centres_shown(self) -> Array:
-        """Return the places of the micro-images' centres, (n, 2); empty where they lie too dense to be told apart."""
+        """Return the positions (n, 2) of the micro-images' centres; empty if too dense to distinguish."""
         part = self.part
-        # The middle of a pixel is half a pixel from its edge.
+        # Pixel centres lie half a pixel from the edges.
         places = (self._centres + 0.5 - (part.column, part.row)) / (part.width, part.height)
         inside = places[((places >= 0.0) & (places <= 1.0)).all(axis=1)]
         return inside if len(inside) <= MOST_CENTRES else np.empty((0, 2))

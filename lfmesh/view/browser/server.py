@@ -1,4 +1,4 @@
-"""Start and stop of the page's server: what it binds to, what it prints, how it ends."""
+"""Start and stop of the page's server: its address, output and shutdown."""
 
 import asyncio
 import errno
@@ -41,34 +41,34 @@ def serve(
 ) -> None:
     """Serve the viewer as a web page until Ctrl-C.
 
-    Prints one line with the page's address, which holds the token that lets a browser in. Each tab that opens it has a
-    state of its own, see `lfmesh.view.browser.sessions`.
+    Prints the page's address, which includes the access token. Each tab has its own state, see
+    `lfmesh.view.browser.sessions`.
 
     Parameters
     ----------
     subject : Scene, World, Image, or path of a scene file or a run folder
-        What is looked at; a run folder with its image and light field.
+        Scene or run to view; a run folder includes its image and light field.
     rays : Rays, optional
-        Drawn from the start; launched in the subject's world.
+        Initial rays, launched in the subject's world.
     expression : str
-        Stands in the filter box from the start, see `lfmesh.view.rays.filters`.
+        Initial content of the filter box, see `lfmesh.view.rays.filters`.
     colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
     fade : bool
-        Draw rays with less power fainter.
+        Draw weaker rays fainter.
     preset : {"whole", "side", "object", "lens", "array", "sensor"}
     cut : bool
         Cut lens and array along the axis.
     host : str
-        Address to bind to; other than loopback only if the page shall be seen from other machines.
+        Address to bind to; anything but loopback serves other machines, too.
     port : int
-        0: any that is free.
+        0: any free port.
     open_browser : bool
-        Open the page in the user's browser, where there is a display.
+        Open the page in the user's browser if there is a display.
 
     Raises
     ------
     LfmeshError
-        The port is taken, the host is none of this machine's, the extra `browser` is not installed, nothing can be
+        The port is taken, the host is not an address of this machine, the extra `browser` is missing, nothing can be
         drawn here, or the subject cannot be read.
     """
     refuse_to_serve(host, port)
@@ -83,12 +83,12 @@ def serve(
         probe.check()
     if not is_loopback(host):
         _warn_of_others(host)
-    # trame reads sys.argv for options of its own, some of which have the names of ours.
+    # trame reads options from sys.argv, some of which have the names of ours.
     os.environ.setdefault("TRAME_ARGS", "")
     read = PageSubject.read(subject, rays)
     fill = partial(Page, subject=read, expression=expression, colour=colour, fade=fade, preset=preset, cut=cut)
     sessions = Sessions(fill, say)
-    # It sends files, and hands websockets on to the sessions.
+    # It sends files, and passes websockets to the sessions.
     server = trame_server.Server("lfmesh")
     server.client_type = "vue3"
     sessions.add_files(server)
@@ -99,18 +99,18 @@ def serve(
 
 
 def refuse_to_serve(host: str, port: int) -> None:
-    """Refuse what would keep a page from being served, before anything is built or traced for it.
+    """Refuse a page that cannot be served, before anything is built or traced for it.
 
     Parameters
     ----------
     host : str
     port : int
-        0: any that is free.
+        0: any free port.
 
     Raises
     ------
     LfmeshError
-        The port is taken, the host is none of this machine's, or the extra `browser` is not installed.
+        The port is taken, the host is not an address of this machine, or the extra `browser` is missing.
     """
     if not 0 <= port <= 65535:
         raise LfmeshError(f"port = {port}: must be from 1 to 65535, or 0 for any that is free")
@@ -133,14 +133,14 @@ async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port:
     server : trame_server.Server
     sessions : Sessions
     token, host, port, open_browser
-        As of `serve`.
+        As for `serve`.
     """
-    # Browsers leave in the middle of an answer whenever a page is closed; faults of ours are reported by `Replies`.
+    # Browsers disconnect during answers when a page is closed; `Replies` reports our own faults.
     logging.getLogger("wslink").setLevel(logging.CRITICAL)
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(_report)
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Not to be had on Windows, where Ctrl-C still raises KeyboardInterrupt.
+        # Unavailable on Windows, where Ctrl-C still raises KeyboardInterrupt.
         with suppress(NotImplementedError, RuntimeError, ValueError):
             loop.add_signal_handler(number, end.set)
 
@@ -170,13 +170,13 @@ async def _serve(server: Any, sessions: "Sessions", token: str, host: str, port:
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report what went wrong outside of any answer, but for pages that were closed while something was sent to them."""
+    """Report faults outside of answers, except for pages closed during a transmission."""
     if not isinstance(context.get("exception"), ConnectionResetError):
         loop.default_exception_handler(context)
 
 
 def _is_in_event_loop() -> bool:
-    """Tell whether this is called by an event loop, as notebooks call everything."""
+    """Tell whether an event loop made this call, as always in notebooks."""
     try:
         asyncio.get_running_loop()
     except RuntimeError:
@@ -185,7 +185,7 @@ def _is_in_event_loop() -> bool:
 
 
 def _refuse_taken(host: str, port: int) -> None:
-    """Say that the server could not be bound before the scene is built for it."""
+    """Refuse an address that cannot be bound, before the scene is built."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as attempt:
@@ -205,7 +205,7 @@ def _cannot_bind(fault: OSError, host: str, port: int) -> LfmeshError:
 
 
 def _in_address(host: str) -> str:
-    """Return the host as a browser on this machine names it."""
+    """Return the host's name for a browser on this machine."""
     if host in ("0.0.0.0", "::"):
         return "127.0.0.1"
     return f"[{host}]" if ":" in host else host

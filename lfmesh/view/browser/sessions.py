@@ -1,9 +1,8 @@
-"""A state of its own for each open page: camera, rays, filter, history and light field are not shared between tabs.
+"""Separate state for each open page: tabs do not share camera, rays, filter, history or light field.
 
-trame keeps one state for all that are connected to a server. Here a websocket that is opened gets a trame server to
-itself, with a page of its own; what it draws stands once in memory, see `subject`. When the connection closes, the page
-waits for its tab a while: a tab that is loaded again finds it as it was left. Then, or where others need the room, what
-it held is given up.
+trame keeps one state per server, so each websocket gets its own trame server and page. Data that all pages draw are in
+memory once, see `subject`. When a connection closes, its page waits for a while, so that a reloaded tab finds it
+unchanged; if others need the room, it is discarded earlier.
 """
 
 import asyncio
@@ -32,19 +31,19 @@ from lfmesh.view.browser.replies import OWN_MISTAKE
 WEBSOCKET = "/ws"
 
 MOST_PAGES = 8
-"""Open pages that have a state; each has a 3D view."""
+"""Open pages with state; each has a 3D view."""
 
 WAIT_SECONDS = 60.0
-"""So long a page whose connection has closed waits for its tab to be loaded again."""
+"""Time for which the page of a closed connection waits for its tab to reload."""
 
 MOST_SOCKETS = 64
-"""Open websockets, those of pages that say only that there are too many included."""
+"""Open websockets, including pages that only report that there are too many."""
 
 COLLECT_SECONDS = 1.0
-"""After so long the memory of a closed page is free."""
+"""Delay before the memory of a closed page is freed."""
 
 START, NAMES_ITS_TAB = "/index.html", '<script src="lfmesh/tab.js"></script>'
-"""trame's page that starts its client, and what is put before the client's own scripts."""
+"""trame's page that starts its client, and the script inserted before the client's own."""
 
 _TAB = re.compile(r"[0-9a-f]{32}")
 
@@ -55,22 +54,22 @@ class Shown(Protocol):
     """Content of a page."""
 
     def close(self) -> None:
-        """Give up what it holds."""
+        """Release its resources."""
 
 
 class _Session:
-    """A trame server of one connection.
+    """Trame server of one connection.
 
     Parameters
     ----------
     number : int
-        Of all sessions so far.
+        Serial number of the session.
     fill : callable
         Fills the server's page.
     """
 
     def __init__(self, number: int, fill: Callable[[Any], Shown | None]) -> None:
-        # trame keeps what it knows of 3D views by the server's name.
+        # trame identifies 3D views by the server's name.
         self.server = trame_server.Server(f"lfmesh {number}")
         self.server.client_type = "vue3"
         self.shown = fill(self.server)
@@ -79,7 +78,7 @@ class _Session:
         self._waits: asyncio.TimerHandle | None = None
 
     async def answer(self, request: web.Request, port: int) -> web.StreamResponse:
-        """Answer on a websocket until it is closed."""
+        """Serve a websocket until it closes."""
         if self._handler is None:
             self._handler = self._begin(port)
         return await self._handler.handleWsRequest(request)
@@ -97,7 +96,7 @@ class _Session:
         self._waits = asyncio.get_running_loop().call_later(WAIT_SECONDS, give_up)
 
     def stay(self) -> None:
-        """Wait no more: the tab is there again."""
+        """Stop waiting: the tab is back."""
         if self._waits is not None:
             self._waits.cancel()
 
@@ -107,8 +106,8 @@ class _Session:
             await self._handler.disconnectClients()
 
     def close(self) -> None:
-        """Give up what the session holds."""
-        # The timer would hold the page until it has run out.
+        """Release the session's resources."""
+        # Otherwise the timer would hold the page until it runs out.
         self.stay()
         if self.shown is not None:
             self.shown.close()
@@ -116,14 +115,14 @@ class _Session:
 
 
 class Sessions:
-    """Gives each websocket a page, and a tab that is loaded again the page that it had.
+    """Pages of a server: each websocket gets its own, each reloaded tab its former one.
 
     Parameters
     ----------
     fill : callable
         Fills a trame server's page.
     refuse : callable
-        Fills it with words alone: why there is no page.
+        Fills it with only the reason why there is no page.
     """
 
     def __init__(self, fill: Callable[[Any], Shown], refuse: Callable[[Any, str], None]) -> None:
@@ -131,18 +130,18 @@ class Sessions:
         self._number, self._collects, self._ends = 0, False, False
         self._open: set[_Session] = set()
         self._left: dict[str, _Session] = {}
-        # The first page stands ready: what is wrong with it is found before the server starts.
+        # Prepare the first page in advance, to find its faults before the server starts.
         self._ready: _Session | None = self._new()
 
     def add_files(self, host: Any) -> None:
-        """Let the server that sends files send those that pages need."""
+        """Let the file server send the files that pages need."""
         assert self._ready is not None
         host.serve.update(self._ready.server.serve)
         self._host = host
 
     @web.middleware
     async def answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Answer a websocket by a page of its own, and any other request as it was: a middleware of aiohttp."""
+        """Answer a websocket with its own page, and any other request as before: aiohttp middleware."""
         if request.path == START:
             return web.Response(text=_start_page(), content_type="text/html")
         if request.path != WEBSOCKET:
@@ -178,13 +177,13 @@ class Sessions:
             self._ready.close()
 
     def _keep(self, tab: str, session: _Session) -> None:
-        """Let a page wait for its tab, in place of an older one of the same: a tab's copy has its name."""
+        """Keep a page for its tab, replacing an older one: duplicated tabs share a name."""
         self._drop(tab, self._left.get(tab))
         self._left[tab] = session
         session.wait(lambda: self._drop(tab, session))
 
     def _drop(self, tab: str, session: _Session | None) -> None:
-        """Give up a page, if it still waits for its tab."""
+        """Discard a page if it still waits for its tab."""
         if session is not None and self._left.get(tab) is session:
             del self._left[tab]
             self._give_up(session)
@@ -195,7 +194,7 @@ class Sessions:
             self._collect_later()
 
     def _collect_later(self) -> None:
-        """Free the memory of closed pages, of several at once: page and server hold each other, some 65 MB."""
+        """Schedule freeing the memory of closed pages together: page and server refer to each other, about 65 MB."""
         if not self._collects:
             self._collects = True
             asyncio.get_running_loop().call_later(COLLECT_SECONDS, self._collect)
@@ -206,7 +205,7 @@ class Sessions:
         _give_back()
 
     def _next(self) -> _Session:
-        """Return a session with a page, or with words where there are too many or it cannot be made."""
+        """Return a session with a page, or with a message if there are too many or it cannot be made."""
         shown = sum(session.shown is not None for session in self._open)
         if self._left and shown + len(self._left) >= MOST_PAGES:
             self._drop(*next(iter(self._left.items())))
@@ -230,13 +229,13 @@ class Sessions:
 
 
 def _give_back() -> None:
-    """Give memory that is free back to the system; glibc keeps pages' pieces of it, which are large in sum."""
+    """Return free memory to the system; glibc would keep many small pieces of pages."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 @cache
 def _start_page() -> str:
-    """Return trame's start page with the script that names the tab before its own."""
+    """Return trame's start page, with the script that names the tab inserted before its own."""
     page = (Path(vue3.www) / "index.html").read_text(encoding="utf-8")
     return page.replace("<script", f"{NAMES_ITS_TAB}<script", 1)

@@ -1,4 +1,4 @@
-"""World, run and light field that all pages of a server show, read once and changed by none of them."""
+"""World, run and light field shown by all pages of a server, read once and never changed."""
 
 import os
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PageSubject:
-    """A scene, or a run with its image and light field.
+    """Scene, or run with its image and light field.
 
     Attributes
     ----------
     seen : Subject
     image : Image or None
-        The run's.
+        Image of the run.
     folder : Path or None
-        The run's.
+        Run folder.
     rays : Rays or None
-        Drawn from the start.
+        Initial rays.
     """
 
     seen: Subject
@@ -47,7 +47,7 @@ class PageSubject:
         Raises
         ------
         LfmeshError
-            There is no such scene or run, or it is damaged.
+            The scene or run does not exist or is damaged.
         """
         folder = Path(subject) if isinstance(subject, str | os.PathLike) and Path(subject).is_dir() else None
         image = run.open_run(folder) if folder is not None else subject if isinstance(subject, Image) else None
@@ -59,17 +59,17 @@ class PageSubject:
 
     @property
     def scene(self) -> "Scene":
-        """Solved."""
+        """Solved scene."""
         return self.seen.world.scene
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Places of the micro-images; tracing them takes seconds for a large array."""
+        """Positions of the micro-images; tracing them takes seconds for a large array."""
         return calibration_of_run(self.scene, self.folder)
 
     @cached_property
     def field_views(self) -> FieldViews:
-        """The run's light field.
+        """Light field of the run.
 
         Raises
         ------

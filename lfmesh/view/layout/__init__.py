@@ -1,1 +1,1 @@
-"""The layout drawing of a camera."""
+"""Layout drawings of cameras."""

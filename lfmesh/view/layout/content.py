@@ -1,6 +1,6 @@
-"""Content of a layout drawing: a camera in its meridional section, real rays through it, and its array close up.
+"""Content of a layout drawing: a camera's meridional section, real rays through it, and a close-up of its array.
 
-Pure geometry, as z and y in the camera frame, mm; `layout_figure` draws it.
+Pure geometry, as z and y in the camera frame, mm; `lfmesh.view.layout.figure` draws it.
 """
 
 import math
@@ -36,36 +36,36 @@ from lfmesh.view.layout.sections import (
 from lfmesh.view.rays.aimed_rays import Aim, AimedRay
 
 FIELDS = (("axis", 0.0), ("0.7 field", 0.7), ("full field", 1.0))
-"""Field points of the drawing, as shares of the field that array and sensor see."""
+"""Field points of the drawing, as fractions of the field seen by array and sensor."""
 
 MARGINAL = ((0.0, -1.0), (0.0, 0.0), (0.0, 1.0))
-"""Points of the stop, over its radius: lower marginal, chief, upper marginal ray."""
+"""Points of the stop, relative to its radius: lower marginal, chief, upper marginal ray."""
 
 LENSLET_FAN = 5
-"""Rays from rim to rim of the stop that the close-up shows through the middle of a lenslet, ..."""
+"""Rays across the stop through the centre of a lenslet in the close-up, ..."""
 
 IMAGE_FAN = 15
-"""... or of one point, which is imaged before or behind the lenslets, or onto pixels."""
+"""... or from one point imaged before or behind the lenslets, or onto pixels."""
 
 FAR = 1e4
-"""In focal lengths: rays from farther off are drawn as collimated."""
+"""Distance in focal lengths from which rays are drawn as collimated."""
 
 LEAST_LENSLETS, MOST_LENSLETS = 4, 16
-"""In the close-up."""
+"""Lenslets in the close-up."""
 
 LENSLET_POINTS = 80
-"""Of a lenslet's section, over one pitch."""
+"""Points of a lenslet's section, over one pitch."""
 
 DETAIL_SHAPE = 0.6
-"""Height over width of the close-up."""
+"""Height-to-width ratio of the close-up."""
 
 PIXELS_IN_DETAIL = 24
-"""Of a conventional camera."""
+"""Pixels in the close-up of a conventional camera."""
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """The rays of one object point.
+    """Rays from one object point.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class TargetSection:
-    """Section of a target with the meridional plane: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
+    """Meridional section of a target: (n, 2) lines; `closed`: an outline; `glass`: refracts."""
 
     name: str
     lines: list[Array]
@@ -93,7 +93,7 @@ class TargetSection:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A distance between two points (2,), and what is written at it; `cut`: it starts beyond what the view shows."""
+    """Labelled distance between two points (2,); `cut`: it starts outside the view."""
 
     start: Array
     end: Array
@@ -103,25 +103,25 @@ class Dimension:
 
 @dataclass(frozen=True)
 class Detail:
-    """The close-up of array and sensor.
+    """Close-up of array and sensor.
 
     Attributes
     ----------
     x_mm : float
-        Of the plane it is cut by, through the middle of lenslets.
+        Position of the section plane, through the centres of lenslets.
     window : tuple of float
         z from and to, y from and to.
     plate : (n, 2) float64 or None
         Closed outline of the part of the array in the window.
     sensor : (2, 2) float64
-        The ends of its surface.
+        Ends of the sensor surface.
     pixels : (m, 2, 2) float64
-        Ticks behind the sensor, at the borders of pixels.
+        Ticks behind the sensor, at pixel borders.
     bundles : list of Bundle
     heights : list of Dimension
-        Across the axis, such as the pitch.
+        Dimensions across the axis, such as the pitch.
     lengths : list of Dimension
-        Along the axis.
+        Dimensions along the axis.
     caption : str
     """
 
@@ -138,21 +138,21 @@ class Detail:
 
 @dataclass(frozen=True)
 class Layout:
-    """A camera's layout.
+    """Layout of a camera.
 
     Attributes
     ----------
     scene : Scene
-        Solved.
+        Solved scene.
     facts : FirstOrder
     distance_mm : float
-        The plane that the rays come from: what is sharpest.
+        Distance of the rays' object plane, the plane of best focus.
     glass : list of Glass
     thin : list of ThinLens
     stop : (2,) float64
         z and height of the stop's upper rim.
     bundles : list of Bundle
-    array : (4, 2) float64 or None
+    mla : (4, 2) float64 or None
         Section of the array's plate.
     sensor : (2, 2) float64
     cover : (4, 2) float64 or None
@@ -176,9 +176,9 @@ class Layout:
 
 
 def layout(scene: Scene) -> Layout:
-    """Lay a camera out, with real rays from three points of the plane that it is focused on.
+    """Lay out a camera with real rays from three points of its plane of focus.
 
-    Opaque targets are drawn but stop no rays; glass in front of the camera refracts them.
+    Opaque targets are drawn but block no rays; glass in front of the camera refracts them.
 
     Raises
     ------
@@ -212,18 +212,18 @@ def layout(scene: Scene) -> Layout:
 
 
 def _focus_mm(facts: FirstOrder) -> float:
-    """Return the object distance before the first vertex that a camera shows most sharply; inf where it is very far."""
+    """Return the sharpest object distance before the first vertex; inf if very large."""
     distance = facts.object_distance_mm
     return distance if abs(distance) < FAR * abs(facts.efl_mm) else math.inf
 
 
 def _field_bundles(scene: Scene, facts: FirstOrder, aim: Aim) -> list[Bundle]:
-    """Return three rays for each field point, whose chief rays come out at 0, 0.7 and 1 of the used image height."""
+    """Return three rays per field point; the chief rays end at 0, 0.7 and 1 of the used image height."""
     camera = scene.camera
     used = 0.5 * (camera.sensor.size_mm[1] - camera.sensor.pixel_mm)
     if camera.mla is not None:
         used = min(used, 0.5 * (camera.mla.count[1] - 1) * camera.mla.row_pitch_mm)
-    # Below the axis: points above it come out there.
+    # Image heights are below the axis for points above it.
     slopes = aim.slopes_to([(0.0, -share * used, facts.image_z_mm) for _, share in FIELDS])
     slopes[0] = 0.0
     return _bundles([name for name, _ in FIELDS], aim, slopes, np.array(MARGINAL))
@@ -271,7 +271,7 @@ def _cover_section(scene: Scene, moves: Array) -> Array | None:
 
 
 def _target_sections(scene: Scene, moves: Array) -> list[TargetSection]:
-    """Cut the targets that the meridional plane meets."""
+    """Return the sections of targets that the meridional plane cuts."""
     to_camera = moves[WORLD_FRAME, CAMERA_FRAME]
     sections = []
     for i, target in enumerate(scene.targets):
@@ -290,13 +290,13 @@ def _detail(scene: Scene, facts: FirstOrder, world: World, aim: Aim) -> Detail:
 
 
 def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) -> Detail:
-    """Lay out the lenslets nearest the axis, the pixels behind them, and what the rays do there."""
+    """Lay out the lenslets nearest the axis, the pixels behind them, and the rays there."""
     mla = scene.camera.mla
     assert mla is not None
     moves, lenslets = world.tables.frames, world.tables.mla.lenslets
     to_camera = moves[MLA_FRAME, CAMERA_FRAME]
     toward_lens = mla.frame_side == "lens"
-    # Seen from the lens through the plate, the apexes lie nearer; of two curved faces it sees those of the first.
+    # Seen through the plate, the apexes appear nearer to the lens; of two curved faces it sees the first.
     seen_z = 0.0 if toward_lens else mla.thickness_mm - air_thickness_mm(mla, scene.primary_nm)
     if mla.has_back:
         seen_z = mla.thickness_mm
@@ -304,7 +304,7 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
     apex = np.dstack([at, np.full(at.shape[:2], seen_z)]).reshape(-1, 3) @ to_camera[:, :3].T + to_camera[:, 3]
     middle = _nearest_axis(apex, lenslets.lattice.pitch)
     x = float(apex[middle, 0])
-    # Rows of a hexagonal array stand in the plane of the section by turns.
+    # Only every other row of a hexagonal array lies in the section plane.
     step = mla.count[0] * (2 if lenslets.lattice.hexagonal else 1)
     image = middle_of(facts.focused).main_image_mm if facts.focused else None
     if image is not None:
@@ -330,7 +330,7 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
         along = _within(second, window, mla.row_pitch_mm / LENSLET_POINTS)[::-1]
         other = second.section(along, curved_face(second, world.tables.mla.back.lenslets, along))
     plate = np.concatenate([cut.section(s, curved_face(cut, lenslets, s)), other])
-    # Rays are aimed at apexes where the lens sees them, and distances measured from where they stand.
+    # Rays are aimed at the apparent apexes, but distances are measured from the real ones.
     stands = apex + (0.0 if mla.has_back else -seen_z) * to_camera[:, 2]
     neighbour = stands[middle + step if middle + step < len(apex) else max(0, middle - step)]
     heights, lengths = _array_dimensions(scene, to_camera, stands[middle], neighbour, sensor_z, image)
@@ -343,20 +343,20 @@ def _lenslets_close_up(scene: Scene, facts: FirstOrder, world: World, aim: Aim) 
 
 
 def _nearest_axis(apex: Array, pitch: float) -> int:
-    """Return the lenslet nearest the axis, of several the one with the largest y and x."""
+    """Return the lenslet nearest the axis; among equals, the one with the largest y, then x."""
     distance = np.round(np.hypot(apex[:, 0], apex[:, 1]) / pitch, 6)
     return int(np.lexsort((-apex[:, 0], -apex[:, 1], distance))[0])
 
 
 def _window(z0: float, z1: float, y: float, row: float) -> tuple[float, float, float, float]:
-    """Return a window from z0 to z1 round a lenslet, with whole rows of lenslets."""
+    """Return a window from z0 to z1 around a lenslet, with whole rows of lenslets."""
     rows = np.clip(math.ceil(DETAIL_SHAPE * (z1 - z0) / row), LEAST_LENSLETS, MOST_LENSLETS)
     half = 0.5 * float(rows) * row
     return z0, z1, y - half, y + half
 
 
 def _within(cut: Cut, window: tuple[float, float, float, float], step: float) -> Array:
-    """Return places along a cut, `step` apart, that lie in the window, ends of the sheet included."""
+    """Return places along a cut, `step` apart within the window, including the ends of the sheet."""
     ends = cut.section(np.array([0.0, 1.0]))
     rise = ends[1, 1] - ends[0, 1]
     low, high = (window[2] - ends[0, 1]) / rise, (window[3] - ends[0, 1]) / rise
@@ -365,7 +365,7 @@ def _within(cut: Cut, window: tuple[float, float, float, float], step: float) ->
 
 
 def _z_at(cut: Cut, y: float) -> float:
-    """Return z of a cut sheet at a height."""
+    """Return z of a cut sheet at a given height."""
     (z0, y0), (z1, y1) = cut.section(np.array([0.0, 1.0]))
     return float(z0 + (y - y0) / (y1 - y0) * (z1 - z0))
 
@@ -384,22 +384,22 @@ def _sensor_close_up(cut: Cut, scene: Scene, window: tuple[float, float, float, 
 def _array_dimensions(
     scene: Scene, to_camera: Array, apex: Array, neighbour: Array, sensor_z: float, image: float | None
 ) -> tuple[list[Dimension], list[Dimension]]:
-    """Return the dimensions of a close-up: the pitch, thickness and distances, and where the main image lies."""
+    """Return the close-up's dimensions: pitch, thickness, distances, and position of the main image."""
     mla = scene.camera.mla
     assert mla is not None
     z = float(apex[2])
     what = "2 rows" if mla.layout == "hexagonal" else "p"
     distance = abs(float(neighbour[1] - apex[1]))
     heights = [Dimension(apex[[2, 1]], np.array([z, neighbour[1]]), f"{what} = {distance:.4g} mm")]
-    # Along the axis, from the lenslet as it stands, which may be tilted.
-    # Of two curved faces the apex is that of the other one than the frame starts from.
+    # Along the axis, from the lenslet as placed, which may be tilted.
+    # With two curved faces, the apex is on the face opposite the frame's origin.
     into = np.array([0.0, 0.0, -mla.thickness_mm if mla.has_back else mla.thickness_mm]) @ to_camera[:, :3].T
     front, back = sorted((z, z + float(into[2])))
     chain = [(front, back), (back, sensor_z)]
     lengths = [(a, b, f"{b - a:.4g} mm") for a, b in chain]
     types = lenslet_focal_length_mm(mla, scene.primary_nm)
     focal = sorted(types)[len(types) // 2] if image is not None else types[0]
-    # From the rear principal plane, which lies at the apex where light leaves there.
+    # From the rear principal plane, which is at the apex if light leaves there.
     principal = back - rear_principal_mm(mla, scene.primary_nm)
     if focal > 0.0:
         lengths.append((principal, principal + focal, f"f = {focal:.4g} mm"))
@@ -411,13 +411,13 @@ def _array_dimensions(
 
 
 def _through_point(point: Array, aim: Aim, stop: Array) -> list[AimedRay]:
-    """Return the rays through points of the stop that meet a point behind the lens, where the lens lets them."""
+    """Return the rays through stop points that meet a point behind the lens, unless the lens blocks them."""
     rays = aim.through(aim.slopes_to(np.tile(point, (len(stop), 1)), stop), stop)
     return [ray for ray in rays if np.allclose(ray.beyond_lens(point[2]), point[:2], atol=1e-6, rtol=0.0)]
 
 
 def _micro_image(bundle: Bundle, pixel_mm: float) -> list[Dimension]:
-    """Return the dimension between the outermost rays of a lenslet, if all come to the sensor."""
+    """Return the dimension between the outermost rays of a lenslet, if all reach the sensor."""
     landing = np.array([ray.points[-1, [2, 1]] for ray in bundle.rays if ray.status == Status.SENSOR])
     if len(landing) < LENSLET_FAN:
         return []
@@ -435,12 +435,12 @@ def _array_caption(x: float, image: float | None, lenslets: int) -> str:
 
 
 def _fan(count: int) -> Array:
-    """Return (count, 2) points of the stop in the meridional plane, over its radius, from rim to rim."""
+    """Return (count, 2) stop points in the meridional plane, relative to its radius, from rim to rim."""
     return np.column_stack([np.zeros(count), np.linspace(-1.0, 1.0, count)])
 
 
 def _pixels_close_up(scene: Scene, world: World, aim: Aim) -> Detail:
-    """Lay out a conventional camera's pixels where the axis meets the sensor."""
+    """Lay out a conventional camera's pixels around the axis."""
     pixel, rows = scene.camera.sensor.pixel_mm, scene.camera.sensor.pixels[1]
     cut = cut_through("camera.sensor", world.tables.frames[SENSOR_FRAME, CAMERA_FRAME], scene.camera.sensor.size_mm)
     shown = min(PIXELS_IN_DETAIL, rows)

@@ -1,7 +1,7 @@
-"""The layout drawing: what `layout` found, on one sheet, as SVG, PNG or PDF.
+"""Layout drawing: the content from `layout` on one sheet, as SVG, PNG or PDF.
 
-The sheet is laid out in inches: three views, each to scale, with bands round them for labels and dimensions, over a
-title block. Text is measured before it is placed, so that it does not overlap.
+Above a title block stand three views to scale, surrounded by bands for labels and dimensions, in inches. Text is
+measured before placement to prevent overlap.
 """
 
 import math
@@ -52,27 +52,26 @@ GLASS, TARGET = "#8fb8de", "#d9d2c5"
 
 
 LEAD = 0.35
-"""Length of the beam before the lens that the main view shows, over the camera's, ..."""
+"""Length of the beam before the lens in the main view, relative to the camera's, ..."""
 
 NEAR = 0.8
-"""... unless the object plane lies as near as this."""
+"""... unless the object plane is as near as this."""
 
 FARTHER = 1.6
-"""The object side is drawn as far as the refocus range goes, unless that is so many times what else there is."""
+"""The object side extends to the far end of the refocus range if this is less than so many times its other content."""
 
 
 STYLE: Any = {**PAPER, "path.simplify": False}
 
 
 def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:
-    """Draw a scene's layout: the meridional section with real rays, the object side, and the array close up.
+    """Draw a scene's layout: the meridional section with real rays, the object side, and a close-up of the array.
 
     Parameters
     ----------
     scene : Scene
     path : str or Path
-        Ends in .svg, .png or .pdf. The same scene makes the same bytes. It is written whole or
-        not at all.
+        Ends in .svg, .png or .pdf. The file is written completely or not at all; its bytes are reproducible.
 
     Returns
     -------
@@ -82,7 +81,7 @@ def draw(scene: Scene, path: str | Path = "layout.svg") -> Path:
     Raises
     ------
     LfmeshError
-        The ending is not one of these, the file cannot be written, or the scene cannot be built.
+        The extension is invalid, the file cannot be written, or the scene cannot be built.
     """
     path = Path(path)
     kind = checked_kind(path, "a drawing")
@@ -99,13 +98,13 @@ def encoded(drawn: Layout, kind: str) -> bytes:
 @contextmanager
 def _style() -> Iterator[None]:
     with mpl.rc_context(STYLE), warnings.catch_warnings():
-        # A name in a script that this font lacks: SVG viewers have others.
+        # The font may lack a name's script; SVG viewers have other fonts.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         yield
 
 
 def sheet_figure(drawn: Layout) -> Figure:
-    """Return the whole sheet."""
+    """Return the complete sheet."""
     figure = Figure(figsize=SHEET_IN)
     FigureCanvasAgg(figure)
     sheet = Sheet(figure)
@@ -128,7 +127,7 @@ def sheet_figure(drawn: Layout) -> Figure:
 
 
 def _header(sheet: Sheet, drawn: Layout, x: float, y: float, width: float) -> None:
-    """Write the scene's name, and at the right which colour is which field point."""
+    """Write the scene's name and, at the right, the colours of the field points."""
     base, right = y + 0.14, x + width - 0.15
     for bundle, colour in list(zip(drawn.bundles, FIELD_COLOURS, strict=True))[::-1]:
         words = _field_words(bundle, drawn)
@@ -150,7 +149,7 @@ def _field_words(bundle: Bundle, drawn: Layout) -> str:
 
 
 def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, float]) -> None:
-    """Draw the camera in its meridional section, with a part of the beams before it."""
+    """Draw the camera's meridional section with part of the incident beams."""
     camera = drawn.scene.camera
     ends = np.concatenate([drawn.sensor, *([] if drawn.mla is None else [drawn.mla])])
     outlines = np.concatenate([*_lens_lines(drawn), ends])
@@ -188,7 +187,7 @@ def _main_view(sheet: Sheet, drawn: Layout, place: tuple[float, float, float, fl
 
 
 def _lens_lines(drawn: Layout) -> list[Array]:
-    """Return the lines of all elements of the lens."""
+    """Return the lines of all lens elements."""
     return [*(glass.outline for glass in drawn.glass), *(line for thin in drawn.thin for line in thin.lines)]
 
 
@@ -237,10 +236,10 @@ def _draw_targets(view: View, targets: Sequence[TargetSection]) -> None:
 
 
 def _mark_detail(view: View, drawn: Layout) -> None:
-    """Draw the frame of the close-up, named A."""
+    """Draw the frame of the close-up, labelled A."""
     z0, z1, y0, y1 = drawn.detail.window
     (x0, low), (x1, high) = view.at(z0, y0), view.at(z1, y1)
-    # A frame too small to see is drawn larger.
+    # Enlarge a frame that would be too small to see.
     half = max(0.07, 0.5 * (x1 - x0)), max(0.07, 0.5 * (high - low))
     x, y = 0.5 * (x0 + x1), 0.5 * (low + high)
     view.sheet.axes.add_patch(
@@ -250,7 +249,7 @@ def _mark_detail(view: View, drawn: Layout) -> None:
 
 
 def _object_reach(drawn: Layout) -> float | None:
-    """Return how far before the lens the object side reaches, mm; None where there is nothing to show."""
+    """Return how far the object side extends before the lens, mm; None if it is empty."""
     ends = [-float(line[:, 0].min()) for target in drawn.targets for line in target.lines]
     if 0.0 < drawn.distance_mm < math.inf:
         ends.append(drawn.distance_mm)

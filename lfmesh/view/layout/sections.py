@@ -1,6 +1,6 @@
-"""A camera and what stands before it, cut by a plane: outlines as (n, 2) polylines of z and y in the camera frame, mm.
+"""Plane sections of a camera and the objects before it: (n, 2) polylines of z and y in the camera frame, mm.
 
-The cutting planes are those of constant x, the meridional one x = 0 among them.
+The section planes have constant x; the meridional plane is x = 0.
 """
 
 from typing import NamedTuple
@@ -20,34 +20,34 @@ from lfmesh.geometry.surfaces.tessellation import cap, mesh_heights
 from lfmesh.scene.camera.lens import Lens
 
 PROFILE_POINTS = 121
-"""Of a lens surface from the axis to its rim, crowded towards the rim."""
+"""Points of a lens surface from the axis to its rim, denser towards the rim."""
 
 SECTION_RINGS = 60
-"""Rings of triangles of a posed lens surface whose section is drawn."""
+"""Triangle rings of a posed lens surface used for its section."""
 
 ARROW = 0.08
-"""Length of the arrow heads of a thin lens, over its semi-diameter."""
+"""Arrow head length of a thin lens, relative to its semi-diameter."""
 
 LEAST_ACROSS = 1e-3
-"""Sine of the angle between a rectangle and the plane that cuts it, below which they count as one."""
+"""Sine of the angle between a rectangle and the section plane below which they count as parallel."""
 
 ASIDE = 1e-7
-"""Share of a mesh's size by which the plane is moved, so that no vertex lies in it."""
+"""Shift of the plane relative to the mesh size, so that it contains no vertex."""
 
 
 class Glass(NamedTuple):
-    """A lens element in section.
+    """Section of a lens element.
 
     Attributes
     ----------
     name : str
-        As `World.mesh` has it.
+        Name in `World.mesh`.
     refractive_index : float
     front, back : (n, 2) float64, mm
-        Profiles of its two faces, z and y, from the lower rim to the upper one; what two cemented elements share is the
-        same in both.
+        Profiles of its two faces, z and y, from the lower rim to the upper one; identical where two elements are
+        cemented.
     outline : (m, 2) float64, mm
-        The closed section with its edges.
+        Closed section including edges.
     """
 
     name: str
@@ -58,15 +58,15 @@ class Glass(NamedTuple):
 
 
 class ThinLens(NamedTuple):
-    """A thin lens in section: a line with an arrow head at each end, pointing outwards if it converges, else inwards.
+    """Section of a thin lens: a line with arrow heads, pointing outwards if it converges, else inwards.
 
     Attributes
     ----------
     name : str
-        As in the path table: "surface[0]".
+        Name in the path table: "surface[0]".
     focal_length_mm : float
     lines : list of (n, 2) float64, mm
-        z and y of the line, and of the two arrow heads.
+        z and y of the line and the two arrow heads.
     """
 
     name: str
@@ -75,18 +75,18 @@ class ThinLens(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """Cut of a plane of constant x through a flat rectangle, or through the layers parallel to it.
+    """Section of a flat rectangle, or of layers parallel to it, by a plane of constant x.
 
     Attributes
     ----------
     to_camera : (3, 4) float64
-        From the rectangle's own frame.
+        Transform from the rectangle's own frame.
     start, ahead : (2,) float64
-        The line in it at zero height: start + s · ahead, with s in mm, towards +y of the camera.
+        Line in the rectangle at zero height: start + s · ahead, with s in mm, towards +y of the camera.
     lift : (2,) float64
-        How the line moves for each mm of height.
+        Shift of the line per mm of height.
     low, high : float, mm
-        The part of s that lies in the rectangle.
+        Range of s within the rectangle.
     """
 
     to_camera: Array
@@ -97,12 +97,12 @@ class Cut(NamedTuple):
     high: float
 
     def local(self, s: Array, height: Array | float = 0.0) -> Array:
-        """Return (n, 2) points of the rectangle's frame at places s of the line, at some height."""
+        """Return (n, 2) points in the rectangle's frame at positions s on the line, at a height."""
         height = np.broadcast_to(height, np.shape(s))
         return np.asarray(self.start + np.multiply.outer(s, self.ahead) + np.multiply.outer(height, self.lift))
 
     def section(self, s: Array, height: Array | float = 0.0) -> Array:
-        """Return the same as (n, 2) z and y in the camera frame."""
+        """Return the same points as (n, 2) z and y in the camera frame."""
         local = np.column_stack([self.local(s, height), np.broadcast_to(height, np.shape(s))])
         return in_section(local @ self.to_camera[:, :3].T + self.to_camera[:, 3])
 
@@ -118,17 +118,17 @@ def cut_through(name: str, to_camera: Array, size_mm: tuple[float, float], x: fl
     Parameters
     ----------
     name : str
-        What messages call it.
+        Name in messages.
     to_camera : (3, 4) float64
-        From the rectangle's own frame.
+        Transform from the rectangle's own frame.
     size_mm : (width, height), mm
     x : float, mm
-        Of the plane, camera frame.
+        Position of the plane, camera frame.
 
     Raises
     ------
     LfmeshError
-        They do not meet, or lie in one plane: what is called `name` has no section.
+        The plane misses the rectangle or is parallel to it, so `name` has no section.
     """
     across = to_camera[0, :2]
     square = float(across @ across)
@@ -159,13 +159,13 @@ def lens_glass(shape: LensShape, indices: Array) -> list[Glass]:
     ----------
     shape : LensShape
     indices : (K + 1,) float64
-        Of the spaces before, between and behind the surfaces.
+        Refractive indices before, between and behind the surfaces.
     """
     elements = []
     for number, k in enumerate(shape.elements):
         front, back = _profile(shape, k), _profile(shape, k + 1)
         if shape.surfaces["posed"][k : k + 2].any():
-            # Neither symmetric nor of revolution: corner to corner will do for the edges.
+            # No rotational or mirror symmetry: join the corners for the edges.
             outline = np.concatenate([front, back[::-1]])
         else:
             edge = _edge(shape, k)
@@ -182,7 +182,7 @@ def thin_lenses(shape: LensShape, lens: Lens) -> list[ThinLens]:
     ----------
     shape : LensShape
     lens : Lens
-        Its prescription.
+        Prescription of the lens.
     """
     found = []
     for k, number in enumerate(shape.numbers):
@@ -202,7 +202,7 @@ def thin_lenses(shape: LensShape, lens: Lens) -> list[ThinLens]:
 
 
 def _profile(shape: LensShape, k: int) -> Array:
-    """Return the section of surface k from its lower rim to its upper one."""
+    """Return the section of surface k from its lower to its upper rim."""
     posed = shape.surfaces[k]["posed"]
     if posed or not shape.analytic[k]:
         mesh = shape.caps[k]
@@ -222,7 +222,7 @@ def _profile(shape: LensShape, k: int) -> Array:
 
 
 def _edge(shape: LensShape, k: int) -> Array:
-    """Return the upper edge of the element behind surface k, (z, y) from its front rim to its back rim."""
+    """Return the upper edge of the element behind surface k, (z, y) from its front to its back rim."""
     front, back = shape.surfaces[k], shape.surfaces[k + 1]
     if not (is_revolved(front) and is_revolved(back)):
         ends = np.stack([_profile(shape, k)[-1], _profile(shape, k + 1)[-1]])
@@ -241,14 +241,14 @@ def sag_at_rim(shape: LensShape, k: int) -> float:
 
 
 def mesh_section(mesh: trimesh.Trimesh, x: float = 0.0) -> list[Array]:
-    """Cut a mesh by the plane of that x: (n, 2) polylines of z and y, closed ones with their first point repeated."""
+    """Cut a mesh by the plane at x: (n, 2) polylines of z and y, closed ones with their first point repeated."""
     size = float(np.ptp(mesh.bounds, axis=0).max())
     segments = trimesh.intersections.mesh_plane(mesh, [1.0, 0.0, 0.0], [x + ASIDE * size, 0.0, 0.0])
     return chained(np.asarray(segments, dtype=np.float64).reshape(-1, 2, 3)[:, :, [2, 1]], ASIDE * size)
 
 
 def chained(segments: Array, closeness: float) -> list[Array]:
-    """Join segments (n, 2, 2) whose ends agree to polylines."""
+    """Join segments (n, 2, 2) with coinciding ends to polylines."""
     ends = np.round(segments.reshape(-1, 2) / closeness).astype(np.int64)
     _, nodes = np.unique(ends, axis=0, return_inverse=True)
     pairs = nodes.reshape(-1, 2)
@@ -259,7 +259,7 @@ def chained(segments: Array, closeness: float) -> list[Array]:
                 at_node.setdefault(int(node), []).append(i)
     used = pairs[:, 0] == pairs[:, 1]
     lines = []
-    # Open lines start where only one segment ends; what remains is closed.
+    # Open lines start at ends of a single segment; the rest is closed.
     for start in sorted(at_node, key=lambda node: (len(at_node[node]) != 1, node)):
         line: list[Array] = []
         node = start
@@ -283,7 +283,7 @@ def curved_face(cut: Cut, mla: Lenslets, s: Array) -> Array:
     cut : Cut
     mla : Lenslets
     s : (n,) float64, mm
-        Places along the cut.
+        Positions along the cut.
     """
     height = np.zeros_like(s)
     centres = mla.lattice.centres().reshape(-1, 2)
@@ -291,7 +291,7 @@ def curved_face(cut: Cut, mla: Lenslets, s: Array) -> Array:
     reach = 0.5 * np.ptp(line, axis=0).max() + 2.0 * mla.lattice.pitch
     middle = 0.5 * (line.min(axis=0) + line.max(axis=0))
     numbers = np.flatnonzero(np.abs(centres - middle).max(axis=1) < reach)
-    # A tilted array is cut a little aside where its face is deep.
+    # The deep face of a tilted array is cut a little aside.
     for _ in range(4):
         p = cut.local(s, height)
         nearest = numbers[((p[:, None] - centres[numbers]) ** 2).sum(axis=2).argmin(axis=1)]

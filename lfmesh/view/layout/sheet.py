@@ -1,6 +1,6 @@
-"""The paper of a drawing: text and lines in inches, and views to scale in it.
+"""Sheet of a drawing: text and lines in inches, and views to scale.
 
-Text is measured before it is placed, so that it does not overlap.
+Text is measured before placement to prevent overlap.
 """
 
 import math
@@ -22,26 +22,26 @@ from lfmesh.view.style import GREY, INK, PALE
 SHEET_IN = (13.0, 9.4)
 
 SMALL, NORMAL, LARGE = 7.0, 8.0, 12.0
-"""Sizes of text, points."""
+"""Text sizes, points."""
 
 LEAST_TEXT = 5.0
-"""Text that is longer than its cell shrinks to this, then is cut."""
+"""Smallest size of text shrunk to fit its cell; longer text is cut."""
 
 CLEARANCE_IN = 0.06
-"""Round texts: fonts of other viewers may be a little wider."""
+"""Clearance around texts, as other viewers' fonts may be slightly wider."""
 
 APART_IN = 0.16
-"""Between names that stand side by side."""
+"""Spacing of names side by side."""
 
 ROW_IN = 0.2
-"""Of dimensions."""
+"""Row height of dimensions."""
 
 BAR_IN = 1.4
-"""Length that a scale bar does not exceed."""
+"""Maximum length of a scale bar."""
 
 
 class Sheet:
-    """The paper: places text and lines in inches from its lower left corner."""
+    """Drawing sheet; positions are in inches from its lower left corner."""
 
     def __init__(self, figure: Figure) -> None:
         self.figure = figure
@@ -51,7 +51,7 @@ class Sheet:
         self._widths: dict[tuple[str, float, bool], float] = {}
 
     def text(self, x: float, y: float, words: str, size: float = NORMAL, **style: Any) -> Text:
-        """Write words, on one baseline with others of the same y.
+        """Write text with its baseline at y.
 
         Parameters
         ----------
@@ -59,7 +59,7 @@ class Sheet:
         words : str
         size : float, points
         **style
-            Of matplotlib's Text.
+            Properties of matplotlib's Text.
         """
         return self.axes.text(x, y, words, fontsize=size, **{"color": INK, "va": "baseline", **style})
 
@@ -68,12 +68,12 @@ class Sheet:
         self.axes.plot(x, y, **{"color": INK, "lw": 0.6, "solid_capstyle": "butt", **style})
 
     def break_marks(self, x: float, y: float, tall: float) -> None:
-        """Draw two strokes across a horizontal line, the sign of something left out.
+        """Draw two strokes across a horizontal line, to mark an omission.
 
         Parameters
         ----------
         x, y : float, inches
-            Their middle.
+            Centre of the marks.
         tall : float, inches
         """
         for stroke in (x - 0.035, x + 0.035):
@@ -85,13 +85,13 @@ class Sheet:
         Parameters
         ----------
         x, y : float, inches
-            The lower left corner.
+            Lower left corner.
         width, height : float, inches
         """
         self.axes.add_patch(Rectangle((x, y), width, height, fill=False, ec=INK, lw=0.8))
 
     def width(self, words: str, size: float = NORMAL, bold: bool = False) -> float:
-        """Return the width of words, inches.
+        """Return the width of a text, inches.
 
         Parameters
         ----------
@@ -107,14 +107,14 @@ class Sheet:
         return self._widths[key]
 
     def fitted(self, words: str, room: float, size: float = NORMAL, bold: bool = False) -> tuple[str, float]:
-        """Return words and the text size at which they fit into some room: smaller, then cut.
+        """Return a text and its size that fit a given width: smaller, then cut.
 
         Parameters
         ----------
         words : str
         room : float, inches
         size : float, points
-            The largest.
+            Largest size.
         bold : bool
         """
         wide = self.width(words, size, bold)
@@ -128,7 +128,7 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Bands:
-    """Room round what a view shows, for labels and dimensions, inches."""
+    """Room around a view for labels and dimensions, inches."""
 
     left: float = 0.1
     right: float = 0.1
@@ -137,7 +137,7 @@ class Bands:
 
 
 class View:
-    """A part of the sheet in which z and y, mm, are drawn to scale."""
+    """Part of the sheet with z and y, mm, drawn to scale."""
 
     def __init__(
         self, sheet: Sheet, place: tuple[float, float, float, float], window: tuple[float, float, float, float],
@@ -162,7 +162,7 @@ class View:
         sheet.text(x, y + height - 0.14, words, size, color=GREY)
 
     def at(self, z: Any, y: Any) -> tuple[Any, Any]:
-        """Return the place of z and y on the sheet."""
+        """Return the sheet position of z and y."""
         return self.x_middle + self.scale * (z - self.z_middle), self.up_middle + self.scale * (y - self.y_middle)
 
     def points(self, line: Array) -> Array:
@@ -170,7 +170,7 @@ class View:
         return np.column_stack(self.at(line[:, 0], line[:, 1]))
 
     def lines(self, lines: Sequence[Array], **style: Any) -> None:
-        """Draw lines, cut at the border of what the view shows."""
+        """Draw lines, clipped to the view."""
         drawn = LineCollection([self.points(line) for line in lines], **{"colors": INK, "linewidths": 0.7, **style})
         self.sheet.axes.add_collection(drawn, autolim=False)
         drawn.set_clip_path(self.clip)
@@ -182,14 +182,14 @@ class View:
         drawn.set_clip_path(self.clip)
 
     def rays(self, bundles: Sequence[Bundle], colours: Sequence[str], width: float) -> None:
-        """Draw the rays of bundles, each bundle in its colour.
+        """Draw the rays of bundles, one colour per bundle.
 
         Parameters
         ----------
         bundles : sequence of Bundle
         colours : sequence of str
         width : float, points
-            Of the lines.
+            Line width.
         """
         for bundle, colour in zip(bundles, colours, strict=True):
             self.lines([ray.points[:, [2, 1]] for ray in bundle.rays], colors=colour, linewidths=width, zorder=3)
@@ -202,7 +202,7 @@ class View:
             self.sheet.line([self.left, self.right], [y, y], color=GREY, lw=0.5, ls=dashes, zorder=1.5)
 
     def _scale_bar(self) -> float:
-        """Draw a bar of a round length above the view, at the right; return how wide it is with its text."""
+        """Draw a bar of round length above the view, at the right; return its width including text."""
         length = _nice_below(BAR_IN / self.scale)
         x, y, long = self.place[0] + self.place[2], self.place[1] + self.place[3] - 0.1, length * self.scale
         self.sheet.line([x - long, x], [y, y], lw=2.0)
@@ -213,7 +213,7 @@ class View:
         return long + 0.08 + self.sheet.width(words, SMALL)
 
     def labels(self, anchors: Sequence[tuple[float, float, str]]) -> None:
-        """Write names above the view, side by side, each with a line to its place (z, y)."""
+        """Write names side by side above the view, each with a line to its position (z, y)."""
         sheet, anchors = self.sheet, sorted(anchors)
         if not anchors:
             return
@@ -226,12 +226,12 @@ class View:
             sheet.line([middle, x], [base - 0.05, min(y, self.high)], color=PALE, lw=0.5, zorder=1)
 
     def lengths(self, dimensions: Sequence[Dimension], first_row: float) -> None:
-        """Draw dimensions along the axis below the view, in as few rows as keep their texts apart."""
+        """Draw axial dimensions below the view, in as few rows as keep their texts apart."""
         taken: list[list[tuple[float, float]]] = []
         for dimension in dimensions:
             (x0, y0), (x1, y1) = self.at(*dimension.start), self.at(*dimension.end)
             wide = self.sheet.width(dimension.text, SMALL) + 2 * CLEARANCE_IN
-            # Break marks at the start of a dimension take room, too.
+            # Include the break marks at the start of a dimension.
             marks = 0.3 * dimension.cut
             fits = wide < x1 - x0 - 0.16 - marks
             text_x = 0.5 * (x0 + marks + x1 - wide) if fits else x1 + 0.16
@@ -250,10 +250,10 @@ class View:
             )  # fmt: skip
 
     def _dimension_line(self, x0: float, x1: float, y: float, *, outside: bool, cut: bool) -> None:
-        """Draw the line and its arrows: between its ends, or pointing at them from outside where there is no room."""
+        """Draw a dimension line with arrows between its ends, or outside pointing inwards if there is no room."""
         middle = 0.5 * (x0 + x1)
         if cut:
-            # One line from end to end: pieces that meet may be drawn a pixel apart.
+            # One line from end to end, as separate pieces may be drawn a pixel apart.
             self._arrow((x0, y), (x1, y))
             self.sheet.break_marks(x0 + 0.16, y, 0.05)
             return
@@ -265,7 +265,7 @@ class View:
         self.sheet.axes.annotate("", tip, tail, arrowprops={**style, "lw": 0.5}, zorder=3.5)
 
     def heights(self, dimensions: Sequence[Dimension]) -> None:
-        """Draw dimensions across the axis beside the view, on the side they lie nearer to."""
+        """Draw transverse dimensions beside the view, on their nearer side."""
         for dimension in dimensions:
             (x0, y0), (x1, y1) = self.at(*dimension.start), self.at(*dimension.end)
             right = x0 > self.left + 0.7 * (self.right - self.left)
@@ -283,7 +283,7 @@ class View:
 
 
 def _free_row(rows: list[list[tuple[float, float]]], span: tuple[float, float]) -> int:
-    """Return the first row in which a span touches no other, and book it there."""
+    """Return the first row with room for a span, and reserve it."""
     for number, taken in enumerate(rows):
         if all(b <= span[0] + 1e-9 or span[1] <= a + 1e-9 for a, b in taken):
             taken.append(span)
@@ -293,14 +293,14 @@ def _free_row(rows: list[list[tuple[float, float]]], span: tuple[float, float]) 
 
 
 def spread(middles: Sequence[float], widths: Sequence[float], low: float, high: float) -> list[float]:
-    """Return where texts of some widths stand side by side, each as near to its middle as the others let it.
+    """Return positions of texts side by side, each as near its preferred centre as possible.
 
     Parameters
     ----------
     middles : sequence of float
-        In rising order.
+        Preferred centres in ascending order.
     """
-    # Groups that touch stand where their members' wishes are met on average.
+    # Touching groups are placed at the mean of their members' preferences.
     groups: list[list[int]] = []
     starts: list[float] = []
     for i in range(len(middles)):
@@ -325,7 +325,7 @@ def spread(middles: Sequence[float], widths: Sequence[float], low: float, high: 
 
 
 def length_in_words(length_mm: float, digits: int = 4) -> str:
-    """Write a length in the unit that suits it."""
+    """Format a length in a suitable unit."""
     if length_mm < 0.0:
         return f"−{length_in_words(-length_mm, digits)}"
     if length_mm >= 1e4:
@@ -334,7 +334,7 @@ def length_in_words(length_mm: float, digits: int = 4) -> str:
 
 
 def _round(ratio: float) -> str:
-    """Write the number of a scale to three digits, without an exponent."""
+    """Format a scale number to three digits, without an exponent."""
     digits = 2 - math.floor(math.log10(ratio))
     return (
         f"{round(ratio, digits):.{max(0, digits)}f}".rstrip("0").rstrip(".")
@@ -344,6 +344,6 @@ def _round(ratio: float) -> str:
 
 
 def _nice_below(length: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above a length."""
+    """Return the largest of 1, 2, 5 times a power of ten that does not exceed a length."""
     power = 10.0 ** math.floor(math.log10(length))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)

@@ -1,4 +1,4 @@
-"""The title block of a layout drawing: the camera's first-order figures, at the foot of the sheet."""
+"""Title block of a layout drawing: the camera's first-order figures, at the foot of the sheet."""
 
 import math
 
@@ -14,7 +14,7 @@ from lfmesh.view.style import GREY
 
 
 def title_block(sheet: Sheet, drawn: Layout, x: float, y: float, width: float, height: float) -> None:
-    """Write the table of what the drawing shows, at the foot of the sheet.
+    """Write the table of first-order figures.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def title_block(sheet: Sheet, drawn: Layout, x: float, y: float, width: float, h
 
 
 def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
-    """Return the cells of the title block: share of the width, name, value."""
+    """Return the cells of the title block: fraction of the width, name, value."""
     scene, facts = drawn.scene, drawn.facts
     camera, mla, sensor = scene.camera, scene.camera.mla, scene.camera.sensor
     full = drawn.bundles[-1].slope
@@ -84,5 +84,5 @@ def _facts(drawn: Layout) -> list[list[tuple[float, str, str]]]:
 
 
 def _micro_image(at: LensletSection) -> str:
-    """Write how wide a micro-image is in one section of the lenslets."""
+    """Format the width of a micro-image in one section of the lenslets."""
     return "a line" if at.micro_image_diameter_px is None else f"{at.micro_image_diameter_px:.3g} px"

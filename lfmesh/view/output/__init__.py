@@ -1,1 +1,1 @@
-"""Outputs of a 3D scene: a window, an HTML page, a glTF model."""
+"""Outputs of a 3D scene: window, HTML page, glTF model."""

@@ -1,4 +1,4 @@
-"""The scene with its rays as a glTF model, for other people's viewers. glTF measures in metres."""
+"""Scene with rays as a glTF model, in metres, for other viewers."""
 
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,15 @@ from lfmesh.view.scene3d.parts import Part
 from lfmesh.view.scene3d.plotter import View
 
 METRES = 1e-3
-"""A millimetre in the file's unit."""
+"""Metres per millimetre."""
 
 RAYS = "rays"
 
 
 def write_model(view: View, path: Path) -> None:
-    """Write everything that a view shows as one binary glTF file.
+    """Write the content of a view as a binary glTF file.
 
-    Bodies are named as `World.mesh_names` has them; the rays are lines.
+    Bodies have the names of `World.mesh_names`; rays are lines.
     """
     scene = trimesh.Scene()
     for part, mesh in view.meshes():

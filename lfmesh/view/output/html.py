@@ -1,6 +1,6 @@
-"""A page that turns the scene in any browser, without a network: vtk.js and all data in one HTML file.
+"""HTML page with an interactive 3D scene: vtk.js and all data in one file, for use without a network.
 
-Text in the picture is lost on the way, so title, launch, counts, legend and scale stand in the page.
+vtk.js loses text in the picture, so title, launch, counts, legend and scale are part of the page.
 """
 
 import re
@@ -22,10 +22,10 @@ from lfmesh.view.scene3d.colours import BACKGROUND, FAINT_TEXT, TEXT
 from lfmesh.view.scene3d.plotter import View
 
 ASPECT = 1.25
-"""The page's window may be narrower than a picture."""
+"""The page's window may be narrower than the picture."""
 
 ANGLE_DEG = 30.0
-"""From the bottom to the top of what vtk.js draws: it knows the eye's place but not its angle."""
+"""Vertical field of view in vtk.js, which reads the camera's position but not its angle."""
 
 STYLE = f"""\
       body {{ background: {BACKGROUND}; }}
@@ -44,14 +44,14 @@ STYLE = f"""\
         #legend {{ text-align: left; }}
       }}
 """
-"""A window narrower than `ASPECT` is drawn into at that, so that nothing is cut off at its sides; on a narrow page the
-legend stands below the caption."""
+"""In windows narrower than `ASPECT` the picture keeps that ratio, so that its sides are not cut off. On narrow pages
+the legend is below the caption."""
 
 TEMPLATE = Path(__file__).parent / "templates" / "words.html"
 
 VTK_WASM = "trame.widgets.vtklocal"
-"""Another way to draw in a browser, which is not used here. Where trame finds it, its server fetches the compiled VTK
-from the network when it starts, and prints tracebacks where there is none."""
+"""Another way to draw in a browser, not used here. Where trame finds it, its server fetches the compiled VTK from the
+network at start, and prints tracebacks if there is none."""
 
 MISSING: Any = object()
 
@@ -60,7 +60,7 @@ FOREIGN = re.compile(r"https://kitware\.github\.io/vtk-js/icon/[^`\"']*")
 
 
 def write_page(view: View, path: Path) -> None:
-    """Write what a view shows as a page.
+    """Write a view as a page.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def write_page(view: View, path: Path) -> None:
 
 @contextmanager
 def _not_imported(module: str) -> Iterator[None]:
-    """Have imports of a module fail for a while."""
+    """Make imports of a module fail temporarily."""
     package, _, name = module.rpartition(".")
     attributes = vars(import_module(package))
     kept, attribute = sys.modules.get(module, MISSING), attributes.pop(name, MISSING)
@@ -102,7 +102,7 @@ def _not_imported(module: str) -> Iterator[None]:
 
 
 def captioned(page: str, view: View) -> str:
-    """Return a page with the view's words in it, which asks no other server for anything."""
+    """Return a page with the view's words in it and without requests to other servers."""
     page = FOREIGN.sub("data:,", page)
     title = escape(view.title)
     page = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", page, count=1, flags=re.DOTALL)

@@ -1,4 +1,4 @@
-"""The window: keys for viewpoints and the cut, clicks that say what was clicked."""
+"""Window with keys for viewpoints and the cut, and descriptions of clicked objects."""
 
 from lfmesh.view.rays.history import history
 from lfmesh.view.rays.history import lines as history_lines
@@ -22,13 +22,13 @@ def open_window(view: View) -> None:
 
 
 def clicked(view: View, x: float, y: float) -> list[str]:
-    """Write what lies under a click into the picture and the terminal.
+    """Describe the object under a click in the picture and the terminal.
 
     Parameters
     ----------
     view : View
     x, y : float, pixels
-        Of the picture, from its lower left corner.
+        Position in the picture, from its lower left corner.
     """
     words = in_words(view, pick.pick(view, x, view.plotter.window_size[1] - y))
     view.tell(words)
@@ -39,7 +39,7 @@ def clicked(view: View, x: float, y: float) -> list[str]:
 
 
 def in_words(view: View, picked: pick.Picked) -> list[str]:
-    """Return what was picked in a few lines: a path's history, a part's prescription, a pixel's rays."""
+    """Return a short description of the picked object: a path's history, a part's prescription, a pixel's rays."""
     if isinstance(picked, pick.PickedRay):
         return path_in_words(view, picked)
     if isinstance(picked, pick.PickedPixel):
@@ -50,7 +50,7 @@ def in_words(view: View, picked: pick.Picked) -> list[str]:
 
 
 def path_in_words(view: View, picked: pick.PickedRay) -> list[str]:
-    """Return where a path went, a line a vertex."""
+    """Return the course of a path, one line per vertex."""
     assert view.lines is not None
     rays = view.lines.rays
     number, wavelength = rays.sequence[picked.path], rays.wavelength_nm[picked.path]
@@ -60,7 +60,7 @@ def path_in_words(view: View, picked: pick.PickedRay) -> list[str]:
 
 
 def pixel_in_words(view: View, picked: pick.PickedPixel) -> list[str]:
-    """Return which of the shown rays fill a pixel, and how to launch more of them."""
+    """Return the number of shown rays on a pixel, and how to launch more of them."""
     words = [f"sensor pixel    row {picked.row}, column {picked.column}"]
     if view.lines is not None:
         rays = view.lines.rays

@@ -1,1 +1,1 @@
-"""Rays to look at: launching, recording, filtering, tables and ghosts."""
+"""Rays for inspection: launching, recording, filtering, tables and ghosts."""

@@ -1,7 +1,7 @@
-"""Real rays of field points through chosen points of the stop: what a layout drawing shows.
+"""Real rays from field points through chosen points of the stop, for layout drawings.
 
-Every ray is one of `lf.trace` through the built world. Its start follows from ray aiming at the stop (`StopAim`), and
-where surfaces are facets, or glass stands before the lens, from a fan of trials. Positions are in the camera frame, mm.
+`lf.trace` traces every ray through the built world. Its start comes from ray aiming at the stop (`StopAim`) or, where
+surfaces are facets or glass stands before the lens, from a fan of trial rays. Positions are in the camera frame, mm.
 """
 
 import math
@@ -26,30 +26,30 @@ from lfmesh.waves.stop_aim import INSIDE, StopAim
 Array = NDArray[np.float64]
 
 FAN = 33
-"""Trials across the pupil from which the first guess is made where surfaces of the lens have no formulas."""
+"""Trial rays across the pupil for the first guess where lens surfaces have no formulas."""
 
 FAN_WIDTH = 1.6
-"""Over the paraxial entrance pupil: real pupils have aberrations."""
+"""Width of the fan relative to the paraxial entrance pupil, as real pupils have aberrations."""
 
 ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""Of a sum, over its parts, that is zero but for the rounding of these."""
+"""Rounding error of a vanishing sum, relative to its terms."""
 
 DIFFERENCE = 1e-5
-"""Of two trials whose difference is the derivative, over the stop's radius."""
+"""Step of finite differences between two trial rays, relative to the stop's radius."""
 
 
 @dataclass(frozen=True)
 class AimedRay:
-    """One ray, vertex by vertex.
+    """Single ray, vertex by vertex.
 
     Attributes
     ----------
     points : (m, 3) float64, mm
         From its object point (or a plane before the lens, if that is far away) to its end.
     at_stop : (2,) float64, mm
-        x and y where it crosses the stop surface; NaN where it ends before.
+        x and y at the stop surface; NaN if it ends before.
     leaving : (2, 3) float64
-        Where it leaves the last lens surface, and its unit direction there; NaN where it does not come so far.
+        Position on the last lens surface and unit direction behind it; NaN if it does not get there.
     status : Status
         How it ended.
     """
@@ -60,20 +60,20 @@ class AimedRay:
     status: Status
 
     def beyond_lens(self, z: float) -> Array:
-        """Return where the ray in the air behind the lens, drawn out, crosses a plane: (2,) x and y, mm."""
+        """Return x and y (2,), mm, where the extended ray behind the lens crosses a plane."""
         position, direction = self.leaving
         return np.asarray(position[:2] + (z - position[2]) / direction[2] * direction[:2])
 
 
 class Aim:
-    """Sends rays from the points of one object plane through a camera.
+    """Aiming of rays from one object plane through a camera.
 
     Parameters
     ----------
     world : World
     distance_mm : float
-        Of the object plane before the first vertex; inf: collimated bundles; negative: towards a virtual object. Rays
-        are refused if the stop is imaged onto it.
+        Distance of the object plane before the first vertex; inf: collimated bundles; negative: a virtual object. The
+        stop must not be imaged onto it.
     """
 
     def __init__(self, world: World, distance_mm: float) -> None:
@@ -95,12 +95,12 @@ class Aim:
     def through(self, slope: ArrayLike, stop: ArrayLike) -> list[AimedRay]:
         """Return the rays from object points through points of the stop.
 
-        What the lens blocks before the stop is sent where its neighbours say, and ends where it is blocked.
+        Rays blocked by the lens before the stop start in line with their neighbours and end where they are blocked.
 
         Parameters
         ----------
         slope : (n, 2) float64
-            Of the object points: their x and y over their distance from the first vertex.
+            x and y of the object points over their distance from the first vertex.
         stop : (n, 2) float64
             Points of the stop, in units of its radius.
         """
@@ -109,22 +109,22 @@ class Aim:
         return self._aimed(slope, aim, self._guess(slope, aim))[0]
 
     def slopes_to(self, targets: ArrayLike, stop: ArrayLike = (0.0, 0.0)) -> Array:
-        """Return the slopes (n, 2) of the object points whose rays, in the air behind the lens, meet targets.
+        """Return the slopes (n, 2) of object points with rays that meet targets in the air behind the lens.
 
-        Paraxial optics answers where the lens lets no such ray through.
+        If the lens passes no such ray, the slope is paraxial.
 
         Parameters
         ----------
         targets : (n, 3) float64, mm
         stop : (n, 2) or (2,) float64
-            Point of the stop that each ray crosses, in units of its radius; by default the chief rays.
+            Point of the stop for each ray, relative to its radius; by default the chief rays.
         """
         targets = np.asarray(targets, dtype=np.float64).reshape(-1, 3)
         stop = np.broadcast_to(np.asarray(stop, dtype=np.float64), (len(targets), 2))
         scale = self._image_scale(targets[:, 2])
         first = targets[:, :2] / scale[:, None]
         aim = stop * (self.stop_radius * INSIDE)
-        # A ray that is aimed anew enters near where it did before.
+        # A re-aimed ray enters near its previous entry.
         known_slope, known_entry = first.copy(), self._guess(first, aim)
 
         def landing(slope: Array, which: NDArray[np.int64]) -> Array:
@@ -139,12 +139,12 @@ class Aim:
 
     @property
     def _entry_shift(self) -> float:
-        """Shift of the entry of a ray through a fixed point of the stop for a slope of one, paraxially, mm."""
+        """Paraxial shift of a ray's entry point per unit slope, for a fixed point of the stop, mm."""
         return self._stop_by_slope / self._stop_by_entry
 
     @cached_property
     def _stop_by_entry(self) -> float:
-        """Height at which a ray of an object point meets the stop for one at the first vertex, paraxially."""
+        """Paraxial height at the stop of a ray from an object point, per unit height at the first vertex."""
         straight, turned = self.paraxial.to_stop.a, self._stop_by_slope * self.vergence
         if abs(straight + turned) <= ROUNDING * (abs(straight) + abs(turned)):
             raise LfmeshError(
@@ -155,18 +155,18 @@ class Aim:
 
     @property
     def _stop_by_slope(self) -> float:
-        """Height at which a ray from the first vertex meets the stop for a slope of one before the lens, paraxially."""
+        """Paraxial height at the stop of a ray from the first vertex, per unit slope before the lens."""
         return self.paraxial.indices[0] * self.paraxial.to_stop.b
 
     def _image_scale(self, z: Array) -> Array:
-        """Return how far a ray through a fixed point of the stop moves in planes z for a slope of one, paraxially."""
+        """Return the paraxial shift in planes z per unit slope, for a ray through a fixed point of the stop."""
         whole, height = self.paraxial.whole, self._entry_shift
         angle = self.paraxial.indices[0] * (self.vergence * height - 1.0)
         behind = z - self.paraxial.length_mm
         return np.asarray(whole.a * height + whole.b * angle + behind * (whole.c * height + whole.d * angle))
 
     def trace(self, slope: Array, entry: Array) -> list[AimedRay]:
-        """Return the rays that cross the plane of the first vertex at `entry` (n, 2) when nothing bends them before."""
+        """Return the rays that would cross the plane of the first vertex at `entry` (n, 2) if not refracted before."""
         angle = self.vergence * entry - slope
         start = np.column_stack([entry + self.start_z * angle, np.full(len(entry), self.start_z)])
         ahead = np.column_stack([angle, np.ones(len(entry))])
@@ -190,7 +190,7 @@ class Aim:
         return [ray or AimedRay(p[None], *nowhere, Status.LOST) for ray, p in zip(rays, start, strict=True)]
 
     def _ended_before_lens(self, points: Array, direction: Array, *, escaped: bool) -> Array:
-        """Return a path that misses the first surface, as far as the plane of that surface's rim."""
+        """Return a path that misses the first surface, up to the plane of that surface's rim."""
         front = self.world.lens_shape.surfaces[0]
         z = float(front["vertex_z"]) + rim_range(front, self.world.lens_shape.rims[0])[1]
         before = points[points[:, 2] < z]
@@ -202,7 +202,7 @@ class Aim:
         return np.vstack([before, before[-1] + (z - before[-1, 2]) / after[2] * after])
 
     def _at_stop(self, points: Array, names: list[str]) -> Array:
-        """Return where a path crosses the stop surface, or ends on it outside its aperture, in the stop's own frame."""
+        """Return a path's crossing of the stop surface, or its end outside the aperture, in the stop's own frame."""
         points = frames.points(self._into_stop, points)
         passed = [i for i, name in enumerate(names) if name in self._names]
         k = self._before_stop
@@ -211,11 +211,11 @@ class Aim:
                 return points[passed[k], :2]
             if len(passed) < k or names[-1] != "stop":
                 return np.full(2, np.nan)
-            # What the stop takes ends on the plane of the surface's rim.
+            # Rays blocked by the stop end on the plane of the surface's rim.
             return _met(self.world.lens_shape.surfaces[k], points[-1], points[-1] - points[-2])[:2]
         if len(passed) < k:
             return np.full(2, np.nan)
-        # The stop stands between lens surfaces, or before the first.
+        # The stop lies between lens surfaces, or before the first.
         first = passed[k - 1] if k else (passed[0] if passed else len(points) - 1) - 1
         z = self.lens.vertices_mm[self.paraxial.stop]
         if first == len(points) - 1 or not points[first, 2] <= z <= points[first + 1, 2] + 1e-9 * self.stop_radius:
@@ -231,9 +231,9 @@ class Aim:
         return np.stack([points[last], ahead / np.linalg.norm(ahead)])
 
     def _guess(self, slope: Array, aim: Array) -> Array:
-        """Return about where rays cross the plane of the first vertex (n, 2); by paraxial optics those that do not."""
+        """Return estimated entry points (n, 2) on the plane of the first vertex; paraxial where aiming fails."""
         if not self.world.lens_shape.analytic.all() or self.world.tables.objects.glass is not None:
-            # Glass and liquids before the lens bend rays on their way, which only traced ones know.
+            # Glass and liquids before the lens refract the rays, so they must be traced.
             return self._guess_by_fan(slope, aim)
         entry = (aim + self._stop_by_slope * slope) / self._stop_by_entry
         fields, which = np.unique(slope, axis=0, return_inverse=True)
@@ -244,7 +244,7 @@ class Aim:
         return entry
 
     def _guess_by_fan(self, slope: Array, aim: Array) -> Array:
-        """Return the same from a fan of trials for every object point."""
+        """Return the same from a fan of trial rays for every object point."""
         by_slope, scale = self._stop_by_slope, self._stop_by_entry
         entry = (aim + by_slope * slope) / scale
         fields, which = np.unique(slope, axis=0, return_inverse=True)
@@ -253,7 +253,7 @@ class Aim:
         across = np.linspace(-half, half, FAN)
         trial = np.repeat(middle[:, None], FAN, axis=1)
         trial[:, :, 1] += across
-        # Beside the lens there is nothing to learn.
+        # Rays that miss the lens tell nothing.
         rim = self.world.lens_shape.rims[0]
         trial[:, :, 1] = np.clip(trial[:, :, 1], -rim, rim)
         rays = self.trace(np.repeat(fields, FAN, axis=0), trial.reshape(-1, 2))
@@ -266,7 +266,7 @@ class Aim:
         return entry
 
     def _aimed(self, slope: Array, aim: Array, guess: Array) -> tuple[list[AimedRay], Array]:
-        """Return the rays to points of the stop (n, 2), mm, and where they enter; those that miss start as guessed."""
+        """Return the rays to stop points (n, 2), mm, and their entry points; rays that miss start as guessed."""
 
         def landing(entry: Array, which: NDArray[np.int64]) -> Array:
             return np.array([ray.at_stop for ray in self.trace(slope[which], entry)]).reshape(-1, 2)
@@ -277,7 +277,7 @@ class Aim:
 
 
 def _met(surface: np.void, p: Array, ahead: Array) -> Array:
-    """Return where the line through a point near a surface meets it, (3,), by Newton's method; NaN: nowhere."""
+    """Return the point (3,) where a line through a nearby point meets a surface, by Newton's method; NaN if none."""
     ahead = ahead / np.linalg.norm(ahead)
     for _ in range(8):
         height = p[2] - surface["vertex_z"] - heights(surface, p[0], p[1])
@@ -287,7 +287,7 @@ def _met(surface: np.void, p: Array, ahead: Array) -> Array:
 
 
 def _interpolated(x: float, known: Array, values: Array) -> float:
-    """Return the value at x, on the line through the two outermost known ones where it lies outside of all."""
+    """Return the value at x by linear interpolation, or extrapolation from the two outermost values."""
     k = int(np.clip(np.searchsorted(known, x), 1, len(known) - 1))
     share = (x - known[k - 1]) / (known[k] - known[k - 1])
     return float(values[k - 1] + share * (values[k] - values[k - 1]))

@@ -1,8 +1,9 @@
-"""Light of field points that the camera reflects twice, by sequence of surfaces, integrated over the pupil.
+"""Image and ghost power from field points, by sequence of surfaces, integrated over the pupil.
 
-Every sequence is followed by itself through the exact surfaces, without noise. So what the image path and the ghosts
-bring to the sensor has an error that can be stated, in place of a standard error. Array, cover and a sensor that
-reflects are mirrors as the lens is. On no sequence are paths that meet the curved faces of two lenslets in turn.
+The image path and each sequence with two reflections in the camera are traced separately through the exact surfaces,
+without noise. So the power on the sensor has a numerical error estimate instead of a standard error. Array, cover and a
+reflecting sensor are mirrors like the lens. Paths that meet the curved faces of two lenslets in turn belong to no
+sequence.
 """
 
 import math
@@ -37,7 +38,7 @@ Floats = NDArray[np.float64]
 DASH, PLUS_MINUS = "\N{EN DASH}", "\N{PLUS-MINUS SIGN}"
 
 SHOWN = 10
-"""Ghosts that are printed."""
+"""Number of printed ghosts."""
 
 BY_QUADRATURE = "Origin quadrature: the pair's sequences are integrated over the pupil; ± is the error of that."
 
@@ -49,17 +50,16 @@ class SequencePower:
     Attributes
     ----------
     path : Itinerary
-        Over all faces of the camera, those of the array included.
+        Path over all faces of the camera, including the array's.
     words : str
         "L1a T, L1b T, L2a R, ..., sensor", as in the path table.
     mirrors : tuple of str
-        Labels of the surfaces that reflect, in the order in which light meets them.
+        Labels of the reflecting surfaces, in order.
     power, error : float, W
-        On the sensor, of all field points and wavelengths; the error is an estimate of the quadrature's.
+        Power on the sensor from all field points and wavelengths, and the estimated error of the quadrature.
     focus_mm : float
-        Distance from the lens' last vertex to where paraxial rays of the first field point come together, at the
-        scene's primary wavelength; negative before the vertex. NaN: the path has no paraxial rays, or is reflected
-        behind the lens.
+        Paraxial focus of the first field point from the lens's last vertex, at the scene's primary wavelength; negative
+        before the vertex. NaN: the path has no paraxial rays, or is reflected behind the lens.
     """
 
     path: Itinerary
@@ -72,19 +72,19 @@ class SequencePower:
 
 @dataclass(frozen=True)
 class ExactGhosts:
-    """The image path, and the ghosts of two reflections.
+    """Image path and two-reflection ghosts.
 
     Attributes
     ----------
     image : SequencePower
     ghosts : list of SequencePower
-        From the strongest to the weakest; those without power included.
+        In descending order, including ghosts without power.
     image_plane_mm : float
-        From the lens' last vertex to the array or, without one, to the sensor.
+        Distance from the lens's last vertex to the array or, without one, to the sensor.
     with_array : bool
         Whether there is an array.
     mirrors : str
-        What reflects, in words.
+        Reflecting parts in words.
     """
 
     image: SequencePower
@@ -105,16 +105,16 @@ class ExactGhosts:
 
     @property
     def error(self) -> float:
-        """Error of that, W; those of the ghosts are taken to have one sign."""
+        """Error of `power`, W, as the sum of the ghosts' errors."""
         return sum(row.error for row in self.ghosts)
 
     def lines(self, most: int = SHOWN) -> list[str]:
-        """Return the strongest ghosts for a terminal, a line each, and what all of them bring.
+        """Return the strongest ghosts for a terminal, one line each, and their total.
 
         Parameters
         ----------
         most : int
-            Ghosts to list.
+            Number of ghosts to list.
 
         Returns
         -------
@@ -139,18 +139,18 @@ class ExactGhosts:
 
 
 def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[float] | None = None) -> ExactGhosts:
-    """Integrate what the image path and the ghosts of two reflections in the camera bring to the sensor.
+    """Integrate the power of the image and of the two-reflection ghosts on the sensor.
 
-    Each field point shines with 1 W/sr at each wavelength. Opaque targets hide the lens from it where they stand in the
-    way; light that they reflect, or scatter, is none of a sequence's.
+    Each field point emits 1 W/sr at each wavelength. Opaque targets block its light to the lens; light that they
+    reflect or scatter belongs to no sequence.
 
     Parameters
     ----------
     world : World
     points_mm : (n, 3) float, mm, world frame
-        In front of the lens.
+        Points in front of the lens.
     wavelengths_nm : sequence of float, optional
-        Those of the scene if left out.
+        Default: the scene's wavelengths.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     Raises
     ------
     LfmeshError
-        The scene has what sequences are not followed through, see `refusal`, or a point is not in front of the lens.
+        The scene has parts that sequences cannot include, see `refusal`, or a point is not in front of the lens.
     """
     shape = world.lens_shape
     if (obstacle := refusal(world, points_mm)) is not None:
@@ -168,7 +168,7 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
     if (points[:, 2] >= world.tables.lens.box_low[2]).any():
         raise LfmeshError("ghosts by sequence: a field point must lie in front of the lens")
     tables = [at_wavelength(world, wavelength) for wavelength in wavelengths_nm or world.scene.wavelengths_nm]
-    # A hollow side may be met twice; of an asphere, either.
+    # A concave side may be met twice; of an asphere, either.
     sides = [
         (k, behind)
         for k, surface in enumerate(shape.surfaces)
@@ -185,20 +185,20 @@ def exact_ghosts(world: World, points_mm: ArrayLike, wavelengths_nm: Sequence[fl
 
 
 def _paths(tables: Tables, hollow: list[tuple[int, bool]]) -> list[Itinerary]:
-    """Return the image path and all with two reflections; a thin lens reflects nothing."""
+    """Return the image path and all paths with two reflections; thin lenses do not reflect."""
     thin = frozenset(np.flatnonzero(tables.lens.interfaces.rows["kind"] == THIN_LENS).tolist())
     return [path for path in faces_of(tables).paths(hollow) if thin.isdisjoint(path.mirrors)]
 
 
 def _mirrors_in_words(tables: Tables) -> str:
-    """Return what reflects: the lens, the array, the sensor's cover, the sensor."""
+    """Return the reflecting parts in words: lens, array, sensor cover, sensor."""
     there = {"array": tables.mla.present, "cover": tables.cover is not None, "sensor": tables.sensor.reflectance > 0.0}
     behind = [name for name, reflects in there.items() if reflects]
     return " and ".join([", ".join(["lens", *behind[:-1]]), *behind[-1:]])
 
 
 def refusal(world: World, points_mm: ArrayLike) -> str | None:
-    """Say why ghosts of field points cannot be followed by sequence through a scene; None if they can.
+    """Return the reason why ghosts of field points cannot be traced by sequence in a scene, or None.
 
     Parameters
     ----------
@@ -233,22 +233,19 @@ def _in_camera(world: World, points_mm: ArrayLike) -> Floats:
 
 
 def exact_of(rays: Rays) -> ExactGhosts | None:
-    """Return `exact_ghosts` of the points and wavelengths of a launch; None where it cannot be had.
-
-    It can be had of rays from field points alone, in a scene that has no `refusal`.
-    """
+    """Return `exact_ghosts` for a launch from field points in a scene without `refusal`, else None."""
     if rays.field is None or refusal(rays.world, rays.field.points_mm) is not None:
         return None
     return exact_ghosts(rays.world, rays.field.points_mm, rays.field.wavelengths_nm)
 
 
 def origin_in_words(rays: Rays, *, is_whole: bool) -> str:
-    """Say how the powers are had, and why not by quadrature where they are not.
+    """Describe the origin of the powers, and the reason if it is not quadrature.
 
     Parameters
     ----------
     rays : Rays
-        Of the launch.
+        Rays of the launch.
     is_whole : bool
         Whether the filter keeps all of them.
     """
@@ -266,7 +263,7 @@ def origin_in_words(rays: Rays, *, is_whole: bool) -> str:
 def _brought(
     world: World, tables: list[Tables], points: list[tuple[Floats, Shadow | None]], path: Itinerary
 ) -> SequencePower:
-    """Return what field points (camera frame), each with what hides it, bring to the sensor along a path."""
+    """Return the power of a path on the sensor from field points (camera frame), each with its obstacles."""
     parts = [_from_point(each, point, path, shade) for each in tables for point, shade in points]
     faces = [label(name) for name in mirror_names(world)]
     words = [
@@ -280,7 +277,7 @@ def _brought(
 
 
 def _from_point(tables: Tables, point: Floats, path: Itinerary, shade: Shadow | None) -> Integral:
-    """Integrate the intensity that arrives on the sensor over the plane before the lens."""
+    """Integrate the intensity on the sensor over the plane before the lens."""
     plane_z, radius = float(tables.lens.box_low[2]), widest_disk(tables.lens, point[None], front=True)
 
     def irradiance(at: Floats) -> Floats:
@@ -296,19 +293,19 @@ def _from_point(tables: Tables, point: Floats, path: Itinerary, shade: Shadow | 
 
 
 def _darkness(arrived: Arrived, beside: NDArray[np.int64]) -> Floats:
-    """Return numbers that tell apart why rays bring no light: what they ended on, on which side, or beside the sensor.
+    """Return numbers that distinguish dark rays by their end: surface and side, or the side of the sensor they miss.
 
-    Light passes between two sides of an aperture or of the sensor, so that a border between two of the numbers may hide
-    a narrow lit region.
+    A narrow lit region may lie between two numbers, where the rays pass from one side of an aperture or of the sensor
+    to the other.
     """
     side = 2 * (arrived.position[:, 0] > 0.0) + (arrived.position[:, 1] > 0.0)
     return np.asarray(14.0 * (1.0 + arrived.way) + np.where(arrived.weight > 0.0, 4 + beside, side))
 
 
 def _side_of_sensor(rays: Arrived, tables: Tables) -> NDArray[np.int64]:
-    """Return on which of the pixels' eight sides rays (camera frame) pass the sensor's plane.
+    """Return the side of the pixels on which rays (camera frame) cross the sensor's plane: one of eight.
 
-    0: on a pixel; 9: they fly away from there.
+    0: on a pixel; 9: they move away from the plane.
     """
     move, sensor = tables.frames[CAMERA_FRAME, SENSOR_FRAME], tables.sensor
     p, d = frames.points(move, rays.position), frames.directions(move, rays.direction)
@@ -320,7 +317,7 @@ def _side_of_sensor(rays: Arrived, tables: Tables) -> NDArray[np.int64]:
 
 
 def _focus_mm(world: World, path: Itinerary, object_mm: float) -> float:
-    """Return the distance behind the last vertex at which the paraxial rays of a path come together."""
+    """Return the distance of a path's paraxial focus behind the last vertex."""
     lens, primary = world.scene.camera.lens, world.scene.primary_nm
     paraxial, numbers = Paraxial.of(lens, primary), world.lens_shape.numbers
     if not path.mirrors:

@@ -1,4 +1,4 @@
-"""Filter expressions: which paths to look at, in one line, the same in Python, on the command line and in the viewer.
+"""Filter expressions: choose paths by a one-line condition, in Python, on the command line and in the viewer.
 
     hits(mla) and not ghost          reflects(lens[2].front) or transmits(L3b)
     status == lost                   last == sensor
@@ -7,30 +7,30 @@
     path == 3                        source != 17
     pixel in (300:340, 300:340)      hits("my target")
 
-`not` binds closer than `and`, `and` closer than `or`; parentheses override. In words:
+`not` binds more tightly than `and`, `and` more than `or`; parentheses override. Terms:
 
 hits, reflects, transmits, scatters (a surface)
-    The path meets it; with that event. A surface is one of a prescription (`lens[2].front`, L3a), all of a part
-    (`lens[2]`, `lens`, `mla`, `targets`), a target by its name, or what ends a path (`sensor`, `stop`, `mount`, ...).
-    A name with spaces or other signs stands in quotes.
+    The path meets the surface, or has that event there. A surface is one of a prescription (`lens[2].front`, L3a), all
+    of a part (`lens[2]`, `lens`, `mla`, `targets`), a target's name, or an end of paths (`sensor`, `stop`, `mount`,
+    ...). Quote names with spaces or other signs.
 ghost
-    At least two reflections by surfaces of lens or array, on a path that reaches the sensor (launched from it: that
-    leaves the lens or meets a target).
+    At least two reflections by surfaces of lens or array, on a path that reaches the sensor (launched from it: leaves
+    the lens or meets a target).
 status, last
     How the path ended, and on what.
 events, reflections
     Interfaces and scatterings met, and reflections by lens or array.
 power
-    What the path ended with, in the rays' unit (W; launched from the sensor m² sr).
+    Power at the path's end, in the rays' unit (W; m² sr if launched from the sensor).
 wavelength
     In nm.
 source
-    Number of the launched ray that the path descends from.
+    Number of the path's launched ray.
 path
-    Its number in the path table: `rays.sequences[number]`.
+    Number in the path table: `rays.sequences[number]`.
 pixel in (rows, columns)
-    The pixel that it ends on, or was launched from. Ranges are Python slices: `300:340` is 300 to 339, `:40` the first
-    40, `300:` the rest, `300` that one. `pixel == (300, 310)` is one pixel.
+    Pixel at the path's end, or its start on the sensor. Ranges are Python slices: `300:340` is 300 to 339, `:40` the
+    first 40, `300:` the rest, `300` only that one. `pixel == (300, 310)` is one pixel.
 
 A blank expression keeps everything. No Python is evaluated.
 """
@@ -82,24 +82,24 @@ STATUSES = {status.name.lower(): status for status in Status if status != Status
 FIELDS = [*NUMBERS, "status", "last", "pixel"]
 
 DEEPEST = 100
-"""Parentheses and negations inside each other."""
+"""Maximum nesting of parentheses and negations."""
 
 NO_PLACE = {
     "start", "emitted", "roulette added", "roulette removed", "sampling added", "sampling removed",
     "reflections not followed", "reached", "lit",
 }  # fmt: skip
-"""Names of the books that no path ends on."""
+"""Ledger entries on which no path ends."""
 
 OF_ARRAY = {CURVED, FLAT, BACK, "mla edge", "mla wall", "mla mask", "mla mount"}
 OF_COVER = {FRONT, REAR}
 
 LONGEST = 20_000
-"""Characters of an expression."""
+"""Maximum number of characters in an expression."""
 
 MOST_DIGITS = 12
-"""Of the number of a row or column."""
+"""Maximum number of digits of a row or column."""
 
-# Quantifiers that give nothing back: else digits without an end would be tried in every division.
+# Possessive quantifiers: otherwise every split of a long digit string would be tried.
 _TOKEN = re.compile(
     r"""\s*(?:
         (?P<number>\d++\.?+\d*+(?:[eE][-+]?\d++)?|\.\d++(?:[eE][-+]?\d++)?)(?![\w.])
@@ -112,18 +112,18 @@ _TOKEN = re.compile(
 
 
 class FilterError(LfmeshError):
-    """A mistake in a filter expression.
+    """Mistake in a filter expression.
 
     Attributes
     ----------
     expression : str
     position : int
-        Where in it, from 0.
+        Position in the expression, from 0.
     reason : str
-        What is wrong, and what would be right, in one sentence.
+        The mistake and its correction, in one sentence.
     """
 
-    # The caret stands below its place only if neither line is shortened.
+    # The caret is at its place only if neither line is shortened.
     longest_line = LONGEST + 4
 
     def __init__(self, expression: str, position: int, reason: str) -> None:
@@ -134,12 +134,12 @@ class FilterError(LfmeshError):
 
 
 def parse(expression: str, rays: Rays) -> Mask:
-    """Return (n,) which of the paths an expression keeps.
+    """Return a mask (n,) of the paths that an expression keeps.
 
     Raises
     ------
     FilterError
-        The expression cannot be read, or names something that the scene has not got.
+        The expression is invalid, or names something that the scene lacks.
     """
     if len(expression) > LONGEST:
         reason = f"an expression of {len(expression)} characters; {LONGEST} are the most, and this is how it begins"
@@ -181,7 +181,7 @@ def _tokens(expression: str) -> list[_Token]:
 
 
 class _Reader:
-    """A parser by recursive descent: a method a rule, each returns the mask of what it has read."""
+    """Recursive-descent parser: one method per rule, each returns the mask of the text read."""
 
     def __init__(self, expression: str, rays: Rays) -> None:
         self.expression, self.rays = expression, rays
@@ -232,7 +232,7 @@ class _Reader:
         return self.pixel() if token.text == "pixel" else self.comparison(token.text)
 
     def met(self, event: Event | None) -> Mask:
-        """Read ``"(" surface ")"``; return which paths meet the surface, with an event or any."""
+        """Read ``"(" surface ")"``; return the mask of paths that meet the surface, with an event or any."""
         self.expect("(")
         there = np.isin(self.rays.surface, self.surfaces())
         self.expect(")")
@@ -241,7 +241,7 @@ class _Reader:
         return self.rays.any_vertex(there & (self.rays.event == event))
 
     def surfaces(self) -> list[int]:
-        """Read the name of a surface or a part; return its numbers."""
+        """Read the name of a surface or part; return its numbers."""
         token = self.next
         if token.kind not in ("name", "text"):
             raise self.mistake(token, "the name of a surface is missing: lens[0].front, mla, stop, sensor, ...")
@@ -300,15 +300,15 @@ class _Reader:
         return ~kept if sign.text == "!=" else kept
 
     def range(self, axis: str, size: int, *, single: bool) -> range:
-        """Read ``[first] ":" [end]`` or one number; it must hold something of the sensor.
+        """Read ``[first] ":" [end]`` or one number; it must include part of the sensor.
 
         Parameters
         ----------
         axis : str
-            Of the sensor, in words.
+            Axis of the sensor, in words.
         size : int, pixels
         single : bool
-            One number is meant.
+            Only one number is allowed.
         """
         token = self.next
         first = None if token.text == ":" else self.whole(axis)
@@ -327,7 +327,7 @@ class _Reader:
         return chosen
 
     def whole(self, axis: str) -> int:
-        """Read a whole number that is not negative."""
+        """Read a non-negative integer."""
         token = self.next
         if not token.text.isdecimal():
             raise self.mistake(token, f"the number of a {axis} is missing, a whole one from 0 on")
@@ -338,12 +338,12 @@ class _Reader:
 
     @cached_property
     def places(self) -> dict[str, list[int]]:
-        """Every name of a surface or part, with its numbers."""
+        """Names of all surfaces and parts, with their numbers."""
         return places(self.rays)
 
     @property
     def next(self) -> _Token:
-        """The token to be read."""
+        """Next token."""
         return self.tokens[self.at]
 
     def skip(self, text: str) -> bool:
@@ -358,7 +358,7 @@ class _Reader:
             raise self.mistake(self.next, f"{text!r} is missing here")
 
     def expect_end(self) -> None:
-        """Make sure that all has been read."""
+        """Check that everything has been read."""
         if self.next.kind != "end":
             raise self.mistake(self.next, f"{self.next.text!r} follows a whole condition; join two with and, or")
 
@@ -370,7 +370,7 @@ class _Reader:
 
     @staticmethod
     def valid(wrong: str, listed: Iterable[str], known: Iterable[str] | None = None) -> str:
-        """Return valid words in place of a wrong one, the nearest first, as the end of a message.
+        """Return the valid words in place of a wrong one, as the end of a message.
 
         Parameters
         ----------
@@ -378,7 +378,7 @@ class _Reader:
         listed : iterable of str
             Words to show.
         known : iterable of str, optional
-            All that are valid, if more than are shown.
+            All valid words, if more than are shown.
         """
         near = difflib.get_close_matches(wrong, list(known or listed), 1, 0.6)
         hint = f"; did you mean {near[0]!r}?" if near else ";"
@@ -386,7 +386,7 @@ class _Reader:
 
 
 def places(rays: Rays) -> dict[str, list[int]]:
-    """Return every name that a filter knows a surface or a part by, with the numbers of its surfaces."""
+    """Return all names of surfaces and parts in a filter, with the numbers of their surfaces."""
     world = rays.world
     known: dict[str, set[int]] = {}
     for number, name in enumerate(rays.surfaces):
@@ -411,7 +411,7 @@ def places(rays: Rays) -> dict[str, list[int]]:
 
 
 def _listed(rays: Rays) -> list[str]:
-    """Return the names of `places` in few words: one element stands for all."""
+    """Return a short list of the names of `places`; one element represents all."""
     elements = len(rays.world.lens_shape.elements)
     told = [f"lens[0] to lens[{elements - 1}] (each with .front and .back, in short L1a, L1b, ...)"]
     known = places(rays)

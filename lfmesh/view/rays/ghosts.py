@@ -1,10 +1,10 @@
-"""Power of ghosts by the pair of surfaces that reflect them.
+"""Ghost power by pair of reflecting surfaces.
 
-Only paths with exactly two reflections by lens or array are counted: with three, for one, light goes back to the scene,
-and the four-reflection ghosts of uncoated glass are some hundred times weaker.
+Only paths with exactly two reflections by lens or array count: with three, for example, light returns to the scene, and
+four-reflection ghosts of uncoated glass are some hundred times weaker.
 
-All pairs can be had by sequence, without noise (see `exact_ghosts`); what meets the curved faces of two lenslets in
-turn is estimated from rays.
+All pairs can be integrated by sequence, without noise (see `exact_ghosts`), but paths that meet the curved faces of two
+lenslets in turn are estimated from rays.
 """
 
 import math
@@ -28,59 +28,59 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GHOST_RAYS, GHOST_CUTOFF = 500, 1e-4
-"""Rays of a launch and their cutoff by which ghosts are well known, where nobody says."""
+"""Default number of rays and cutoff for a launch that resolves ghosts well."""
 
 DECADES = 6
-"""Of power that the colours span below the strongest ghost."""
+"""Decades of power below the strongest ghost in the colour scale."""
 
 LEAST_SHOWN = 1e-3
-"""Percentages below it have no digits of their own; their colour tells them apart."""
+"""Smaller percentages are shown only by their colour."""
 
 PRINTED = 16
-"""Surfaces up to which the cells of the figure hold their numbers."""
+"""Largest number of surfaces with numbers in the cells of the figure."""
 
 
 SIZE_IN, DPI = (10.6, 6.5), 120
-"""It fits on a screen of 1280 x 800."""
+"""Fits a screen of 1280 x 800."""
 
 LETTERS_A_LINE = 130
 
 DARK = "no light of these rays reaches the sensor, so that there is no ghost to draw; look for a target in their way"
-"""Reason that no figure is drawn."""
+"""Reason for a missing figure."""
 
 
 class GhostPair(NamedTuple):
-    """A pair of surfaces that reflect, with what it brings to the sensor."""
+    """Pair of reflecting surfaces, with its power on the sensor."""
 
-    label: str  # as "L3b–L1a", in the order in which light meets them
+    label: str  # such as "L3b–L1a", in order of reflection
     power: float
     error: float  # standard error and the quadrature's together
-    share: float  # of the power on the sensor
-    integrated: float  # share of its own power that is integrated over the pupil
+    share: float  # fraction of the power on the sensor
+    integrated: float  # fraction of its own power that is integrated over the pupil
 
 
 @dataclass(frozen=True)
 class GhostMatrix:
-    """Power at the sensor of two-reflection paths.
+    """Power of two-reflection paths at the sensor.
 
     Attributes
     ----------
     names : list of str
-        The surfaces, in the order from object to sensor: "lens[0].front", ..., "mla.curved", "mla.flat",
-        "cover.front", "cover.rear", "sensor"; those that the camera has.
+        Surfaces of the camera from object to sensor: "lens[0].front", ..., "mla.curved", "mla.flat", "cover.front",
+        "cover.rear", "sensor".
     labels : list of str
-        In short: "L1a", ..., "MLAc", "MLAf", "CVa", "CVb", "sensor".
+        Short names: "L1a", ..., "MLAc", "MLAf", "CVa", "CVb", "sensor".
     power : (k, k) float64
-        By first reflection (row) and second (column), in the order in which light meets them.
+        By first reflection (row) and second (column).
     total : float
-        Power on the sensor of all paths.
+        Power of all paths on the sensor.
     unit : str
     source : str
-        Where the powers come from, in words.
+        Origin of the powers in words.
     error : (k, k) float64
-        Standard error of each power that is estimated from rays; 0 where it is integrated over the pupil.
+        Standard error of each power estimated from rays; 0 where integrated over the pupil.
     integrated, quadrature_error : (k, k) float64
-        What of each power is integrated over the pupil, and the error of that.
+        Part of each power that is integrated over the pupil, and its error.
     """
 
     names: list[str]
@@ -94,12 +94,12 @@ class GhostMatrix:
     quadrature_error: NDArray[np.float64]
 
     def pairs(self) -> list[GhostPair]:
-        """Return the pairs with power, from the strongest to the weakest.
+        """Return the pairs with power, strongest first.
 
         Raises
         ------
         LfmeshError
-            There is no ghost of two reflections.
+            There is no two-reflection ghost.
         """
         share, off = self._share(), np.hypot(self.error, self.quadrature_error)
         order = np.argsort(-self.power, axis=None, kind="stable")
@@ -113,18 +113,18 @@ class GhostMatrix:
         ]  # fmt: skip
 
     def strongest(self, most: int = 10) -> list[tuple[str, str, float]]:
-        """Return the strongest pairs: first and second surface, and the power."""
+        """Return the strongest pairs: first and second surface, and power."""
         order = np.argsort(-self.power, axis=None, kind="stable")[:most]
         pairs = [divmod(int(place), len(self.names)) for place in order]
         return [(self.names[i], self.names[j], float(self.power[i, j])) for i, j in pairs if self.power[i, j] > 0.0]
 
     def figure(self) -> "Figure":
-        """Return the matrix as a matplotlib figure: colours by the logarithm of the share of the sensor's power.
+        """Return the matrix as a matplotlib figure, coloured by the logarithm of the fraction of the sensor's power.
 
         Raises
         ------
         LfmeshError
-            There is no ghost of two reflections among the rays.
+            The rays contain no two-reflection ghost.
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.colors import LogNorm
@@ -141,7 +141,7 @@ class GhostMatrix:
         shown = np.ma.masked_equal(percent, 0.0)
         image = axes.imshow(shown, norm=norm, cmap="viridis", interpolation="nearest", aspect="auto")
         small = min(10.0, 160.0 / count)
-        # Names of surfaces, and of what is in the title, are the user's.
+        # Surface names and the title come from the user.
         own: dict[str, Any] = {"parse_math": False}
         axes.set_xticks(range(count), self.labels, rotation=90 if count > PRINTED else 0, fontsize=small, **own)
         axes.set_yticks(range(count), self.labels, fontsize=small, **own)
@@ -173,12 +173,12 @@ class GhostMatrix:
         return figure
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure as PNG, SVG or PDF, by the file's ending; return the file.
+        """Write the figure as PNG, SVG or PDF, by extension; return the file.
 
         Raises
         ------
         LfmeshError
-            There is no ghost among the rays, or the ending is another.
+            The rays contain no ghost, or the extension is unknown.
         FileError
             The file cannot be written.
         """
@@ -198,13 +198,13 @@ class GhostMatrix:
 
 
 def in_cell(percent: float, error: float) -> str:
-    """Return a share and its standard error in percent, as decimals, for a cell of the figure.
+    """Return a percentage and its standard error, as decimals, for a cell of the figure.
 
     Parameters
     ----------
     percent : float
     error : float
-        0 of a share that has none, which is given to two digits.
+        0 if unknown; the percentage then has two digits.
     """
     if percent < LEAST_SHOWN:
         return f"< {LEAST_SHOWN:g}"
@@ -215,14 +215,14 @@ def in_cell(percent: float, error: float) -> str:
 
 
 def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
-    """Return the power at the sensor by the pair of surfaces that reflect, of paths with exactly two reflections.
+    """Return the power of two-reflection paths at the sensor by pair of reflecting surfaces.
 
     Parameters
     ----------
     rays : Rays
     exact : ExactGhosts, optional
-        Of the same field points: then the pairs that it has, and the image path in the total, are taken from it,
-        and the rays give the other paths alone.
+        Results for the same field points: they replace the rays for the pairs they contain, and for the image path in
+        the total.
     """
     names = mirror_names(rays.world)
     places = {name: place for place, name in enumerate(names)}
@@ -235,7 +235,7 @@ def ghost_matrix(rays: Rays, exact: ExactGhosts | None = None) -> GhostMatrix:
     if rays.from_sensor:
         first, second = second, first
     np.add.at(power, (first, second), pairs.end_power)
-    # Every path counts: rays that bring nothing to a pair are part of its spread.
+    # Every path counts: rays that contribute nothing to a pair are part of its spread.
     cell = np.full(len(rays), power.size)
     cell[chosen] = first * len(names) + second
     error = rays.errors(cell, power.size + 1)[:-1].reshape(power.shape)

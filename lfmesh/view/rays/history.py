@@ -1,7 +1,7 @@
-"""The history of one path: what happened to it at every surface, by the laws of refraction and reflection.
+"""History of one path: the events at every surface, by the laws of refraction and reflection.
 
-Angles, R and T are worked out anew from the vertices and the surfaces' own normals, so they check what the tracer did:
-along a path where no roulette was played the recorded power is the product of the R and T of its events.
+Angles, R and T are recomputed from the vertices and surface normals, which checks the tracer: without roulette, the
+recorded power is the product of the path's R and T.
 """
 
 from dataclasses import dataclass
@@ -32,27 +32,27 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Step:
-    """A vertex of a path.
+    """Vertex of a path.
 
     Attributes
     ----------
     surface : str
-        As in `Rays.surfaces`; `short` is its label.
+        Name in `Rays.surfaces`; `short` is its label.
     event : Event
     position_mm : (3,) float64, world frame
     incidence_deg : float or None
-        Angle between the arriving ray and the surface's normal; None where nothing arrives (the start) or what is met
-        has no surface of its own (an edge, the mount, the border of the scene).
+        Angle between the arriving ray and the surface normal; None at the start, or where there is no surface (an edge,
+        the mount, the border of the scene).
     reflectance, transmittance : float or None
-        Shares of the power; at interfaces only.
+        Fractions of the power; only at interfaces.
     medium : str
-        What the path goes on in, or ended in: "air", "n = 1.67", "SCHOTT/N-BK7".
+        Medium after the vertex, or at the end: "air", "n = 1.67", "SCHOTT/N-BK7".
     index : float
         Its refractive index at the path's wavelength.
     power : float
-        What the path goes on with, or ended with.
+        Power after the vertex, or at the end.
     roulette : float
-        Factor by which roulette raised the power here: 1 where none was played.
+        Factor by which roulette raised the power here (default 1).
     """
 
     surface: str
@@ -69,17 +69,17 @@ class Step:
 
     @property
     def was_raised(self) -> bool:
-        """True if roulette raised the power here, and not rounding."""
+        """True if the power was raised here by roulette rather than rounding."""
         return self.roulette > 1.0 + 1e-6
 
 
 @dataclass(frozen=True)
 class _Interface:
-    """Interface at a vertex: its unit normal there (of either sense), and its row of an interface table.
+    """Interface at a vertex: its unit normal (of either sense), and its row of an interface table.
 
-    The normal is None where a facet stands for a surface without a formula; then the path itself tells it. The table is
-    None where nothing is divided, as on the sensor. A body of glass has rows for the media round it, and `body` is its
-    number among the targets.
+    The normal is None where a facet represents a surface without formula; then it follows from the path. The table is
+    None where light does not split, as on the sensor. A glass body has one row for each surrounding medium; `body` is
+    its number among the targets.
     """
 
     normal: Vector | None
@@ -89,18 +89,18 @@ class _Interface:
 
 
 def history(rays: Rays, path: int) -> list[Step]:
-    """Return what happened to a path, from its start to its end.
+    """Return the steps of a path from start to end.
 
     Parameters
     ----------
     rays : Rays
     path : int
-        Its place among the rays, 0 to len(rays) − 1.
+        Index among the rays, 0 to len(rays) − 1.
 
     Raises
     ------
     LfmeshError
-        There is no such path.
+        The path does not exist.
     """
     if not 0 <= path < len(rays):
         raise LfmeshError(f"path {path}: the rays have paths 0 to {len(rays) - 1}")
@@ -136,7 +136,7 @@ def history(rays: Rays, path: int) -> list[Step]:
 
 
 def lines(steps: list[Step], unit: str) -> list[str]:
-    """Return a history for a terminal of 80 columns, a line a step; the column before the medium is the roulette's."""
+    """Return a history for an 80-column terminal, one line per step; the roulette factor precedes the medium."""
     lines = [f"{'surface':<17}{'event':<9}{'angle':>7}{'R':>7}{'T':>7}{f'power/{unit}':>12}{'':7} medium"]
     for step in steps:
         angle = "" if step.incidence_deg is None else f"{step.incidence_deg:.2f}\N{DEGREE SIGN}"
@@ -151,19 +151,19 @@ def lines(steps: list[Step], unit: str) -> list[str]:
 
 
 def _direction(rays: Rays, vertex: int) -> Vector | None:
-    """Return the direction in which a path goes on from a vertex; None where the next one lies in the same place."""
+    """Return the direction of a path after a vertex; None if the next vertex coincides."""
     step = rays.position[vertex + 1] - rays.position[vertex]
     length = float(np.linalg.norm(step))
     return step / length if length > 0.0 else None
 
 
 def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: float) -> float | None:
-    """Return the cosine of incidence at a vertex; None where too little is known."""
+    """Return the cosine of incidence at a vertex; None if indeterminate."""
     arriving = _direction(rays, vertex - 1)
     if arriving is None:
         return None
     if normal is None:
-        # Snell's law keeps the part of n d along the surface, so what changes is along the normal.
+        # Snell's law preserves the tangential part of n d, so the change is along the normal.
         leaving = _direction(rays, vertex)
         if leaving is None:
             return None
@@ -176,7 +176,7 @@ def _cosine(rays: Rays, vertex: int, normal: Vector | None, n_i: float, n_t: flo
 
 
 def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interface | None:
-    """Return what a path met at a vertex; None where that has no normal of its own."""
+    """Return the interface at a vertex; None if it has no normal of its own."""
     world, name = rays.world, rays.surfaces[rays.surface[vertex]]
     shape, mla = world.lens_shape, world.scene.camera.mla
     k = int(rays.surface[vertex]) - 1
@@ -200,7 +200,7 @@ def _interface(rays: Rays, vertex: int, interfaces: InterfaceTables) -> _Interfa
 
 
 def _row_of_body(rays: Rays, body: int, medium: Medium, other: Medium) -> int:
-    """Return the row of the interface of a body of glass between two media, one of them its own."""
+    """Return the interface row of a glass body between two media, one of them its own."""
     known, glass = rays.world.media, rays.world.scene.targets[body].refractor
     own = glass.medium if glass is not None else None
     return body_row(body, known.media.index(other if medium == own else medium), len(known.media))
@@ -233,6 +233,6 @@ def _of_array(rays: Rays, vertex: int, name: str) -> Vector:
 
 
 def _medium_beyond(rays: Rays, vertex: int, in_objects: bool) -> Medium:
-    """Return the medium on the far side of an interface, or round a start; targets emit into what they stand in."""
+    """Return the medium beyond an interface or around a start; targets emit into the surrounding medium."""
     known, number = rays.world.media, max(int(rays.beyond[vertex]), AIR)
     return known.media[known.before_lens if in_objects and number == AIR else number]

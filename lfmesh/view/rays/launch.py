@@ -1,6 +1,6 @@
-"""Launching rays to look at: from a field point, a light, pixels, or as a run does, with every vertex kept.
+"""Launch of rays from a field point, a light or pixels, or as in a run, with every vertex recorded.
 
-The kernels are those of a render, so the paths are its paths. With the light they carry W; from the sensor m² sr.
+The kernels, and so the paths, are a render's. Rays launched with the light carry W, from the sensor m² sr.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ from lfmesh.view.rays.recording import from_point, traced
 Floats = NDArray[np.float64]
 
 Colours = Sequence[tuple[int, float]]
-"""Number (among the scene's; 0 for one that is not) and length in nm of the wavelengths that share the rays."""
+"""Number (in the scene; 0 if foreign) and length in nm of the wavelengths that share the rays."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Number of rays, their wavelengths, and the settings by which they are followed."""
+    """Number of rays, wavelengths, and tracing settings."""
 
     count: int
     colours: Colours
@@ -44,21 +44,21 @@ class Settings:
     seed: int
 
     def rays_of(self, place: int) -> int:
-        """Return how many rays the wavelength at a place of `colours` has."""
+        """Return the number of rays at a wavelength, by its index in `colours`."""
         return len(range(place, self.count, len(self.colours)))
 
 
 MOST_RAYS = 1_000_000
-"""Of a launch: each keeps two vertices or more, and more of them are not kept."""
+"""Most rays of a launch; each stores at least two vertices."""
 
 INTENSITY_W_SR = 1.0
 """Radiant intensity of a field point."""
 
 _KEY = 0x6669656C64
-"""Of the roulette that rays from field points play."""
+"""Key of the roulette for rays from field points."""
 
 PLASTIC = 1.32471795724474602596
-"""Root of x³ = x + 1: its inverse powers make a sequence of points that covers a square evenly (Roberts 2018)."""
+"""Root of x³ = x + 1: powers of its inverse generate points that cover a square evenly (Roberts 2018)."""
 
 
 def from_field_point(
@@ -74,8 +74,8 @@ def from_field_point(
 ) -> Rays:
     """Launch rays from a point of object space into the lens.
 
-    The point shines with 1 W/sr at each wavelength; a ray carries that times the solid angle that it stands for. Points
-    of the entrance pupil are covered evenly. A target that holds the point does not hide the lens from it.
+    The point emits 1 W/sr at each wavelength; each ray carries its share of solid angle. The rays cover the entrance
+    pupil evenly. A target that contains the point does not block them.
 
     Parameters
     ----------
@@ -83,24 +83,24 @@ def from_field_point(
     position_mm : (3,) float, mm, world frame
         In front of the lens.
     count : int
-        Rays in all.
+        Total number of rays.
     wavelength_nm : float, optional
-        Else the scene's wavelengths share the rays.
+        Default: the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
-        reflections are followed one by one; there are hundreds of them a ray.
+        Fraction of a ray's power below which rays end at random (default: the scene's). 1e-4 resolves two-reflection
+        ghosts, with hundreds of paths per ray.
     seed : int
-        Shifts the points of the pupil, and plays the roulette.
+        Shifts the points of the pupil, and sets the roulette.
     aim : {"pupil", "lens"}
-        At the entrance pupil as the point sees it, by real rays and with a margin of 2 %; or at all of the lens, for
-        ghosts that come from beside the pupil. A point that sees no opening is aimed at the lens.
+        Aim at the entrance pupil as seen from the point (by real rays, with a margin of 2 %), or at the whole lens for
+        ghosts from outside the pupil. A point that sees no opening is aimed at the lens.
 
     Raises
     ------
     LfmeshError
-        A point that is none or not in front of the lens, a count below 1, a setting out of its range, or more paths
-        than can be kept (as for all launches).
+        The point is invalid or not in front of the lens, the count is below 1, a setting is out of range, or there are
+        too many paths to store (as for all launches).
     """
     settings = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     if aim not in ("pupil", "lens"):
@@ -134,29 +134,28 @@ def from_pixel(
     weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
-    """Launch rays from a pixel of the sensor against the light; targets end them.
+    """Launch rays backwards from a pixel of the sensor; targets end them.
 
-    They are those that an adjoint run with this seed starts at the pixel: most at the lenslets that show it the lens's
-    opening, some anywhere, for stray light. Each carries its share of the pixel's étendue, in m² sr.
+    They are the rays that an adjoint run with this seed starts at the pixel: most aim at the lenslets through which it
+    sees the lens opening, some anywhere, for stray light. Each carries its share of the pixel's étendue, in m² sr.
 
     Parameters
     ----------
     world : World
     row, column : int
     count : int
-        Rays in all.
+        Total number of rays.
     wavelength_nm : float, optional
-        Else the scene's wavelengths share the rays.
+        Default: the scene's wavelengths share the rays.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
-        reflections are followed one by one; there are hundreds of them a ray.
+        See `from_field_point`.
     seed : int
 
     Raises
     ------
     LfmeshError
-        No such pixel, a count below 1, or a setting out of its range.
+        The pixel does not exist, the count is below 1, or a setting is out of range.
     """
     return from_pixels(
         world, range(row, row + 1), range(column, column + 1), count,
@@ -175,28 +174,28 @@ def from_pixels(
     weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
-    """Launch rays from a box of pixels as `from_pixel` does, as many from each; the power stands for the whole box.
+    """Launch rays from a box of pixels like `from_pixel`, equally many from each, with the power of the whole box.
 
-    With fewer rays than pixels, as many pixels are drawn by chance. Else every pixel has the same number of rays, so
-    that there may be a few more or less than asked for.
+    With fewer rays than pixels, pixels are drawn at random. Otherwise every pixel has the same number of rays, so the
+    total may differ slightly from `count`.
 
     Parameters
     ----------
     world : World
     rows, columns : range
     count : int
-        Rays in all.
+        Total number of rays.
     wavelength_nm : float, optional, nm
-        Those of the scene if left out.
+        Default: the scene's wavelengths.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        As the scene has it if left out.
+        See `from_field_point`.
     seed : int
 
     Raises
     ------
     LfmeshError
-        Pixels outside the sensor, a count below 1, or a setting out of its range.
+        Pixels are outside the sensor, the count is below 1, or a setting is out of range.
     """
     settings = _settings(world, count, _wavelengths(world, wavelength_nm), split, weight_cutoff, seed)
     sensor = world.tables.sensor
@@ -217,29 +216,29 @@ def from_light(
     weight_cutoff: float | None = None,
     seed: int = 0,
 ) -> Rays:
-    """Launch packets from one light alone as a forward run does: to the targets, and scattered on into the lens.
+    """Launch packets from a single light as in a forward run: to the targets, and scattered on into the lens.
 
-    Together they carry the light's power at each wavelength; what does not go towards the targets is left out.
+    Together they carry the light's power at each wavelength, except for light not directed at targets.
 
     Parameters
     ----------
     world : World
     number : int
-        Of `lights[number]`.
+        Index in `lights`.
     count : int
-        Packets in all.
+        Total number of packets.
     wavelength_nm : float, optional
-        One of the scene's; else those share the packets.
+        One of the scene's, which share the packets by default.
     split : {"both", "roulette", "transmit"}
     weight_cutoff : float, optional
-        Share of a ray's power below which rays are ended at random, in place of the scene's. With 1e-4 ghosts of two
-        reflections are followed one by one; there are hundreds of them a ray.
+        See `from_field_point`.
     seed : int
 
     Raises
     ------
     LfmeshError
-        No such light or wavelength, a scene without targets, a count below 1, or a setting out of its range.
+        The light or wavelength does not exist, the scene has no targets, the count is below 1, or a setting is out of
+        range.
     """
     colours = _wavelengths(world, wavelength_nm, any_other=False)
     settings = _settings(world, count, colours, split, weight_cutoff, seed)
@@ -265,26 +264,26 @@ def as_in_run(
     weight_cutoff: float | None = None,
     seed: int | None = None,
 ) -> Rays:
-    """Launch the rays with which a run starts: the same kernels, the same numbers.
+    """Launch the first rays of a run: the same kernels and random numbers.
 
-    By the scene's `transport.method`. Forward, they are the first packets of the run and share its power; all of them
-    put on the sensor what its ledger says. Adjoint, they are first samples of pixels all over the sensor; targets end
-    them, since what is gathered there is no path of a packet.
+    The scene's `transport.method` applies. Forward, they are the first packets of the run and share its power; all
+    packets together reproduce the ledger's sensor power. Adjoint, they are first samples of pixels all over the sensor
+    and end at targets, as light gathered there is not a packet's path.
 
     Parameters
     ----------
     world : World
     count : int, optional
-        Rays in all; a forward run's are not more than it has, and all of them if left out.
+        Total number of rays; in a forward run at most, and by default, all of them.
     wavelength_nm : float, optional
-        One of the scene's; else those share the rays.
+        One of the scene's, which share the rays by default.
     split, weight_cutoff, seed : optional
-        In place of the scene's.
+        Default: the scene's.
 
     Raises
     ------
     LfmeshError
-        Nothing shines in a scene of the forward method, a count below 1, or a setting out of its range.
+        Nothing emits in a scene of the forward method, the count is below 1, or a setting is out of range.
     """
     transport = world.scene.transport
     split = transport.split if split is None else split
@@ -311,7 +310,7 @@ def _from_pixels(world: World, rows: range, columns: range, settings: Settings) 
     parts = []
     for place, (colour, wavelength) in enumerate(settings.colours):
         rays = settings.rays_of(place)
-        # Unshuffled, a few of many millions are drawn without listing them all.
+        # Without shuffling, a few of many millions are drawn without listing all.
         row, column = np.divmod(
             np.sort(generator.choice(box, min(rays, box), replace=False, shuffle=False)), len(columns)
         )
@@ -319,7 +318,7 @@ def _from_pixels(world: World, rows: range, columns: range, settings: Settings) 
         starts = PixelSource(pixels, max(1, round(rays / box)), descendant(run_key(settings.seed), 0, colour))
         tables = at_wavelength(world, wavelength)._replace(aim=world.aim)
         ended, nodes = traced(world, tables, options, starts, place)
-        # Of pixels drawn by chance, each stands for several.
+        # Each randomly drawn pixel represents several.
         for table in (ended, nodes):
             table["weight"] *= box / max(len(pixels), 1)
         parts.append((ended, nodes))
@@ -358,14 +357,14 @@ def _assembled(
 
 
 def _square(number: NDArray[np.int64], seed: int) -> tuple[Floats, Floats]:
-    """Return points of a sequence that covers the unit square evenly, moved by a seed's shift."""
+    """Return points that cover the unit square evenly, shifted by the seed."""
     shift = np.random.default_rng(seed).random(2)
     u, v = (np.mod(s + (number + 0.5) / PLASTIC**power, 1.0) for power, s in zip((1, 2), shift, strict=True))
     return u, v
 
 
 def _disk_seen(world: World, point: Floats, aim: str) -> tuple[float, float, float, float]:
-    """Return the disk that rays from a point (camera frame) are aimed at: middle x, y, z and radius."""
+    """Return the target disk for rays from a point (camera frame): centre x, y, z and radius."""
     lens = world.tables.lens
     wide = widest_disk(lens, point[None], front=True)
     opening = opening_seen(world.facts, lens, point[None], wide, bool(world.lens_shape.analytic.all()), front=True)
@@ -396,7 +395,7 @@ def _point_before_lens(world: World, position_mm: ArrayLike) -> Floats:
 
 
 def wavelengths_of(world: World) -> Colours:
-    """Return the wavelengths of a scene with their columns in its tables; of a band that nearest to its centroid."""
+    """Return the scene's wavelengths with their table columns; for a band, the wavelength nearest its centroid."""
     lines = world.lines
     if not lines.in_bands:
         return list(enumerate(lines.wavelengths_nm))
@@ -405,7 +404,7 @@ def wavelengths_of(world: World) -> Colours:
 
 
 def _wavelengths(world: World, wavelength_nm: float | None, *, any_other: bool = True) -> Colours:
-    """Return the wavelengths that rays are launched at; `any_other`: one that is not the scene's will do."""
+    """Return the wavelengths for a launch; with `any_other`, a wavelength outside the scene is allowed."""
     known = wavelengths_of(world)
     if wavelength_nm is None:
         return known

@@ -1,4 +1,4 @@
-"""Launch of rays by a line of words, such as "field 0,0,-500"."""
+"""Launch of rays from a line of text, such as "field 0,0,-500"."""
 
 import difflib
 import re
@@ -16,7 +16,7 @@ FORMS = {
     "light": "light number       one of the scene's lights alone",
     "run": "run                as the scene's transport.method launches them",
 }
-"""Words that `launch` understands, one line each."""
+"""Forms that `launch` accepts, one line each."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
@@ -39,7 +39,7 @@ def launch(
     weight_cutoff: float | None = None,
     seed: int | None = None,
 ) -> Rays:
-    """Launch rays as a line of words says: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
+    """Launch rays from a line of text: "field 0,0,-500", "pixel 320,310", "light 0", "run"; see `FORMS`.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def launch(
     spec : str
     count : int
     wavelength_nm, split, weight_cutoff, seed : optional
-        As for the function of that name; left out, as a run of the scene has them.
+        As for the corresponding function (default: as in a run of the scene).
 
     Raises
     ------
     LfmeshError
-        Words that are none of the forms, and whatever the function raises.
+        The text has none of the forms, or as for the function.
     """
     kind, numbers = _read_spec(spec)
     transport = world.scene.transport
@@ -72,7 +72,7 @@ def launch(
 
 
 def _read_spec(spec: str) -> tuple[str, list[str]]:
-    """Return the kind of a launch and its numbers."""
+    """Return the kind and numbers of a launch."""
     kind, _, rest = spec.strip().partition(" ")
     forms = "\n  ".join(FORMS.values())
     if kind not in FORMS:

@@ -1,13 +1,13 @@
-"""Names of a camera's surfaces as lens designers give them, and the short labels of a prescription.
+"""Designers' names for the surfaces of a camera, and short labels.
 
-| name              | label | what it is                                                                    |
+| name              | label | meaning                                                                       |
 |-------------------|-------|-------------------------------------------------------------------------------|
 | `lens[0].front`   | L1a   | first surface of the first piece of glass, as in `world.mesh("lens[0]")`      |
-| `lens[0].back`    | L1b   | its second; where two are cemented, the one surface is the back of the first  |
-| `surface[3]`      | S3    | surface 3 of the prescription, where it bounds no glass                       |
-| `mla.curved`      | MLAc  | the lenslets' faces                                                           |
-| `mla.flat`        | MLAf  | the other side of the array                                                   |
-| `mla.back`        | MLAb  | the same where it has lenslets too                                            |
+| `lens[0].back`    | L1b   | its second; a cemented surface is the back of the first piece                 |
+| `surface[3]`      | S3    | surface 3 of the prescription if it bounds no glass                           |
+| `mla.curved`      | MLAc  | faces of the lenslets                                                         |
+| `mla.flat`        | MLAf  | other side of the array                                                       |
+| `mla.back`        | MLAb  | the same with lenslets                                                        |
 | `cover.front`     | CVa   | face of the sensor's cover glass towards the lens                             |
 | `cover.rear`      | CVb   | its face towards the pixels                                                   |
 
@@ -47,14 +47,14 @@ def lens_names(world: World) -> list[str]:
     names = [f"surface[{number}]" for number in shape.numbers]
     for element, k in reversed(list(enumerate(shape.elements))):
         names[k], names[k + 1] = f"lens[{element}].front", f"lens[{element}].back"
-    # Of cemented elements the earlier one has the say.
+    # A cemented surface belongs to the earlier element.
     for element, k in enumerate(shape.elements):
         names[k + 1] = f"lens[{element}].back"
     return names
 
 
 def aliases(world: World) -> dict[str, str]:
-    """Return the other names that a surface may be called by, with the one it has: labels, cemented fronts, numbers."""
+    """Return the alternative names of surfaces, with their main names: labels, cemented fronts, numbers."""
     shape, names = world.lens_shape, lens_names(world)
     other = {label(name): name for name in [*names, *_BEHIND_LENS.values()]}
     for element, k in enumerate(shape.elements):
@@ -71,12 +71,12 @@ def target_names(world: World) -> list[str]:
 
 
 def surface_names(world: World) -> list[str]:
-    """Return everything that a vertex can lie on, in the order in which `Rays.surface` counts."""
+    """Return the names of all surfaces of vertices, in the order of `Rays.surface`."""
     return [START, *lens_names(world), *_BEHIND_LENS.values(), *target_names(world), *world.slots]
 
 
 def mirror_names(world: World) -> list[str]:
-    """Return the names of everything in the camera that may reflect light, in order from the object to the sensor."""
+    """Return the names of all potentially reflecting surfaces of the camera, from object to sensor."""
     tables, names = world.tables, lens_names(world)
     if tables.mla.present:
         other = FLAT if tables.mla.back is None else BACK
@@ -87,7 +87,7 @@ def mirror_names(world: World) -> list[str]:
 
 
 def curved_to_lens(world: World) -> bool:
-    """Tell whether the curved face that `camera.mla` describes looks at the lens."""
+    """Tell whether the curved face described by `camera.mla` is towards the lens."""
     mla = world.scene.camera.mla
     return mla is not None and mla.curved_side == "lens"
 
@@ -117,7 +117,7 @@ def surface_numbers(world: World, surface: NDArray[np.int64], part: NDArray[np.i
 
 @functools.cache
 def label(name: str) -> str:
-    """Return the short label of a surface; any other name is its own."""
+    """Return the short label of a surface; other names stay unchanged."""
     if found := re.fullmatch(r"lens\[(\d+)\]\.(front|back)", name):
         return f"L{int(found[1]) + 1}{'a' if found[2] == 'front' else 'b'}"
     if found := re.fullmatch(r"surface\[(\d+)\]", name):

@@ -1,4 +1,4 @@
-"""The path table: every distinct sequence of surfaces and events, and what it brings to the sensor."""
+"""Path table: every distinct sequence of surfaces and events, with its power on the sensor."""
 
 import csv
 import difflib
@@ -23,10 +23,10 @@ from lfmesh.view.rays.names import label
 from lfmesh.view.rays.paths import WATT, Rays
 
 NAMED = 4
-"""Reflections that the short form of a sequence names."""
+"""Maximum number of reflections in a sequence's short form."""
 
 ROWS = 20
-"""Rows that are printed if nothing else is said."""
+"""Default number of printed rows."""
 
 DASH = "\N{EN DASH}"
 
@@ -38,25 +38,25 @@ class PathRow:
     Attributes
     ----------
     path : int
-        Its number: `rays.sequence` of its paths, and what the filter `path == ...` asks for.
+        Its number: `rays.sequence` of its paths, as in the filter `path == ...`.
     short : str
-        In few words: "image path", "ghost L3b–L1a"; the reflections are named in the order in which light meets them.
+        Short form: "image path", "ghost L3b–L1a", with reflections in order.
     sequence : str
         Every surface and event: "L1a T, L1b T, L2a R, ..., sensor".
     events, reflections : int
         Interfaces and scatterings; reflections by lens or array.
     count : int
-        Paths.
+        Number of paths.
     power : float
-        What they bring to the sensor, in the table's unit; 0 for a sequence that ends elsewhere.
+        Power on the sensor in the table's unit; 0 if the sequence ends elsewhere.
     share : float
-        Of the power that all launched paths bring to the sensor.
+        Fraction of the sensor power of all launched paths.
     irradiance : float
-        The largest that the sequence makes on a pixel, in the unit of power per mm². With few paths a pixel it is
-        that of single paths, and too large.
+        Largest irradiance on a pixel, in the unit of power per mm². With few paths per pixel, single paths make it too
+        large.
     error : float
-        Of the power, in the table's unit: the standard error, see `Rays.errors`, or how far it may be off where it is
-        integrated over the pupil.
+        Error of the power in the table's unit: the standard error, see `Rays.errors`, or the quadrature's if integrated
+        over the pupil.
     exact : bool
         Whether it is integrated over the pupil.
     """
@@ -79,20 +79,20 @@ COLUMNS = tuple(field.name for field in fields(PathRow))
 
 @dataclass(frozen=True)
 class PathTable(Sequence[PathRow]):
-    """Rows of a path table, and the rays that they are about.
+    """Rows of a path table, and the rays behind them.
 
     Attributes
     ----------
     rows : list of PathRow
     rays : Rays
     total : float
-        Power on the sensor that the shares refer to.
+        Reference power on the sensor for the shares.
     loss : str or None
-        What the tracer lost of all launched paths, in words, where that is more than rounding.
+        Tracing losses of all launched paths in words, if above rounding.
     exact : ExactGhosts or None
-        Powers that are integrated over the pupil.
+        Powers integrated over the pupil.
     launched : (sequences,) int64, or None
-        Number of launched paths of each sequence; where a filter leaves some of them out, the rest is an estimate.
+        Number of launched paths of each sequence; if a filter drops some, the power is an estimate from the others.
     """
 
     rows: list[PathRow]
@@ -113,11 +113,11 @@ class PathTable(Sequence[PathRow]):
 
     @property
     def power(self) -> float:
-        """Power on the sensor of all rows."""
+        """Power of all rows on the sensor."""
         return sum(row.power for row in self.rows)
 
     def sorted(self, by: str, *, descending: bool | None = None) -> "PathTable":
-        """Return the table sorted by a column; numbers from large to small, words and the path's number from a to z.
+        """Return the table sorted by a column: numbers in descending, words and path numbers in ascending order.
 
         Raises
         ------
@@ -134,23 +134,23 @@ class PathTable(Sequence[PathRow]):
         return replace(self, rows=rows)
 
     def filtered(self, chosen: str | NDArray[np.bool_]) -> "PathTable":
-        """Return the table of some of the paths; shares still refer to all of them, numbers stay.
+        """Return the table for some of the paths, with the original path numbers and reference power.
 
         Parameters
         ----------
         chosen : str or (n,) bool
-            A filter expression, see `lfmesh.view.rays.filters`, or which paths.
+            Filter expression, see `lfmesh.view.rays.filters`, or a mask of paths.
 
         Raises
         ------
         FilterError
-            The expression cannot be read.
+            The expression is invalid.
         """
         mask = parse(chosen, self.rays) if isinstance(chosen, str) else chosen
         return _table(self.rays.keep(mask), self.total, self.loss, self.exact, self.launched)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write `csv_text`; return the file. It is written whole or not at all.
+        """Write `csv_text` to a file, completely or not at all; return the file.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class PathTable(Sequence[PathRow]):
         return Path(path)
 
     def csv_text(self) -> str:
-        """Return the table as CSV, with every digit and whole sequences."""
+        """Return the table as CSV, with all digits and full sequences."""
         unit = "w" if self.rays.unit == WATT else "m2_sr"
         titles = {
             "power": f"power_{unit}", "irradiance": f"largest_irradiance_{unit}_mm2", "error": f"power_error_{unit}",
@@ -173,7 +173,7 @@ class PathTable(Sequence[PathRow]):
         return text.getvalue()
 
     def lines(self, most: int = ROWS, width: int = 80) -> list[str]:
-        """Return the first rows for a terminal, a line each, with sequences in their short form."""
+        """Return the first rows for a terminal, one line each, with short sequences."""
         unit = self.rays.unit
         head = f"{'path':>5}{'count':>8}{f'power/{unit}':>13}{'±':>7}{'share':>8}{'max per mm²':>13}  "
         lines = [head + "sequence"]
@@ -195,13 +195,13 @@ class PathTable(Sequence[PathRow]):
 
 
 def path_table(rays: Rays, exact: ExactGhosts | None = None) -> PathTable:
-    """Return the path table of some rays, in the order of the paths' numbers: what brings most comes first.
+    """Return the path table of some rays, in the order of path numbers: largest power first.
 
     Parameters
     ----------
     rays : Rays
     exact : ExactGhosts, optional
-        Of the same field points: the sequences that it has get their powers from it.
+        Powers from the same field points; they replace the rays' for the sequences they contain.
     """
     total = float(rays.end_power[rays.arrives].sum())
     if exact is not None:
@@ -211,7 +211,7 @@ def path_table(rays: Rays, exact: ExactGhosts | None = None) -> PathTable:
 
 
 def _loss(rays: Rays) -> str | None:
-    """Say what the tracer lost of the power that the paths ended with, and in which bodies."""
+    """Return the tracer's power losses and the bodies concerned, in words."""
     lost = rays.status == Status.LOST
     power = np.bincount(rays.end[lost], rays.end_power[lost], len(rays.surfaces))
     lost_in = {rays.surfaces[i].removeprefix(LOST_PREFIX): float(power[i]) for i in np.flatnonzero(power)}
@@ -248,7 +248,7 @@ def _table(
 def _largest_irradiance(
     rays: Rays, place: NDArray[np.int64], arriving: NDArray[np.float64], rows: int
 ) -> NDArray[np.float64]:
-    """Return (rows,) the largest power of a row on one pixel, over the pixel's area in mm²."""
+    """Return each row's largest power on one pixel (rows,), over the pixel's area in mm²."""
     sensor = rays.world.tables.sensor
     pixel = rays.pixel[:, 0] * sensor.columns + rays.pixel[:, 1]
     bins, of_path = np.unique(place * sensor.rows * sensor.columns + pixel, return_inverse=True)
@@ -259,7 +259,7 @@ def _largest_irradiance(
 
 
 def short_form(rays: Rays, path: int) -> str:
-    """Return the sequence of a path in few words: its kind, and its reflections in the order that light meets them."""
+    """Return a path's sequence in short form: its kind, and its reflections in the order of the light."""
     part = slice(rays.offsets[path], rays.offsets[path + 1])
     surface, event, mirrored = rays.surface[part], rays.event[part], rays.reflected[part]
     names = [label(rays.surfaces[number]) for number in surface]
@@ -278,7 +278,7 @@ def short_form(rays: Rays, path: int) -> str:
 
 
 def relative_error(row: PathRow) -> str:
-    """Return a row's standard error in percent of its power; nothing where it is integrated or there is no power."""
+    """Return a row's standard error in percent of its power; empty if integrated or without power."""
     if row.exact or row.power <= 0.0 or not math.isfinite(row.error):
         return ""
     percent = 100.0 * row.error / row.power
@@ -286,7 +286,7 @@ def relative_error(row: PathRow) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share in percent, in seven characters at most."""
+    """Format a fraction as percent, in at most seven characters."""
     percent = 100.0 * share
     if percent == 0.0 or percent >= 0.01:
         return f"{percent:.2f} %" if percent < 99.995 else "100 %"

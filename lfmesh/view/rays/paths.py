@@ -1,7 +1,7 @@
-"""Every path of a set of launched rays, vertex by vertex, as flat arrays: what tables, filters and pictures work on.
+"""Paths of launched rays, vertex by vertex, as flat arrays for tables, filters and pictures.
 
-A recorded trace is a tree of vertices that know their parents; here every path is laid out from its start to its end.
-Both children of a split share their first vertices, so those stand in several paths.
+A recorded trace is a tree of vertices with parents; here each path is laid out from start to end. The children of a
+split share their first vertices, which are repeated in each path.
 """
 
 from collections.abc import Container
@@ -26,24 +26,24 @@ Floats = NDArray[np.float64]
 WATT, ETENDUE = "W", "m² sr"
 
 LETTER = {Event.TRANSMITTED: "T", Event.REFLECTED: "R", Event.SCATTERED: "S"}
-"""Letters of a sequence for the events at a surface; an end has its name alone."""
+"""Letters for the events in a sequence; an end has only its name."""
 
 OF_VERTICES = ("position", "surface", "event", "power", "lenslet", "beyond")
 OF_PATHS = ("status", "source", "pixel", "wavelength_nm", "sequence")
-"""Arrays of `Rays` with a row for each vertex, and for each path."""
+"""Arrays of `Rays` with one row per vertex, and per path."""
 
 
 def standard_errors(power: Floats, source: Ints, group: Ints, groups: int) -> Floats:
-    """Return the standard errors of sums over independent rays, (groups,); infinite with fewer than two rays.
+    """Return the standard errors of sums over independent rays, (groups,); infinite for fewer than two rays.
 
     Parameters
     ----------
     power : (n,) float64
-        Of each path, a share of its ray's.
+        Power of each path, part of its ray's.
     source : (n,) int64
-        The ray of each path; the largest number is that of the last ray.
+        Ray of each path; the largest number is that of the last ray.
     group : (n,) int64
-        The sum that each path belongs to.
+        Sum to which each path contributes.
     groups : int
     """
     launched = int(source.max(initial=-1)) + 1
@@ -58,13 +58,13 @@ def standard_errors(power: Floats, source: Ints, group: Ints, groups: int) -> Fl
 
 
 class FieldPoints(NamedTuple):
-    """Field points that rays were launched from, where all of them were.
+    """Field points of rays launched only from field points.
 
     Attributes
     ----------
     points_mm : tuple of (x, y, z), mm, world frame
     wavelengths_nm : tuple of float
-        Of each of them.
+        Wavelengths of each point.
     """
 
     points_mm: tuple[tuple[float, float, float], ...]
@@ -73,7 +73,7 @@ class FieldPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class Rays:
-    """Every path of a set of launched rays. Path i owns the vertices offsets[i]:offsets[i + 1].
+    """Paths of launched rays. Path i owns the vertices offsets[i]:offsets[i + 1].
 
     Attributes
     ----------
@@ -83,31 +83,31 @@ class Rays:
     event : (m,) int64
         `lfmesh.transport.packets.packet.Event`.
     power : (m,) float64
-        What the packet went on with; at the last vertex what it ended with. In `unit`.
+        Power of the packet after the vertex; at the last vertex, its final power. In `unit`.
     offsets : (n + 1,) int64
     status : (n,) int64
-        `lfmesh.Status`: how each ended.
+        `lfmesh.Status` at the end.
     source : (n,) int64
-        Launched ray that it descends from, counting those that left any path.
+        Number of the launched ray, counting only rays with paths.
     pixel : (n, 2) int64
-        Row and column of the sensor pixel that it ends on, or started from; −1, −1: none.
+        Row and column of the sensor pixel at its end or start; −1, −1: none.
     wavelength_nm : (n,) float64
     sequence : (n,) int64
         Index into `sequences`.
     surfaces : list of str
-        What a designer calls them, see `lfmesh.view.rays.names`.
+        Designers' names, see `lfmesh.view.rays.names`.
     sequences : list of str
-        Every distinct sequence of surface and event, once: "L1a T, L1b T, ..., sensor". Those that arrive come first,
-        the one with the most power before all others.
+        Distinct sequences of surfaces and events: "L1a T, L1b T, ..., sensor". Arriving sequences come first, in
+        descending order of power.
     unit : str
-        "W"; of rays launched from pixels "m² sr", the importance that adjoint packets carry: W per unit radiance.
+        "W"; for rays launched from pixels "m² sr", the importance carried by adjoint packets: W per unit radiance.
     world : World
     lenslet : (m,) int64
-        On the curved faces the lenslet, row by row; −1 elsewhere.
+        Lenslet on the curved faces, row by row; −1 elsewhere.
     beyond : (m,) int64
-        Number in `world.media` of what is on the far side of an interface, and round a start; −1 elsewhere.
+        Number in `world.media` of the medium beyond an interface or around a start; −1 elsewhere.
     field : FieldPoints, optional
-        The field points that all of them were launched from; None if some were launched otherwise.
+        Field points of the launch; None if some rays were launched otherwise.
     """
 
     position: Floats
@@ -133,25 +133,24 @@ class Rays:
 
     @property
     def from_sensor(self) -> bool:
-        """True if the rays were launched from pixels, against the light."""
+        """True if the rays were launched backwards from pixels."""
         return self.unit == ETENDUE
 
     @cached_property
     def path(self) -> Ints:
-        """(m,) path that each vertex belongs to."""
+        """(m,) path of each vertex."""
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
     @cached_property
     def end_power(self) -> Floats:
-        """(n,) power that each path ended with."""
+        """(n,) power at the end of each path."""
         return self.power[self.offsets[1:] - 1]
 
     @cached_property
     def arrives(self) -> NDArray[np.bool_]:
-        """(n,) whether a path links the scene with the sensor: it ends there or, launched from it, leaves the lens.
+        """(n,) whether a path connects scene and sensor: ends on it or, if launched from it, leaves the lens.
 
-        Launched from pixels, a path that meets a target or goes on into object space is one along which light from
-        there would come.
+        Launched from pixels, a path that meets a target or enters object space is one along which light would arrive.
         """
         if self.from_sensor:
             return (self.status == Status.TARGET) | (self.status == Status.ESCAPED)
@@ -159,18 +158,18 @@ class Rays:
 
     @cached_property
     def end(self) -> Ints:
-        """(n,) surface that each path ended on."""
+        """(n,) surface at the end of each path."""
         return self.surface[self.offsets[1:] - 1]
 
     @cached_property
     def reflected(self) -> NDArray[np.bool_]:
-        """(m,) whether a path was reflected there by lens, array, the sensor's cover or the sensor."""
+        """(m,) whether the path was reflected there by the lens, array, sensor cover or sensor."""
         mirrors = [self.surfaces.index(name) for name in mirror_names(self.world)]
         return (self.event == Event.REFLECTED) & np.isin(self.surface, mirrors)
 
     @cached_property
     def events(self) -> Ints:
-        """(n,) how often each path was transmitted, reflected or scattered."""
+        """(n,) number of transmissions, reflections and scatterings of each path."""
         return self.count_vertices(np.isin(self.event, [Event.TRANSMITTED, Event.REFLECTED, Event.SCATTERED]))
 
     @cached_property
@@ -180,30 +179,30 @@ class Rays:
 
     @property
     def launched(self) -> int:
-        """Number of launched rays that any path descends from."""
+        """Number of launched rays with paths."""
         return len(np.unique(self.source))
 
     def errors(self, group: Ints, groups: int) -> Floats:
-        """Return the standard error of the power that groups of paths bring between scene and sensor, (groups,).
+        """Return the standard error of the power of groups of paths between scene and sensor, (groups,).
 
-        From the spread over the launched rays, each with all of its paths, taken as independent. They cover the pupil
-        more evenly than that, so that it is rather too large than too small.
+        It comes from the spread over the launched rays, each with all its paths, taken as independent. As they cover
+        the pupil more evenly than that, it is an overestimate.
 
         Parameters
         ----------
         group : (n,) int64
-            Of each path.
+            Group of each path.
         groups : int
         """
         return standard_errors(self.end_power * self.arrives, self.source, group, groups)
 
     def of_sequences(self, words: Container[str]) -> NDArray[np.bool_]:
-        """Return (n,) which paths have one of some sequences."""
+        """Return a mask (n,) of the paths with one of the given sequences."""
         known = np.array([sequence in words for sequence in self.sequences], np.bool_)
         return known[self.sequence]
 
     def keep(self, chosen: NDArray[np.bool_]) -> "Rays":
-        """Return only the paths (n,) chosen; sequences keep their numbers."""
+        """Return only the paths chosen by a mask (n,); sequences keep their numbers."""
         lengths = np.diff(self.offsets)
         vertices = np.repeat(chosen, lengths)
         arrays: dict[str, Any] = {name: getattr(self, name)[vertices] for name in OF_VERTICES}
@@ -211,26 +210,26 @@ class Rays:
         return replace(self, offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]), **arrays)
 
     def any_vertex(self, of_vertex: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return (n,) which paths have a vertex that is marked in `of_vertex` (m,)."""
+        """Return a mask (n,) of the paths with a vertex marked in `of_vertex` (m,)."""
         return self.count_vertices(of_vertex) > 0
 
     def count_vertices(self, of_vertex: NDArray[np.bool_]) -> Ints:
-        """Return (n,) how many vertices of each path are marked in `of_vertex` (m,)."""
+        """Return the number (n,) of vertices of each path that are marked in `of_vertex` (m,)."""
         running = np.concatenate([[0], np.cumsum(of_vertex)])
         return np.asarray(running[self.offsets[1:]] - running[self.offsets[:-1]])
 
 
 def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floats, pixels: Ints | None = None) -> Rays:
-    """Lay recorded paths out.
+    """Lay out recorded paths.
 
     Parameters
     ----------
     world : World
     ended : (n,) END, nodes : (m',) NODE
-        What the engine recorded.
+        Records of the engine.
     wavelengths_nm : (n,) float64
     pixels : (n,) int64, optional
-        Pixel, row by row, that each path started from; left out, the rays were launched with the light.
+        Start pixel of each path, row by row; if omitted, the rays were launched with the light.
     """
     root, length = _roots(ended["node"], nodes["parent"])
     order = np.argsort(root, kind="stable")
@@ -240,7 +239,7 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
     vertices = nodes[index]
     surface = surface_numbers(world, vertices["surface"], vertices["part"])
     event = vertices["event"].copy()
-    # Light that a target emits starts with what it is scattered with.
+    # The first recorded event of light emitted by a target is that of its scattering.
     event[offsets[:-1]] = Event.START
     names = surface_names(world)
     sequence = _sequences(surface, event, offsets)
@@ -257,7 +256,7 @@ def assembled(world: World, ended: Records, nodes: Records, wavelengths_nm: Floa
 
 
 def _ranked(rays: Rays) -> Rays:
-    """Return the rays with their sequences in words and in order: those that arrive, by power; the others, by count."""
+    """Return the rays with sequences in words and in order: arriving ones by power, others by count."""
     _, first, count = np.unique(rays.sequence, return_index=True, return_counts=True)
     power = np.bincount(rays.sequence, rays.end_power * rays.arrives, len(first))
     order = np.lexsort([first, -count, -power, ~rays.arrives[first]])
@@ -267,10 +266,10 @@ def _ranked(rays: Rays) -> Rays:
 
 
 def _within_borders(world: World, position: Floats, ended: Records, offsets: Ints) -> Floats:
-    """Return the vertices, the last ones of some paths moved along their last segment to where they can be seen.
+    """Return the vertices, with the last ones of some paths moved along their last segment into view.
 
-    A path that escapes goes on to a sphere round the whole scene. One that is absorbed in a plane of the camera far
-    outside of it (the mount has no outer edge) ends on the sphere round the camera.
+    A path that escapes ends on a sphere around the whole scene. A path absorbed in a plane of the camera far outside it
+    (the mount has no outer edge) ends on a sphere around the camera.
     """
     moved = position.copy()
     for status, (middle, radius) in (
@@ -281,7 +280,7 @@ def _within_borders(world: World, position: Floats, ended: Records, offsets: Int
         last = offsets[1:][paths] - 1
         p, d = position[last - 1] - middle, ended["direction"][paths]
         along, outside = np.sum(p * d, axis=1), np.sum(p * p, axis=1) - radius**2
-        # Where the ray leaves the sphere; one that starts outside and never meets it stays as it is.
+        # Move to the exit point from the sphere; rays that start outside and miss it stay unchanged.
         root = along**2 - outside
         leaves = np.where(root > 0.0, np.sqrt(np.maximum(root, 0.0)) - along, 0.0)
         length = np.linalg.norm(position[last] - position[last - 1], axis=1)
@@ -296,7 +295,7 @@ def _points_of_camera(world: World) -> Floats:
 
 
 def _points_of_scene(world: World) -> Floats:
-    """Return points round camera, targets, lights and the plane of focus, world frame."""
+    """Return points around camera, targets, lights and plane of focus, world frame."""
     points = [_points_of_camera(world)]
     focus = focus_wished_mm(world.scene.camera, world.scene.primary_nm)
     if focus is not None and np.isfinite(focus):
@@ -308,13 +307,13 @@ def _points_of_scene(world: World) -> Floats:
 
 
 def _sphere_round(points: Floats) -> tuple[Floats, float]:
-    """Return centre and radius of a sphere that holds points."""
+    """Return centre and radius of a sphere that contains points."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
 
 def _roots(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
-    """Return the first vertex of every path and how many it has: all climb from their last one, a vertex a step."""
+    """Return the first vertex and length of every path, by climbing from the last vertices in parallel."""
     count = np.zeros(len(last), np.int64)
     root, at = last.copy(), last.copy()
     while (on := at >= 0).any():
@@ -325,7 +324,7 @@ def _roots(last: Ints, parent: Ints) -> tuple[Ints, Ints]:
 
 
 def _vertices(last: Ints, parent: Ints, offsets: Ints) -> Ints:
-    """Return the vertices of every path from its start to its end, one path after the other."""
+    """Return the vertices of every path from start to end, one path after the other."""
     index = np.empty(offsets[-1], np.int64)
     place, at = offsets[1:] - 1, last
     while len(at):
@@ -336,10 +335,10 @@ def _vertices(last: Ints, parent: Ints, offsets: Ints) -> Ints:
 
 
 def _sequences(surface: Ints, event: Ints, offsets: Ints) -> Ints:
-    """Return (n,) a number of each path's sequence of surfaces and events.
+    """Return a number (n,) for each path's sequence of surfaces and events.
 
-    All paths are read together, a vertex a step: what was read so far has a number, and with the next vertex the pair
-    of both has one.
+    All paths are read in parallel, one vertex per step: a number represents the part read so far, and its pair with the
+    next vertex gets a new number.
     """
     code = surface * len(Event) + event
     most = int(code.max(initial=0)) + 1
@@ -356,7 +355,7 @@ def _sequences(surface: Ints, event: Ints, offsets: Ints) -> Ints:
 
 
 def _in_words(rays: Rays, path: int) -> str:
-    """Return the sequence of a path in words; where it started is no part of it."""
+    """Return the sequence of a path in words, without its start."""
     words = []
     for vertex in range(int(rays.offsets[path]) + 1, int(rays.offsets[path + 1])):
         letter = LETTER.get(Event(int(rays.event[vertex])))
@@ -366,10 +365,10 @@ def _in_words(rays: Rays, path: int) -> str:
 
 
 def _pixels_under(world: World, ended: Records) -> Ints:
-    """Return (n, 2) row and column of the pixels that paths end on; −1, −1 for those that end elsewhere."""
+    """Return row and column (n, 2) of the pixels where paths end; −1, −1 for other ends."""
     sensor = world.tables.sensor
     x, y, _ = frames.points(world.tables.frames[WORLD_FRAME, SENSOR_FRAME], ended["position"]).T
-    # The tracer has decided that these lie on the sensor; a rounding error must not take one off it.
+    # The tracer has found these on the sensor; rounding must not move one off it.
     row = np.clip(np.floor(y / sensor.pixel + 0.5 * sensor.rows), 0, sensor.rows - 1)
     column = np.clip(np.floor(x / sensor.pixel + 0.5 * sensor.columns), 0, sensor.columns - 1)
     pixel = np.stack([row, column], axis=-1).astype(np.int64)

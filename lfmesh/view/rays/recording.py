@@ -1,4 +1,4 @@
-"""Sources traced chunk by chunk, and every vertex of their paths kept."""
+"""Sources traced in chunks, with every vertex of their paths recorded."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from lfmesh.transport.world import World
 Floats = NDArray[np.float64]
 
 OWN_SURFACE = 32.0 * FLOAT32_GRAIN
-"""Largest distance of a field point from the target that it belongs to, relative to its coordinates."""
+"""Largest distance of a field point from the target containing it, relative to its coordinates."""
 
 
 def traced(world: World, tables: Tables, options: Options, source: Source, colour: int) -> tuple[Records, Records]:
-    """Trace a source chunk by chunk; return the ends of packets and all vertices.
+    """Trace a source in chunks; return the ends of packets and all vertices.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def traced(world: World, tables: Tables, options: Options, source: Source, colou
     options : Options
     source : Source
     colour : int
-        Number of the wavelength among the launch's.
+        Index of the wavelength in the launch.
     """
     launcher = Launcher(lambda: Workspace(world, options, tables=tables))
     parts = []
@@ -53,7 +53,7 @@ def from_point(world: World, point: Floats, d: Floats, watts: Floats, key: np.ui
     d : (n, 3) float64, unit, camera frame
     watts : (n,) float64, W
     key : uint64
-        Of the random numbers.
+        Key of the random numbers.
     """
     rays = len(d)
     place = frame.points(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], point[None])

@@ -1,7 +1,7 @@
-"""Shadows of targets on the plane before the lens, as a field point casts them.
+"""Shadows of targets, cast by a field point on the plane before the lens.
 
-A target hides the lens from a point where a ray from the point meets it; the outlines of its shadow are the images of
-the edges at which its facets turn away from the point, or end. Quadrature over the pupil divides its cells there.
+The outlines of a shadow are images of the edges where the target's facets end or turn away from the point. Quadrature
+over the pupil divides its cells there.
 """
 
 from typing import NamedTuple
@@ -20,20 +20,20 @@ from lfmesh.transport.world import World
 Floats = NDArray[np.float64]
 
 CLOSEST = 2.0**-30
-"""Share of the way from the point to the plane from which on edges count: nearer ones cast shadows beyond all disks."""
+"""Fraction of the way from point to plane from which edges count; nearer ones cast shadows beyond all disks."""
 
 
 class Shadow(NamedTuple):
-    """Targets that hide the lens from a field point, with the outlines of their shadows.
+    """Targets between a field point and the lens, with the outlines of their shadows.
 
     Attributes
     ----------
     edges : (k, 2, 2) float64, mm
         Ends of the outlines on the plane before the lens, camera axes.
     facets : (m, 3, 3) float64, mm
-        Corners of all facets in the way, from the point, camera axes.
+        Corners of all blocking facets, relative to the point, camera axes.
     finder : Finder
-        Of these facets.
+        Finder of these facets.
     point : (3,) float64, mm
         Camera frame.
     plane_mm : float
@@ -47,7 +47,7 @@ class Shadow(NamedTuple):
     plane_mm: float
 
     def hides(self, at_mm: Floats) -> NDArray[np.bool_]:
-        """Tell at which places (n, 2) of the plane the point is hidden.
+        """Tell whether the point is hidden from positions (n, 2) of the plane.
 
         Parameters
         ----------
@@ -58,18 +58,18 @@ class Shadow(NamedTuple):
         found = self.finder.find(np.zeros(ray.shape, np.float32), ray.astype(np.float32))
         a, b, c = np.moveaxis(self.facets[found], 1, 0)
         normal = np.cross(b - a, c - a)
-        # Before the plane, the facet's own is met within the ray's length. Facet −1 is none.
+        # A facet counts if its plane lies within the ray's length. Facet −1 means none.
         reach, length = np.einsum("ij,ij->i", normal, a), np.einsum("ij,ij->i", normal, ray)
         return np.asarray((found >= 0) & (np.abs(reach) < np.abs(length)))
 
 
 def shadow(world: World, point_mm: Floats) -> Shadow | None:
-    """Return what hides the lens from a point of the camera frame; None if nothing does.
+    """Return the shadow on the lens for a point of the camera frame, or None.
 
     Parameters
     ----------
     world : World
-        Only opaque targets are in the way, see `in_the_way`.
+        Only opaque targets block light, see `in_the_way`.
     point_mm : (3,) float64, mm
     """
     opaque = [number for number in range(len(world.targets)) if is_opaque(world, number)]
@@ -83,7 +83,7 @@ def shadow(world: World, point_mm: Floats) -> Shadow | None:
 
 
 def in_the_way(world: World, point_mm: Floats, numbers: list[int]) -> dict[int, Floats]:
-    """Return those targets that stand between a point and the disk through which light may come to the lens.
+    """Return the targets between a point and the disk through which light can reach the lens.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def in_the_way(world: World, point_mm: Floats, numbers: list[int]) -> dict[int, 
     point_mm : (3,) float64, mm
         Camera frame, before the lens.
     numbers : list of int
-        Targets that are asked about.
+        Targets to examine.
 
     Returns
     -------
     dict of int to (k, 2, 2) float64, mm
-        The outlines of each target's shadow that cross the disk, on the plane before the lens.
+        Shadow outlines of each target that cross the disk, on the plane before the lens.
     """
     depth, radius = _plane_mm(world) - point_mm[2], widest_disk(world.tables.lens, point_mm[None], front=True)
     found = {}
@@ -109,7 +109,7 @@ def in_the_way(world: World, point_mm: Floats, numbers: list[int]) -> dict[int, 
 
 
 def is_opaque(world: World, number: int) -> bool:
-    """Tell whether no light passes through a target."""
+    """Tell whether a target blocks all light."""
     objects = world.tables.objects
     return bool(objects.medium[number] == OPAQUE and objects.opacity[number] == 1.0)
 
@@ -119,7 +119,7 @@ def _plane_mm(world: World) -> float:
 
 
 def _from_point(world: World, number: int, point_mm: Floats) -> Floats:
-    """Return the corners of a target's facets, (m, 3, 3), from a point, camera axes."""
+    """Return the corners of a target's facets, (m, 3, 3), relative to a point, camera axes."""
     mesh = world.targets[number].mesh
     return np.asarray(
         (frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], mesh.vertices) - point_mm)[mesh.faces]
@@ -127,7 +127,7 @@ def _from_point(world: World, number: int, point_mm: Floats) -> Floats:
 
 
 def _outline(facets: Floats, depth: float) -> Floats:
-    """Return the edges at which facets turn away from the origin, or end, (k, 2, 2), seen on the plane z = depth."""
+    """Return the silhouette and open edges of facets (k, 2, 2) seen from the origin, on the plane z = depth."""
     corners, number = np.unique(facets.reshape(-1, 3), axis=0, return_inverse=True)
     faces = number.reshape(-1, 3)
     turned = np.linalg.det(facets) > 0.0
@@ -137,7 +137,7 @@ def _outline(facets: Floats, depth: float) -> Floats:
     sides = np.bincount(which, minlength=len(edges))
     away = np.bincount(which, np.tile(turned, 3), len(edges))
     ends = corners[edges[(sides != 2) | (away == 1)]]
-    # Of each edge the part between the point and the plane.
+    # Keep the part of each edge between the point and the plane.
     z = ends[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (np.array([CLOSEST * depth, depth])[:, None] - z[:, 0]) / (z[:, 1] - z[:, 0])
@@ -159,9 +159,9 @@ def _from_middle(segments: Floats) -> Floats:
 
 
 def _covers(facets: Floats, ray: Floats) -> bool:
-    """Tell whether a ray from the origin meets a facet (m, 3, 3) on its way."""
+    """Tell whether a ray from the origin meets a facet (m, 3, 3)."""
     a, b, c = np.moveaxis(facets, 1, 0)
-    # The ray passes on one side of all three edges where these determinants have one sign.
+    # The ray passes on the same side of all three edges if these determinants have one sign.
     signs = np.sign([np.cross(p, q) @ ray for p, q in ((a, b), (b, c), (c, a))])
     normal = np.cross(b - a, c - a)
     reach, length = np.einsum("ij,ij->i", normal, a), normal @ ray

@@ -1,1 +1,1 @@
-"""The scene and its rays in 3D."""
+"""Scene and rays in 3D."""

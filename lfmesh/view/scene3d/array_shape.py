@@ -1,6 +1,6 @@
-"""The microlens array as it is drawn: every lenslet where they are few, else a plate with real lenslets in one place.
+"""Microlens array for drawing: every lenslet if they are few, else a plate with a patch of real lenslets.
 
-All points are in the array's own frame, mm: z runs from the curved face into the glass.
+Points are in the array's own frame, mm; z runs from the curved face into the glass.
 """
 
 from typing import NamedTuple
@@ -13,29 +13,29 @@ from lfmesh.geometry.array.lattice import ROW_SPACING, Lattice, cell_of
 from lfmesh.geometry.array.lenslets import Lenslets, faces_at, shape_of, type_of
 
 MOST_LENSLETS = 10_000
-"""A larger array is drawn as a plate."""
+"""Larger arrays are drawn as a plate."""
 
 PATCH = 31
 """Columns and rows of real lenslets on such a plate."""
 
 TRIANGLES = 150_000
-"""Of the curved face, about; few lenslets are drawn the finer for it."""
+"""Approximate number of triangles in the curved face; fewer lenslets are drawn more finely."""
 
 FINEST, COARSEST = 12, 4
-"""Subdivisions of a cell."""
+"""Limits on the subdivisions of a cell."""
 
 SIDE_LINES = 4
-"""Straight lines that a side of a lenslet's border is drawn with."""
+"""Straight lines per side of a lenslet's border."""
 
 CELL_PX = 32
-"""Width of the picture of one period of the lattice."""
+"""Width of the picture of one lattice period."""
 BORDER = 0.06
-"""Width of the cells' borders in it, over the pitch."""
+"""Width of the cell borders in it, relative to the pitch."""
 BORDER_RGB, CELL_RGB = (160, 192, 206), (205, 232, 242)
 
 
 class Caps(NamedTuple):
-    """Curved faces of lenslets: points (n, 3), their normals (n, 3), triangles (m, 3), and (m,) which lenslet."""
+    """Curved faces of lenslets: points (n, 3), normals (n, 3), triangles (m, 3), and lenslet of each triangle (m,)."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -44,7 +44,7 @@ class Caps(NamedTuple):
 
 
 def is_large(lattice: Lattice) -> bool:
-    """Tell whether an array has too many lenslets to draw them all."""
+    """Tell whether an array has too many lenslets to draw."""
     return lattice.columns * lattice.rows > MOST_LENSLETS
 
 
@@ -55,7 +55,7 @@ def all_cells(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def cells_near(lattice: Lattice, near_mm: tuple[float, float]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the columns and rows of the lenslets in a patch round a point of the array."""
+    """Return the columns and rows of the lenslets in a patch around a point of the array."""
     column, row = (place - PATCH // 2 for place in cell_of(lattice, *near_mm))
     columns = np.arange(max(column, 0), min(column + PATCH, lattice.columns))
     rows = np.arange(max(row, 0), min(row + PATCH, lattice.rows))
@@ -70,7 +70,7 @@ def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> 
     ----------
     mla : Lenslets
     columns, rows : (n,) int64
-        Of the lenslets.
+        Indices of the lenslets.
     """
     lattice = mla.lattice
     triangles = 6 if lattice.hexagonal else 1
@@ -90,13 +90,13 @@ def caps(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> 
 
 
 def borders(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the (n, 2, 3) ends of the lines in which some lenslets meet their neighbours.
+    """Return the ends (n, 2, 3) of the border lines between some lenslets and their neighbours.
 
     Parameters
     ----------
     mla : Lenslets
     columns, rows : (n,) int64
-        Of the lenslets.
+        Indices of the lenslets.
     """
     corners = mla.lattice.corners()
     share = np.arange(SIDE_LINES)[:, None] / SIDE_LINES
@@ -108,7 +108,7 @@ def borders(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) 
 
 
 def _shapes(mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (n, 3): curvature, and apex relative to the cell's centre, of n lenslets."""
+    """Return curvature, and apex relative to the cell's centre, of n lenslets (n, 3)."""
     if mla.alike:
         return np.tile([mla.curvature[0], 0.0, 0.0], (len(columns), 1))
     return np.array([shape_of(mla, int(column), int(row)) for column, row in zip(columns, rows, strict=True)])
@@ -118,7 +118,7 @@ def _faces(
     mla: Lenslets, columns: NDArray[np.int64], rows: NDArray[np.int64], shapes: NDArray[np.float64],
     places: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-    """Return the sag (n, m) of n lenslets over m places of a cell, and the normals there, (n, m, 3), towards +z."""
+    """Return the sag (n, m) of n lenslets at m points of a cell, and the normals there, (n, m, 3), towards +z."""
     if mla.alike:
         z, normals = faces_at(mla, 0, float(mla.curvature[0]), places)
         return np.tile(z, (len(columns), 1)), np.tile(normals, (len(columns), 1, 1))
@@ -130,7 +130,7 @@ def _faces(
 
 
 def face_corners(mla: Lenslets, z_mm: float) -> NDArray[np.float64]:
-    """Return the (4, 3) corners of the box round the cells, at a depth, counter-clockwise seen from +z."""
+    """Return the corners (4, 3) of the cells' bounding box at a depth, counter-clockwise seen from +z."""
     x, y = mla.lattice.half_extent
     return np.array([[-x, -y, z_mm], [x, -y, z_mm], [x, y, z_mm], [-x, y, z_mm]])
 
@@ -140,15 +140,15 @@ ROUND = np.array([[i, j, k] for a in range(4) for b in [(a + 1) % 4] for i, j, k
 
 
 def face_round(mla: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the (8, 3) corners of a face of the box round all cells, and of a hole in it round some of them, mm.
+    """Return the corners (8, 3) of a face around all cells, and of a hole in it around some of them, mm.
 
     Parameters
     ----------
     mla : Lenslets
     z_mm : float, mm
-        Of the face, in the array's frame.
+        Position of the face in the array's frame.
     columns, rows : (n,) int64
-        Of the lenslets in the hole.
+        Indices of the lenslets in the hole.
     """
     outer = face_corners(mla, z_mm)
     centres = mla.lattice.centres()[rows, columns]
@@ -159,7 +159,7 @@ def face_round(mla: Lenslets, z_mm: float, columns: NDArray[np.int64], rows: NDA
 
 
 def lattice_picture(lattice: Lattice) -> tuple[NDArray[np.uint8], tuple[float, float]]:
-    """Return a picture (h, w, 3) of the cells' borders, from one centre on, that repeats with a period in mm."""
+    """Return a picture (h, w, 3) of the cell borders, starting at a centre, and its period in mm."""
     row_pitch = (ROW_SPACING if lattice.hexagonal else 1.0) * lattice.pitch
     period = (lattice.pitch, (2.0 if lattice.hexagonal else 1.0) * row_pitch)
     height = CELL_PX * (2 if lattice.hexagonal else 1)
@@ -167,7 +167,7 @@ def lattice_picture(lattice: Lattice) -> tuple[NDArray[np.uint8], tuple[float, f
     x, y = (u + 0.5) / CELL_PX * period[0], (v + 0.5) / height * period[1]
     row, column = np.mgrid[-1:4, -2:4]
     centre_x = (column + (0.5 * (row % 2) if lattice.hexagonal else 0.0)) * lattice.pitch
-    # A cell's border is where the nearest two centres are equally far.
+    # At a cell's border, the two nearest centres are equally far.
     distance = np.hypot(x[..., None] - centre_x.ravel(), y[..., None] - (row * row_pitch).ravel())
     nearest = np.sort(distance, axis=2)
     border = nearest[..., 1] - nearest[..., 0] < BORDER * lattice.pitch

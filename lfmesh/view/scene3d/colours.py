@@ -1,4 +1,4 @@
-"""Meaning of colours: glass by its index; rays by wavelength, power, events, status or path."""
+"""Colour coding: glass by its index; rays by wavelength, power, events, status or path."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ BACKGROUND, BACKGROUND_TOP = "#0d1117", "#1f2a38"
 TEXT, FAINT_TEXT = "#e6edf3", "#9fb0c0"
 
 GLASS = [(1.4, "#5fb4ea"), (1.55, "#6fd0d8"), (1.7, "#9fb7f2"), (1.9, "#c99bea")]
-"""Tint of glass by its index, from light crowns to dense flints."""
+"""Tint of glass by index, from light crowns to dense flints."""
 
 OF_STATUS = {
     Status.SENSOR: "#5ee07f",
@@ -39,10 +39,10 @@ OF_STATUS = {
 }
 
 DECADES = 8
-"""Powers below the largest by more are drawn as this many decades below it."""
+"""Decades of the power scale; weaker rays are drawn at its end."""
 
 MOST_ENTRIES = 8
-"""Of a legend, as many as PATHS."""
+"""Most entries of a legend, as many as PATHS."""
 
 PATHS = ["#ff9d3d", "#4db6ff", "#5ee07f", "#ff6b8a", "#c792ff", "#ffe14d", "#3de0d0", "#ff8ff0"]
 """Colours of the strongest sequences; the others share OTHERS."""
@@ -51,14 +51,14 @@ OTHERS = "#566474"
 
 @dataclass(frozen=True)
 class Legend:
-    """Meaning of the rays' colours: a title, and a colour (#rrggbb) for each label."""
+    """Legend of the ray colours: a title, and a colour (#rrggbb) for each label."""
 
     title: str
     entries: tuple[tuple[str, str], ...]
 
 
 def tint(index: float) -> str:
-    """Return the colour of glass of a refractive index."""
+    """Return the colour of glass of a given refractive index."""
     indices = [n for n, _ in GLASS]
     channels = np.array([to_rgb(colour) for _, colour in GLASS])
     red, green, blue = (float(np.interp(index, indices, channel)) for channel in channels.T)
@@ -68,15 +68,15 @@ def tint(index: float) -> str:
 def ray_colours(
     rays: "Rays", paths: NDArray[np.int64], vertices: NDArray[np.int64], by: ColourBy
 ) -> tuple[Rgb, Legend]:
-    """Return the colour of some segments, and its legend.
+    """Return the colours of segments and their legend.
 
     Parameters
     ----------
     rays : Rays
     paths : (m,) int64
-        The path that each segment belongs to.
+        Path of each segment.
     vertices : (m,) int64
-        The vertex at which each segment starts, an index into `rays.position`.
+        First vertex of each segment, an index into `rays.position`.
     by : {"wavelength", "power", "events", "status", "path"}
     """
     makers: dict[str, Callable[[], tuple[Rgb, Legend]]] = {
@@ -93,7 +93,7 @@ def ray_colours(
 
 
 def power_share(power: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return powers on a logarithmic scale, 1 for the largest and 0 for `DECADES` below it or nothing at all."""
+    """Return powers on a logarithmic scale: 1 for the largest, 0 at `DECADES` below it or less."""
     largest = float(power.max(initial=0.0))
     if largest <= 0.0:
         return np.zeros(len(power))
@@ -142,21 +142,21 @@ def _by_status(status: NDArray[np.int64]) -> tuple[Rgb, Legend]:
 
 
 def default_colour(rays: "Rays | None") -> ColourBy:
-    """Return what colours should tell where nobody says: wavelengths or, where there is one, field points."""
+    """Return the default colour coding: by field point if there are several at one wavelength, else by wavelength."""
     if rays is None or not len(rays) or rays.from_sensor or len(np.unique(rays.wavelength_nm)) > 1:
         return "wavelength"
     return "field" if 1 < len(_starts(rays)[0]) <= MOST_ENTRIES else "wavelength"
 
 
 def _starts(rays: "Rays") -> tuple[NDArray[Any], NDArray[np.int64]]:
-    """Return the points (x, y, z) or pixels (row, column) that rays start from, and which of them each path does."""
+    """Return the start points (x, y, z) or pixels (row, column) of rays, and the index of each path's start."""
     starts = rays.pixel if rays.from_sensor else rays.position[rays.offsets[:-1]].round(9)
     points, which = np.unique(starts, axis=0, return_inverse=True)
     return points, which.reshape(-1)
 
 
 def _by_field(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
-    """Colour by the point or pixel that rays start from; more than the colours tell apart have one in common."""
+    """Colour by start point or pixel; too many to distinguish share one colour."""
     points, which = _starts(rays)
     kind, title, unit = ("pixels", "from row, column", "") if rays.from_sensor else ("points", "from x, y, z", " mm")
     if len(points) > MOST_ENTRIES:
@@ -166,7 +166,7 @@ def _by_field(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
 
 
 def _by_sequence(rays: "Rays", paths: NDArray[np.int64]) -> tuple[Rgb, Legend]:
-    """Colour the first sequences, which bring the most power, one by one."""
+    """Colour the strongest sequences individually."""
     present, first = np.unique(rays.sequence[paths], return_index=True)
     named = present[:MOST_ENTRIES]
     colours = [OTHERS] * len(rays.sequences)

@@ -1,4 +1,4 @@
-"""Descriptions of the picture's parts in words: prescription, pixels, materials."""
+"""Descriptions of parts in words: prescription, pixels, materials."""
 
 import math
 
@@ -20,7 +20,7 @@ def describe(world: World, name: str) -> Rows:
     Raises
     ------
     LfmeshError
-        Nothing has this name.
+        No part has this name.
     """
     kind, _, number = name.rstrip("]").partition("[")
     makers = {"stop": _stop, "mla": _array, "sensor": _sensor}
@@ -82,7 +82,7 @@ def _surface(surface: Surface, number: int) -> str:
 
 
 def _poses(world: World, numbers: tuple[int, int]) -> Rows:
-    """Return the poses of the elements that two surfaces belong to."""
+    """Return the poses of the elements with two given surfaces."""
     lens = world.scene.camera.lens
     which = dict.fromkeys(lens.element_of(number) for number in numbers)
     poses = [lens.elements[i].pose for i in which if i is not None]
@@ -194,7 +194,7 @@ def _particles(world: World, number: int) -> Rows:
 
 
 def _fields(model: Model) -> Rows:
-    """Return the fields of a table that are given, but for its kind and spectrum."""
+    """Return the non-default fields of a table, except its kind and spectrum."""
     fields = model.model_dump(exclude={"kind", "spectrum"}, exclude_defaults=True)
     values = {key: value if isinstance(value, tuple) else (value,) for key, value in fields.items()}
     return [

@@ -1,4 +1,4 @@
-"""Test for drawing: without its GL libraries VTK ends the process, so a child process tries first."""
+"""Test for drawing: VTK ends the process if the GL libraries are missing, so a child process tries first."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ from lfmesh.errors import LfmeshError
 SECONDS = 60
 
 WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
-"""Environment variable that names the kind of window which VTK opens."""
+"""Environment variable for the kind of window that VTK opens."""
 
 ATTEMPT = (
     "import vtkmodules.vtkRenderingOpenGL2\n"
@@ -25,7 +25,7 @@ MISSING = "drawing needs the GL libraries: install the packages libegl1 and libg
 
 
 class Probe:
-    """An attempt to draw that runs while the scene is built."""
+    """Attempt to draw in the background while the scene is built."""
 
     def __init__(self) -> None:
         expect_no_display()
@@ -35,12 +35,12 @@ class Probe:
         )  # fmt: skip
 
     def check(self) -> None:
-        """Wait for the attempt's end.
+        """Wait for the end of the attempt.
 
         Raises
         ------
         LfmeshError
-            It failed: the libraries are missing.
+            The libraries are missing.
         """
         try:
             code = self._child.wait(SECONDS)
@@ -61,7 +61,7 @@ class Probe:
 
 
 def expect_no_display() -> None:
-    """Keep VTK from trying to reach a display where there is none, and from complaining of it."""
+    """Keep VTK from seeking a missing display and complaining."""
     if sys.platform == "linux" and not has_display():
         os.environ.setdefault(WINDOW, "vtkEGLRenderWindow")
 

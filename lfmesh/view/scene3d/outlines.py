@@ -1,4 +1,4 @@
-"""Outlines of what has a place and no surface: media and light sheets, as line segments in the world frame, mm."""
+"""Outlines of media and light sheets, which have no surface: line segments in the world frame, mm."""
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from lfmesh.transport.tables.volumes import CYLINDER, SHELL, SPHERE, corners_of
 from lfmesh.transport.world import World
 
 POINTS = 48
-"""Of a circle."""
+"""Points of a circle."""
 
 EDGES = ((0, 1), (0, 2), (0, 4), (1, 3), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 6), (5, 7), (6, 7))
-"""Of a box, by the numbers of its corners, of which x changes last."""
+"""Edges of a box, by corner numbers with x varying last."""
 
 
 def outline_of_medium(world: World, number: int) -> Array:
-    """Return the outline of a medium, (n, 2, 3) mm; none where it fills a body or all space before the camera."""
+    """Return the outline of a medium, (n, 2, 3) mm; empty if it fills a body or all space before the camera."""
     medium, volumes = world.scene.media[number], world.tables.objects.volumes
     row = volumes.rows[number]
     corners = corners_of(row)
@@ -42,12 +42,12 @@ def outline_of_medium(world: World, number: int) -> Array:
 
 
 def _edges(shells: ShellTree, begin: int, end: int) -> Array:
-    """Return the edges of the shell with these nodes, (n, 2, 3) mm; of each edge one of its two senses."""
+    """Return the edges of the shell with these nodes, (n, 2, 3) mm, each in one direction only."""
     leaves = shells.nodes[begin:end]
     leaves = leaves[leaves["count"] > 0]
     facets = shells.corners[leaves["first"][0] : leaves["first"][-1] + leaves["count"][-1]]
     edges = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-    # The first coordinate in which the ends differ decides.
+    # The first coordinate in which the ends differ gives the direction.
     steps = edges[:, 1] - edges[:, 0]
     sense = np.take_along_axis(steps, (steps != 0.0).argmax(axis=1)[:, None], axis=1)[:, 0]
     return np.asarray(edges[sense > 0.0])
@@ -61,13 +61,13 @@ def _circle(radius: float, z: float) -> Array:
 
 
 def outline_of_sheet(group: Particles, points: Array) -> Array:
-    """Return the box of a light sheet along its particles, between its 1/e² planes, (n, 2, 3) mm; none without a sheet.
+    """Return the box of a light sheet around its particles, between its 1/e² planes, (n, 2, 3) mm, or none.
 
     Parameters
     ----------
     group : Particles
     points : (n, 3) float64, mm, world frame
-        The particles that it lights.
+        Particles in the sheet.
     """
     sheet = group.sheet
     if sheet is None or not len(points):

@@ -15,13 +15,13 @@ from lfmesh.view.scene3d.parts import round_length
 
 _FONTS = Path(mpl.get_data_path()) / "fonts" / "ttf"
 FONT, FONT_OF_COLUMNS = _FONTS / "DejaVuSans.ttf", _FONTS / "DejaVuSansMono.ttf"
-"""VTK's own fonts have no Greek letters and few signs."""
+"""VTK's own fonts lack Greek letters and many signs."""
 
 LINE = 1.55
-"""Distance of lines of text over their size."""
+"""Line spacing relative to the text size."""
 
 BAR_PX = 220
-"""Longest scale bar, in a picture 1000 pixels high."""
+"""Longest scale bar in a picture 1000 pixels high."""
 
 
 class Overlay:
@@ -34,7 +34,7 @@ class Overlay:
         self._mark = vtkTextActor()
         self._scale = plotter.window_size[1] / 1000.0
         self._bar, self.bar_text, self.bar_points = self._scale_bar()
-        # Just before every picture: whoever has moved the camera.
+        # Measure just before every picture, whatever moved the camera.
         plotter.renderer.AddObserver("StartEvent", lambda *_: self._measure())
 
     def write(self, title: str, caption: list[str], legend: Legend | None) -> None:
@@ -44,7 +44,7 @@ class Overlay:
         ----------
         title : str
         caption : list of str
-            The lines under it.
+            Lines below the title.
         legend : Legend or None
         """
         for text in self._texts:
@@ -62,14 +62,14 @@ class Overlay:
                 top -= 15 * LINE * self._scale / height
 
     def only_scale(self, on: bool) -> None:
-        """Hide everything but the scale bar, which is written larger meanwhile; or show it again."""
+        """Show only the scale bar, enlarged, or everything again."""
         for text in (*self._texts, *self._told):
             text.SetVisibility(not on)
         self.bar_text.GetTextProperty().SetFontSize(round((2.4 if on else 1.0) * 15 * self._scale))
         (self._plotter.hide_axes if on else self._plotter.show_axes)()
 
     def mark(self, words: str, place_mm: NDArray[np.float64] | None = None) -> None:
-        """Write words at a point of the scene, world frame, or large into the upper left corner; see `unmark`."""
+        """Write text at a point of the scene, world frame, or large in the upper left corner; see `unmark`."""
         self.unmark()
         self._mark = self._text(words, 20 if place_mm is not None else 36, (0.015, 0.985), TEXT, top=True)
         if place_mm is not None:
@@ -77,11 +77,11 @@ class Overlay:
             self._mark.GetPositionCoordinate().SetValue(*place_mm)
 
     def unmark(self) -> None:
-        """Take away what `mark` has written."""
+        """Remove the text of `mark`."""
         self._plotter.renderer.RemoveViewProp(self._mark)
 
     def tell(self, lines: list[str]) -> None:
-        """Replace what stands at the bottom."""
+        """Replace the text at the bottom."""
         for text in self._told:
             self._plotter.renderer.RemoveViewProp(text)
         step = 13 * LINE * self._scale / self._plotter.window_size[1]
@@ -95,7 +95,7 @@ class Overlay:
         self, words: str, size: int, place: tuple[float, float], colour: str, *, top: bool = False, right: bool = False
     ) -> vtkTextActor:
         text = vtkTextActor()
-        # VTK takes what stands between two $ for mathematics, unless they are escaped.
+        # VTK treats text between two $ as mathematics unless escaped.
         text.SetInput(words.replace("$", r"\$"))
         text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
         text.SetPosition(*place)
@@ -104,7 +104,7 @@ class Overlay:
         look.SetFontFile(str(FONT))
         look.SetFontSize(max(9, round(size * self._scale)))
         look.SetColor(*pv.Color(colour).float_rgb)
-        # Readable over lenslets and charts too.
+        # Keep it readable over lenslets and charts.
         look.SetBackgroundColor(*pv.Color(BACKGROUND).float_rgb)
         look.SetBackgroundOpacity(0.6)
         if top:
@@ -137,7 +137,7 @@ class Overlay:
         return bar, self._text("", 15, (0.985, 0.05), TEXT, right=True), points
 
     def _measure(self) -> None:
-        """Make the bar a round number of mm long at the point that the view turns about."""
+        """Give the bar a round length in mm at the centre of rotation of the view."""
         width, height = self._plotter.renderer.GetSize()
         camera = self._plotter.camera
         if camera.parallel_projection:

@@ -1,4 +1,4 @@
-"""The parts of a camera and its scene as they are drawn: meshes in the world frame, mm, with their looks."""
+"""Parts of a camera and its scene for drawing: meshes in the world frame, mm, with their looks."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,50 +30,50 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 RINGS = 16
-"""Of triangles in a lens surface: rims look round, which `exact` surfaces do not need to be traced."""
+"""Triangle rings of a lens surface, enough for round rims; tracing `exact` surfaces needs fewer."""
 
 AS_THIN_LENS = 1.5
-"""Refractive index of the glass whose colour thin lenses have."""
+"""Refractive index that sets the colour of thin lenses."""
 
 CREASE_DEG = 25.0
-"""Facets that meet at a larger angle meet at an edge, which is drawn."""
+"""Smallest angle between facets that is drawn as an edge."""
 
 PIXEL_PX = 16
-"""Width of one pixel in the picture that stands for pixels without an image."""
+"""Width of one pixel in the pattern for pixels without an image."""
 
 CHIP = 1.18
-"""Size of the sensor's chip over that of its pixels."""
+"""Size of the sensor chip relative to its pixels."""
 
 TICKS = 60
-"""On the optical axis, at most."""
+"""Most marks on the optical axis."""
 
 SYMBOL = 0.03
-"""Size of a light's symbol over that of the scene."""
+"""Size of a light's symbol relative to the scene."""
 
 
 @dataclass
 class Part:
-    """Something of the scene that is drawn and can be clicked.
+    """Drawn and clickable part of the scene.
 
     Attributes
     ----------
     name : str
-        As `World.mesh_names` has it: "lens[0]", "stop", "mla", "sensor", "targets[0]", ...; "lights[0]", "axis", ...
+        Name in `World.mesh_names`: "lens[0]", "stop", "mla", "sensor", "targets[0]", ...; "lights[0]", "axis", ...
     kind : str
         "glass", "mount", "stop", "array", "sensor", "target", "light", "medium" or "sign".
     mesh : pyvista.PolyData
     look : dict
-        Of `pyvista.Plotter.add_mesh`.
+        Arguments of `pyvista.Plotter.add_mesh`.
     label : str
-        The name, or what tells pieces of a part apart: "mla plate".
+        The name, or a distinct name for a piece of a part: "mla plate".
     picture : (h, w, 3) uint8, optional
-        What lies on it; its texture coordinates say where.
+        Picture on the part, placed by texture coordinates.
     tiled : bool
         The picture repeats.
     edges : pyvista.PolyData, optional
-        Lines that are drawn on it, in `edge_colour`.
+        Lines drawn on it in `edge_colour`.
     solid : pyvista.PolyData, optional
-        The same body, closed, where a cut through it has a face.
+        The same body closed, for a cut with a solid face.
     """
 
     name: str
@@ -92,15 +92,15 @@ class Part:
 
 
 def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, float] = (0.0, 0.0)) -> list[Part]:
-    """Return everything of a scene that is drawn but the rays.
+    """Return all drawn parts of a scene except the rays.
 
     Parameters
     ----------
     world : World
     picture : (rows, columns, 3) uint8, optional
-        What lies on the sensor, in its physical orientation.
+        Picture on the sensor, in physical orientation.
     near_mm : (x, y), mm
-        Where a large array shows real lenslets, in its own frame.
+        Point of a large array with real lenslets around it, in its own frame.
     """
     made = [*_lens(world), *_stop(world), *_array(world, near_mm), *_sensor(world, picture)]
     made += [_target(world, i, target) for i, target in enumerate(world.targets)]
@@ -108,13 +108,13 @@ def parts(world: World, picture: Picture | None = None, near_mm: tuple[float, fl
 
 
 def texture_of(part: Part) -> pv.Texture | None:
-    """Return the texture that a part's picture makes."""
+    """Return the texture of a part's picture."""
     if part.picture is None:
         return None
     texture = pv.Texture(np.ascontiguousarray(part.picture))
-    # No mipmaps: seen edge-on from nearby, Mesa's software rasteriser does not come to an end with them.
+    # No mipmaps: with them, Mesa's software rasteriser hangs on close edge-on views.
     texture.repeat = part.tiled
-    # Pixels stay squares when they are looked at closely.
+    # Keep pixels square at close range.
     texture.interpolate = part.tiled or part.kind != "sensor"
     return texture
 
@@ -125,18 +125,18 @@ def polydata(points: Array, triangles: ArrayLike) -> pv.PolyData:
 
 
 def closed(mesh: Mesh) -> pv.PolyData:
-    """Return a body whose facets share their vertices."""
+    """Return a body with vertices shared between facets."""
     solid = mesh.solid()
     return polydata(solid.vertices, solid.faces)
 
 
 def smooth(body: pv.PolyData) -> pv.PolyData:
-    """Return a body with normals that are smooth between its creases."""
+    """Return a body with smooth normals between its creases."""
     return body.compute_normals(split_vertices=True, feature_angle=CREASE_DEG, auto_orient_normals=False)
 
 
 def creases_of(body: pv.PolyData) -> pv.PolyData:
-    """Return the edges of a body."""
+    """Return a body's edges."""
     return body.extract_feature_edges(CREASE_DEG, boundary_edges=True, non_manifold_edges=False, manifold_edges=False)
 
 
@@ -159,17 +159,17 @@ def _lens(world: World) -> Iterator[Part]:
     mounts = [mesh for k, mesh in enumerate(shape.closures) if shape.media[k + 1] is None]
     if mounts:
         body = smooth(closed(joined(mounts).moved(to_world)))
-        # A mount's faces look at the axis: only those behind it are drawn, so that the lens is not hidden.
+        # Mount faces point to the axis: draw only the ones behind it, so that the lens stays visible.
         yield Part("mount", "mount", body, {"color": "#56606c", "opacity": 0.35, "culling": "back"})
 
 
 def _stop(world: World) -> Iterator[Part]:
     ring = world.mesh("stop")
     lens = world.scene.camera.lens
-    # Its own frame, in which the axis is that of the aperture.
+    # Use its own frame, with the axis of the aperture.
     to_world = frames.compose(world.tables.frames[CAMERA_FRAME, WORLD_FRAME], pose_of(lens, lens.stop_index or 0))
     points = frames.points(frames.inverse(to_world), ring.vertices)
-    # It is drawn as far as the mount round it, which it fills.
+    # Draw it up to the surrounding mount.
     shape = world.lens_shape
     mount = np.interp(points[:, 2].mean(), shape.surfaces["vertex_z"], shape.rims)
     radius = np.hypot(points[:, 0], points[:, 1])
@@ -197,7 +197,7 @@ def _array(world: World, near_mm: tuple[float, float]) -> Iterator[Part]:
 
 
 def _lenslets(world: World, face: MlaTables, glass: dict[str, Any], near_mm: tuple[float, float]) -> Iterator[Part]:
-    """Yield the lenslets of a face of the array, and of a large array the lattice of the others."""
+    """Yield the lenslets of a face of the array and, for a large array, the lattice of the others."""
     lenslets, to_world = face.lenslets, world.tables.frames[face.frame, WORLD_FRAME]
     lattice, near = lenslets.lattice, array_shape.cells_near(lenslets.lattice, near_mm)
     large = array_shape.is_large(lattice)
@@ -221,10 +221,7 @@ def _lenslets(world: World, face: MlaTables, glass: dict[str, Any], near_mm: tup
 
 
 def _plate(world: World, front_mm: float) -> pv.PolyData:
-    """Return the box round the array's glass, from the valleys between its lenslets to its flat face.
-
-    Where that has lenslets too, up to the valleys between them.
-    """
+    """Return the box of the array's glass, from the valleys between lenslets to the flat face or the back's valleys."""
     lenslets, back = world.tables.mla.lenslets, world.tables.mla.back
     end_mm = lenslets.thickness - (0.0 if back is None else back.lenslets.valley)
     corners = [array_shape.face_corners(lenslets, z) for z in (front_mm, end_mm)]
@@ -237,7 +234,7 @@ def _plate(world: World, front_mm: float) -> pv.PolyData:
 def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
     corners = np.asarray(world.mesh("sensor").vertices)
     pixels = polydata(corners, [[0, 2, 1], [0, 3, 2]])
-    # Row 0 of a picture lies at v = 1; pixel (0, 0) at the corner −x, −y.
+    # Row 0 of a picture is at v = 1, pixel (0, 0) at the corner −x, −y.
     place = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     tiled = picture is None
     pixels.active_texture_coordinates = place * (world.scene.camera.sensor.pixels if tiled else (1, 1))
@@ -259,14 +256,14 @@ def _sensor(world: World, picture: Picture | None) -> Iterator[Part]:
 
 
 def _bare_pixel() -> Picture:
-    """Return the picture of one pixel without an image."""
+    """Return the picture of a pixel without an image."""
     tile = np.full((PIXEL_PX, PIXEL_PX, 3), [70, 84, 104], np.uint8)
     tile[[0, -1]] = tile[:, [0, -1]] = [54, 66, 84]
     return tile
 
 
 def _chip(world: World) -> pv.PolyData:
-    """Return a board behind the pixels, which shows where the sensor is."""
+    """Return a board behind the pixels, which marks the sensor."""
     width, height = world.scene.camera.sensor.size_mm
     rim = 0.5 * (CHIP - 1.0) * max(width, height)
     x, y, depth = 0.5 * width + rim, 0.5 * height + rim, 0.3 * rim
@@ -296,7 +293,7 @@ def _target(world: World, number: int, target: TargetMesh) -> Part:
 
 
 def scene_size_mm(world: World) -> float:
-    """Return how far it is from the farthest target, or from the lens without any, to the sensor."""
+    """Return the axial distance from the farthest target (or the lens if there is none) to the sensor."""
     to_camera = world.tables.frames[WORLD_FRAME, CAMERA_FRAME]
     z = [0.0, float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])]
     z += [float(frames.points(to_camera, t.mesh.vertices.mean(axis=0)[None])[0, 2]) for t in world.targets]
@@ -320,7 +317,7 @@ def _lights(world: World) -> Iterator[Part]:
 
 
 def _body_of_lamp(region: Region, size: float) -> pv.PolyData:
-    """Return a ball for a point, a thin tube for a line, and the shape itself for a flat lamp."""
+    """Return a sphere for a point, a thin tube for a line, and the shape itself for a flat lamp."""
     corners = region.corners_mm
     if len(corners) == 1:
         return pv.Sphere(radius=0.25 * size, center=region.centre_mm)
@@ -336,7 +333,7 @@ ROUND_SIDES = 48
 
 
 def _parallel_arrows(world: World, along: Array, size: float) -> pv.PolyData:
-    """Return three thin parallel arrows that end before the middle of the targets, or before the lens without any."""
+    """Return three thin parallel arrows that end before the middle of the targets, or before the lens if none."""
     across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
     across /= np.linalg.norm(across)
     middles = [target.mesh.vertices.mean(axis=0) for target in world.targets]
@@ -352,7 +349,7 @@ def _parallel_arrows(world: World, along: Array, size: float) -> pv.PolyData:
 
 
 MOST_POINTS = 20_000
-"""Particles of an entry that are drawn; of more, evenly many."""
+"""Most particles drawn for an entry; of more, an evenly spaced selection."""
 
 
 def _particles(world: World) -> Iterator[Part]:
@@ -369,7 +366,7 @@ def _particles(world: World) -> Iterator[Part]:
 
 
 def _media(world: World) -> Iterator[Part]:
-    """Yield the outlines of media that have bounds or a grid."""
+    """Yield the outlines of media with bounds or a grid."""
     for number in range(len(world.scene.media)):
         lines = outline_of_medium(world, number)
         if len(lines):
@@ -385,26 +382,26 @@ def _spikes(centre: tuple[float, float, float], size: float) -> pv.PolyData:
 
 
 def round_length(most_mm: float) -> float:
-    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal part of these) that is not longer."""
+    """Return the largest of 1, 2, 5, 10, ... mm (or a decimal fraction) that does not exceed a length."""
     decade = 10.0 ** np.floor(np.log10(most_mm))
     return float(next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= most_mm * (1 + 1e-9)))
 
 
 def tick_mm(world: World) -> float:
-    """Return the distance of the marks on the optical axis."""
+    """Return the spacing of the marks on the optical axis."""
     start, end = _axis(world)
     return round_length((end - start) / TICKS)
 
 
 def _axis(world: World) -> tuple[float, float]:
-    """Return where the optical axis is drawn: from the plane in focus, or some way before the lens, to the sensor."""
+    """Return the drawn range of the optical axis: from the plane of focus, or before the lens, to the sensor."""
     end = float(world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
     distance = world.facts.object_distance_mm
     return (-distance if 0.0 < distance < np.inf else -end), end
 
 
 def _signs(world: World) -> Iterator[Part]:
-    """Yield the optical axis with its marks, and the outline of what the camera sees of its plane in focus."""
+    """Yield the optical axis with its marks, and the outline of the camera's field in its plane of focus."""
     to_world = world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
     start, end = _axis(world)
     step, high = tick_mm(world), 0.08 * max(world.lens_shape.rims)

@@ -1,7 +1,7 @@
-"""Picking in the picture: the path, glass, pixel or other part under a point, and the pixels in a box.
+"""Picking: the path, glass, pixel or other part at a point of the picture, and the pixels in a box.
 
-The picture's geometry is enough for that, so it works without a window, and the same in a server. Places in the picture
-are in pixels from its top left corner.
+It needs only geometry, so it works without a window and in a server. Picture positions are in pixels from the top left
+corner.
 """
 
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ TOLERANCE_PX = 6.0
 """Largest distance of a click from a ray."""
 
 EQUALLY_NEAR_PX = 1.0
-"""Of rays whose distances differ by less, the one in front is meant."""
+"""Among rays at distances that differ by less, the front one is picked."""
 
 
 @dataclass(frozen=True)
 class PickedRay:
-    """A segment of a path.
+    """Segment of a path.
 
     Attributes
     ----------
     path : int
-        In the rays that are shown.
+        Index among the shown rays.
     vertex : int
-        Where the segment starts, an index into their `position`.
+        Start of the segment, an index into their `position`.
     paths : (k,) int64
         All drawn paths that share it.
     """
@@ -51,7 +51,7 @@ class PickedPixel:
 
 @dataclass(frozen=True)
 class PickedPart:
-    """Glass or another part, by the name that `describe` knows."""
+    """Glass or another part, by its name in `describe`."""
 
     name: str
     kind: str
@@ -61,15 +61,15 @@ Picked = PickedRay | PickedPixel | PickedPart | None
 
 
 def pick(view: View, x: float, y: float) -> Picked:
-    """Return the target of a click: the ray under it, else what is nearest to the eye.
+    """Return the target of a click: the ray under it, else the nearest part.
 
-    The sensor is seen through the array, so where both are met the pixel is meant.
+    The sensor is visible through the array, so where both are hit, the pixel is picked.
 
     Parameters
     ----------
     view : View
     x, y : float, pixels
-        Of the picture, from its lower left corner.
+        Position in the picture.
     """
     if ray := pick_ray(view, x, y):
         return ray
@@ -90,15 +90,15 @@ def pick(view: View, x: float, y: float) -> Picked:
 
 
 def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX) -> PickedRay | None:
-    """Return the segment under a point of the picture, if one is near enough.
+    """Return the ray segment at a point of the picture, if near enough.
 
     Parameters
     ----------
     view : View
     x, y : float, pixels
-        Of the picture, from its lower left corner.
+        Position in the picture.
     tolerance_px : float, pixels
-        How far beside it the click may be.
+        Largest distance from the segment.
     """
     lines = view.lines
     if lines is None or not len(lines):
@@ -120,13 +120,13 @@ def pick_ray(view: View, x: float, y: float, tolerance_px: float = TOLERANCE_PX)
 
 
 def pixel_at(view: View, x: float, y: float) -> PickedPixel | None:
-    """Return the pixel of the sensor that a point of the picture shows, whatever is in front of it.
+    """Return the sensor pixel at a point of the picture, ignoring anything in front of it.
 
     Parameters
     ----------
     view : View
     x, y : float, pixels
-        Of the picture, from its lower left corner.
+        Position in the picture.
     """
     sensor = view.world.tables.sensor
     row, column = np.floor(_on_sensor(view, x, y))
@@ -136,13 +136,13 @@ def pixel_at(view: View, x: float, y: float) -> PickedPixel | None:
 
 
 def box(view: View, x0: float, y0: float, x1: float, y1: float) -> tuple[range, range] | None:
-    """Return the rows and columns of the pixels in a box of the picture; None where it shows no part of the sensor.
+    """Return the rows and columns of the pixels in a box of the picture; None if it shows no part of the sensor.
 
     Parameters
     ----------
     view : View
     x0, y0, x1, y1 : float, pixels
-        Two corners, from the picture's lower left.
+        Opposite corners.
     """
     corners = np.array([_on_sensor(view, x, y) for x in (x0, x1) for y in (y0, y1)])
     if not np.isfinite(corners).all():
@@ -156,7 +156,7 @@ def box(view: View, x0: float, y0: float, x1: float, y1: float) -> tuple[range, 
 
 
 def to_picture(view: View, points: Array) -> Array:
-    """Return (n, 2) where points (n, 3) of the world lie in the picture; NaN behind the eye."""
+    """Return the picture positions (n, 2) of world points (n, 3); NaN behind the eye."""
     return _projected(view, np.asarray(points, dtype=np.float64)[:, None])[0][:, 0]
 
 
@@ -167,7 +167,7 @@ def eye_ray(view: View, x: float, y: float) -> tuple[Array, Array]:
     ----------
     view : View
     x, y : float, pixels
-        Of the picture, from its lower left corner.
+        Position in the picture.
     """
     width, height = view.plotter.window_size
     ndc = np.array([2.0 * x / width - 1.0, 1.0 - 2.0 * y / height])
@@ -177,7 +177,7 @@ def eye_ray(view: View, x: float, y: float) -> tuple[Array, Array]:
 
 
 def first_hit(origin: Array, direction: Array, corners: Array) -> float:
-    """Return the distance at which a ray meets the first of some triangles; inf if none.
+    """Return the distance along a ray to the first of some triangles; inf if none.
 
     T. Möller, B. Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", J. Graphics Tools 2(1), 1997.
 
@@ -185,7 +185,7 @@ def first_hit(origin: Array, direction: Array, corners: Array) -> float:
     ----------
     origin, direction : (3,) float64
     corners : (n, 3, 3) float64
-        Of the triangles.
+        Corners of the triangles.
     """
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(direction, second)
@@ -208,9 +208,9 @@ def _matrix(view: View) -> Array:
 
 
 def _projected(view: View, ends: Array) -> tuple[Array, Array]:
-    """Return (n, k, 2) places in the picture and (n, k) depths of points (n, k, 3).
+    """Return the picture positions (n, k, 2) and depths (n, k) of points (n, k, 3).
 
-    Of a segment that reaches behind the eye the part before it counts.
+    A segment that extends behind the eye is cut there.
     """
     clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ _matrix(view).T
     w = clip[..., 3]
@@ -228,7 +228,7 @@ def _projected(view: View, ends: Array) -> tuple[Array, Array]:
 
 
 def _on_sensor(view: View, x: float, y: float) -> Array:
-    """Return row and column, as numbers whose whole part is the pixel's, where a line of sight meets its plane."""
+    """Return row and column, as fractional numbers, of the intersection of a line of sight with the sensor plane."""
     origin, direction = eye_ray(view, x, y)
     to_sensor = view.world.tables.frames[WORLD_FRAME, SENSOR_FRAME]
     start, along = frames.points(to_sensor, origin[None])[0], frames.directions(to_sensor, direction[None])[0]

@@ -1,4 +1,4 @@
-"""A scene and its rays in a pyvista plotter: what windows, pictures, pages and the browser's server share."""
+"""Scene and rays in a pyvista plotter, shared by windows, pictures, pages and the browser's server."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -24,30 +24,30 @@ if TYPE_CHECKING:
 SIZE = (1600, 1000)
 
 RAY_WIDTH, EDGE_WIDTH = 1.6, 1.3
-"""Pixels."""
+"""Line widths in pixels."""
 
 NEAREST = 1e-5
-"""Of the near plane's distance over the far plane's: an eye before a lenslet also sees a wall."""
+"""Smallest ratio of near to far plane distance: allows an eye before a lenslet to see a wall as well."""
 
 CORNER = 0.8
-"""Cosine of the angle from the middle of a perspective view to its corners, or less."""
+"""Lower bound on the cosine of the angle from the centre of a perspective view to its corners."""
 
 SAMPLES = 8
-"""A pixel, in pictures."""
+"""Samples per pixel in pictures."""
 
 CUT_KINDS = ("glass", "mount", "stop", "array")
-"""Kinds of actors that the cut opens; sensor, targets and rays stay whole."""
+"""Kinds of parts opened by the cut; sensor, targets and rays stay whole."""
 
 
 class View:
-    """A world, and rays in it, drawn in a plotter.
+    """World and rays drawn in a plotter.
 
     Attributes
     ----------
     plotter : pyvista.Plotter
     world : World
     lines : RayLines or None
-        What is drawn of the rays.
+        Drawn rays.
     ray_mesh : pyvista.PolyData or None
     ray_actor : vtkActor or None
         Its cells carry "path" and "vertex", see `RayLines`.
@@ -74,10 +74,10 @@ class View:
         self._of_actor: dict[Any, Part] = {}
         self.is_cut = False
         expect_no_display()
-        # Edges lie on the faces that they bound, and are drawn before them.
+        # Edges lie on the faces that they bound, and must be drawn in front of them.
         vtkMapper.SetResolveCoincidentTopologyToPolygonOffset()
         self.plotter = pv.Plotter(off_screen=off_screen, window_size=size, lighting="light kit")
-        # Software rendering turns the scene twice as fast without; `smooth` is for pictures.
+        # Without smoothing, software rendering is twice as fast; it is for pictures.
         self.smooth(False)
         self.plotter.set_background(BACKGROUND, top=BACKGROUND_TOP)
         self.plotter.renderer.SetNearClippingPlaneTolerance(NEAREST)
@@ -89,7 +89,7 @@ class View:
 
     @property
     def presets(self) -> list[str]:
-        """Names that `look` takes for this camera."""
+        """Names that `look` accepts for this camera."""
         return [name for name in PRESETS if name != "array" or self.world.tables.mla.present]
 
     @property
@@ -99,13 +99,13 @@ class View:
 
     @property
     def scale(self) -> str:
-        """Lengths of the picture's scales, in words."""
+        """Lengths of the picture's scales in words."""
         length = float(self.world.tables.frames[SENSOR_FRAME, CAMERA_FRAME, 2, 3])
         return f"axis marked every {in_words(tick_mm(self.world))}; {length:.4g} mm from the first vertex to the sensor"
 
     @property
     def array_edge(self) -> NDArray[np.float64]:
-        """(3,) middle of the array's lower edge, mm, world frame."""
+        """(3,) centre of the array's lower edge, mm, world frame."""
         tables = self.world.tables
         edge = [[0.0, -tables.mla.lenslets.lattice.half_extent[1], 0.0]]
         return np.asarray(frames.points(tables.frames[MLA_FRAME, WORLD_FRAME], edge)[0])
@@ -117,9 +117,9 @@ class View:
         ----------
         preset : str
         aspect : float, optional
-            Width over height of the picture; the plotter's if left out.
+            Width over height of the picture (default: the plotter's).
         angle_deg : float
-            From the bottom of a perspective picture to its top.
+            Vertical field of view of a perspective picture.
         """
         width, height = self.plotter.window_size
         seen = viewpoint(self.world, preset, aspect or width / height, self.near_mm, angle_deg)
@@ -133,13 +133,13 @@ class View:
         self.preset = preset
 
     def cut(self, on: bool = True) -> None:
-        """Cut lens and array along the axis and take the half before the eye away; rays stay."""
+        """Cut lens and array along the axis and hide the half before the eye; rays stay whole."""
         if on != self.is_cut:
             self.is_cut = on
             self._draw_parts()
 
     def near(self, place_mm: tuple[float, float]) -> None:
-        """Move the real lenslets of a large array, and where "array" looks, to a point (x, y) of the array's frame."""
+        """Move the real lenslets of a large array, and the view "array", to a point (x, y) of the array's frame."""
         if place_mm != self.near_mm:
             self.near_mm = place_mm
             self._parts = parts(self.world, self._picture, place_mm)
@@ -149,18 +149,18 @@ class View:
         self, rays: "Rays | None", colour: ColourBy | None = None, *,
         fade: bool = False, most_segments: int = MOST_SEGMENTS, width: float = RAY_WIDTH,
     ) -> None:  # fmt: skip
-        """Draw rays in place of those drawn before.
+        """Draw rays, replacing any drawn before.
 
         Parameters
         ----------
         rays : Rays or None
         colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
         fade : bool
-            Draw what has less power fainter.
+            Draw weaker rays fainter.
         most_segments : int
-            Where they have more, whole paths are left out, evenly, and the caption says how many.
+            Above this, an even selection of whole paths is drawn, and the caption gives their number.
         width : float
-            Of the lines, in pixels.
+            Line width in pixels.
         """
         self.plotter.remove_actor("rays", render=False)
         self.lines = self.ray_mesh = self.ray_actor = self.legend = None
@@ -175,7 +175,7 @@ class View:
                 )  # fmt: skip
 
     def write(self, lines: list[str]) -> None:
-        """Write the title and a caption over the picture: what the rays are, and how many of them are drawn."""
+        """Write the title and a caption over the picture: description and number of the drawn rays."""
         self.caption = [*lines, self.lines.caption] if self.lines is not None else list(lines)
         self.overlay.write(self.title, [*self.caption, self.scale], self.legend)
 
@@ -184,7 +184,7 @@ class View:
         self.plotter.render_window.SetMultiSamples(SAMPLES if on else 0)
 
     def tell(self, lines: list[str]) -> None:
-        """Write something else at the bottom of the picture, in place of what stood there."""
+        """Replace the text at the bottom of the picture."""
         self.overlay.tell(lines)
 
     def part_of(self, actor: vtkProp) -> Part | None:
@@ -192,11 +192,11 @@ class View:
         return self._of_actor.get(actor)
 
     def meshes(self) -> list[tuple[Part, pv.PolyData]]:
-        """Return what is drawn of every part: whole, or cut."""
+        """Return the drawn mesh of every part, whole or cut."""
         return [(part, self._shown(part)) for part in self._parts]
 
     def _move_near_plane(self) -> None:
-        """Put the near plane halfway to the nearest part: the nearer it is, the less depths can be told apart."""
+        """Put the near plane halfway to the nearest part, as nearer planes reduce the depth resolution."""
         camera = self.plotter.camera
         if camera.parallel_projection:
             return
@@ -204,7 +204,7 @@ class View:
         boxes = np.array([part.mesh.bounds for part in self._parts]).reshape(-1, 3, 2)
         beside = np.maximum(0.0, np.maximum(boxes[..., 0] - eye, eye - boxes[..., 1]))
         near, far = camera.clipping_range
-        # The distance to a box is not that along the line of sight: at the picture's corners that is shorter.
+        # Depth along the view axis is less than the distance to a box at the picture's corners.
         camera.clipping_range = (max(near, 0.5 * CORNER * float(np.linalg.norm(beside, axis=1).min())), far)
 
     def _draw_parts(self) -> None:
@@ -242,28 +242,28 @@ class View:
         return part.edges.clip(normal=normal, origin=origin, invert=True).merge(outline)
 
     def _plane(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the plane of the cut, the camera's yz plane: its normal, towards what is taken away, and a point."""
+        """Return the plane of the cut, the camera's yz plane: its normal, towards the hidden half, and a point."""
         to_world = self.world.tables.frames[CAMERA_FRAME, WORLD_FRAME]
         return -to_world[:, 0], to_world[:, 3]
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """Drawing of a world and of rays in it.
+    """Drawing options of a world and its rays.
 
     Attributes
     ----------
     colour : {"wavelength", "power", "events", "status", "path", "field"}, optional
-        What the rays' colours mean; the wavelength if left out, or the field point where there is one wavelength.
+        Meaning of the ray colours (default: the wavelength, or the field point if there is one wavelength).
     fade : bool
-        Draw rays with less power fainter.
+        Draw weaker rays fainter.
     preset : str
-        Where to look from, one of `PRESETS`.
+        Viewpoint, one of `PRESETS`.
     cut : bool
         Cut lens and array along the axis; rays stay whole.
     size : (width, height), pixels
     most_segments : int
-        Drawn at most; where rays have more, whole paths are left out, and the caption says how many.
+        Above this, a selection of whole paths is drawn, and the caption gives their number.
     """
 
     colour: ColourBy | None = None
@@ -278,20 +278,20 @@ def build_view(
     world: World, rays: "Rays | None", picture: Picture | None, drawing: Drawing, *,
     off_screen: bool = True, near_mm: tuple[float, float] = (0.0, 0.0), caption: tuple[str, ...] = (),
 ) -> View:  # fmt: skip
-    """Draw a world and rays in it.
+    """Draw a world and its rays.
 
     Parameters
     ----------
     world : World
     rays : Rays or None
     picture : (rows, columns, 3) uint8, or None
-        What lies on the sensor, in its physical orientation: see `sensor_picture`.
+        Picture on the sensor, in physical orientation: see `sensor_picture`.
     drawing : Drawing
     off_screen : bool
     near_mm : (x, y), mm
-        Where on the array a close view of it looks, in the array's frame.
+        Point of the array for a close view, in the array's frame.
     caption : tuple of str
-        Lines under the title, before the one that counts the paths.
+        Lines between the title and the number of paths.
     """
     view = View(world, picture, size=drawing.size, off_screen=off_screen, near_mm=near_mm)
     view.cut(drawing.cut)

@@ -1,7 +1,7 @@
 """Viewpoints that fit a part of the scene into the picture, whatever its size.
 
-All are found in the camera frame, whose +y is up. Whoever looks from behind the camera at its objects has x to the
-right; in views from beside, light travels to the right.
+All are computed in the camera frame, with +y up. Seen from behind the camera, x is to the right; in side views, light
+travels to the right.
 """
 
 from collections.abc import Callable
@@ -22,26 +22,26 @@ Array = NDArray[np.float64]
 UP = (0.0, 1.0, 0.0)
 
 ANGLE_DEG = 36.0
-"""From the bottom to the top of a perspective view."""
+"""Vertical field of view in perspective."""
 
 MARGIN = 1.12
-"""Of the picture over what is to be seen."""
+"""Size of the picture relative to its content."""
 
 FIELDS = 1.6
-"""Targets are framed up to this many fields of view: a wall must not make the camera a dot."""
+"""Targets are framed up to this many fields of view, so that a wall does not reduce the camera to a dot."""
 
 BISECTIONS = 40
 
 LENSLETS = 7
-"""Seen across in the view of the array."""
+"""Lenslets across the view of the array."""
 
 WITHOUT_OBJECT = 2.0
-"""Lengths of the camera that are shown in front of it where there is nothing to see."""
+"""Camera lengths shown before the camera if there is no object."""
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """The eye's place, the point it turns about, and the height it sees; world frame, mm."""
+    """Eye position, centre of rotation, and visible height; world frame, mm."""
 
     eye: Array
     focus: Array
@@ -62,16 +62,16 @@ def viewpoint(
     preset : str
         One of `PRESETS`.
     aspect : float
-        Width of the picture over its height.
+        Width over height of the picture.
     near_mm : (x, y), mm
-        Where on the array "array" looks, in the array's frame.
+        Point of the array for "array", in the array's frame.
     angle_deg : float
-        From the bottom to the top of the picture, in perspective.
+        Vertical field of view in perspective.
 
     Raises
     ------
     LfmeshError
-        No preset has this name, or there is no array to look at.
+        No preset has this name, or there is no array to show.
     """
     if preset not in PRESETS:
         raise LfmeshError(f"preset = {preset!r}: use one of {', '.join(PRESETS)}")
@@ -85,7 +85,7 @@ def viewpoint(
 
 
 def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, angle_deg: float = ANGLE_DEG) -> Viewpoint:
-    """Return the nearest viewpoint from which all of some points are in the picture.
+    """Return the nearest viewpoint that has all points in the picture.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, ang
     aspect : float
         Width over height of the picture.
     parallel : bool
-        Projection without perspective.
+        Parallel projection.
     angle_deg : float
-        From the bottom of a perspective picture to its top.
+        Vertical field of view in perspective.
     """
     ahead = np.asarray(forward, dtype=np.float64) / np.linalg.norm(forward)
     right = np.cross(ahead, UP)
@@ -123,7 +123,7 @@ def fitted(points: Array, forward: ArrayLike, aspect: float, parallel: bool, ang
 
 
 def _centred(along: Array, depth: Array) -> float:
-    """Return the eye's place from which points at some depths before it reach as far to either side of the picture."""
+    """Return the eye position that centres points of given depths in the picture."""
     low, high = along.min(), along.max()
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -154,7 +154,7 @@ def _camera(world: World) -> Array:
 
 
 def _object(world: World) -> Array:
-    """Return what the camera looks at: its targets as far as it sees them, or its field in the plane in focus."""
+    """Return points of the object: the targets as far as the camera sees them, or its field in the plane of focus."""
     seen = [points for target in world.targets if len(points := _in_field(world, target))]
     distance = world.facts.object_distance_mm
     if seen:
@@ -168,7 +168,7 @@ def _object(world: World) -> Array:
 
 
 def _in_field(world: World, target: TargetMesh) -> Array:
-    """Return the corners of a target's box, those out of the field of view moved to its border."""
+    """Return the corners of a target's box, moved to the border of the field of view if outside."""
     points = frames.points(world.tables.frames[WORLD_FRAME, CAMERA_FRAME], target.mesh.vertices)
     z = np.clip(points[:, 2], -np.inf, 0.0)
     distance = world.facts.object_distance_mm
@@ -184,7 +184,7 @@ def _in_field(world: World, target: TargetMesh) -> Array:
 
 
 def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
-    """Return a few lenslets round a point of the array, and the sensor behind them."""
+    """Return the corners of a few lenslets around a point of the array, and of the sensor behind them."""
     lenslets = world.tables.mla.lenslets
     half = 0.5 * LENSLETS * lenslets.lattice.pitch
     x, y = near_mm
@@ -196,11 +196,11 @@ def _near_lenslets(world: World, near_mm: tuple[float, float]) -> Array:
 
 
 Look = tuple[Array, tuple[float, float, float], bool]
-"""Points to see, the direction to look in, and whether the projection is parallel."""
+"""Points to show, viewing direction, and whether the projection is parallel."""
 
 
 def _whole(world: World, _: tuple[float, float]) -> Look:
-    """See the camera before what it looks at, from beside the sensor: the nearer to the axis, the farther that is."""
+    """Show camera and object from beside the sensor; the angle to the axis decreases with the object distance."""
     camera, objects = _camera(world), _object(world)
     far = max(1.0, -float(objects[:, 2].mean()) / float(np.ptp(camera[:, 2])))
     turn = np.deg2rad(np.clip(66.0 / np.sqrt(far), 8.0, 60.0))
@@ -215,4 +215,4 @@ PRESETS: dict[str, Callable[[World, tuple[float, float]], Look]] = {
     "array": lambda world, near: (_near_lenslets(world, near), (0.6, -0.3, 0.75), False),
     "sensor": lambda world, _: (_sensor(world), (0.25, -0.2, 1.0), False),
 }
-"""Views by name: the objects' points, the direction, and True for a parallel projection."""
+"""Views by name: the points to show, the direction, and True for a parallel projection."""

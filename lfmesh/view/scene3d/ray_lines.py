@@ -1,4 +1,4 @@
-"""Rays as line segments: what paths share is drawn once, and where there are too many, whole paths are left out."""
+"""Rays as line segments: shared segments are drawn once, and whole paths are omitted if there are too many."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,32 +15,31 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 
 MOST_SEGMENTS = 20_000
-"""Drawn by default: what software rendering turns several times a second."""
+"""Default limit: software rendering turns this many several times a second."""
 
 FAINTEST = 0.12
-"""Opacity of the weakest rays where power sets it."""
+"""Opacity of the weakest rays if power sets it."""
 
 OPAQUE_SEGMENTS = 1000
-"""Drawn opaque. Opacity falls with the number of more, so that lens and array show through any cloud of rays."""
+"""Most segments drawn opaque. Beyond it, opacity falls with their number, so that lens and array stay visible."""
 
 LEAST_OPACITY = 0.08
-"""Of the strongest rays, however many there are."""
+"""Lowest opacity of the strongest rays."""
 
 
 @dataclass(frozen=True)
 class RayLines:
-    """The segments that are drawn of some rays.
+    """Drawn segments of rays.
 
     Attributes
     ----------
     rays : Rays
     drawn : (n,) bool
-        The paths that are drawn.
+        Mask of drawn paths.
     path, vertex : (m,) int64
-        The first path that each segment belongs to, and the vertex, an index into `rays.position`, at which the segment
-        starts.
+        First path of each segment, and its start vertex, an index into `rays.position`.
     owners : (k,) int64
-        Paths that share each segment, segment after segment: segment i has owners[starts[i]:starts[i + 1]].
+        Paths that share each segment, one segment after the other: segment i has owners[starts[i]:starts[i + 1]].
     starts : (m + 1,) int64
     """
 
@@ -56,12 +55,12 @@ class RayLines:
 
     @property
     def ends(self) -> NDArray[np.float64]:
-        """(m, 2, 3) where each segment starts and ends, mm, world frame."""
+        """(m, 2, 3) start and end of each segment, mm, world frame."""
         return np.stack([self.rays.position[self.vertex], self.rays.position[self.vertex + 1]], axis=1)
 
     @property
     def caption(self) -> str:
-        """Number of the paths drawn, and whether some are not."""
+        """Number of drawn paths, and of all if more."""
         drawn, all_ = int(self.drawn.sum()), len(self.rays)
         if drawn == all_:
             return f"{all_:,} path{'' if all_ == 1 else 's'}"
@@ -72,10 +71,10 @@ class RayLines:
         return self.owners[self.starts[segment] : self.starts[segment + 1]]
 
     def coloured(self, by: ColourBy, *, fade: bool = False) -> tuple[pv.PolyData, Legend]:
-        """Return the segments as lines, a cell each, with their legend.
+        """Return the segments as lines, one cell each, with their legend.
 
-        The cells carry "rgba" (fainter the more there are and, with `fade`, with less power), "path" and "vertex" as
-        above, "event" of the vertex that they start from, and "paths", how many share them.
+        The cells carry "rgba" (fainter with more segments and, with `fade`, less power), "path" and "vertex" as above,
+        "event" of the start vertex, and "paths", the number of paths that share them.
         """
         rgb, legend = ray_colours(self.rays, self.path, self.vertex, by)
         lines = line_segments(self.ends)
@@ -99,7 +98,7 @@ def line_segments(ends: NDArray[np.float64]) -> pv.PolyData:
 
 
 def ray_lines(rays: "Rays", most_segments: int = MOST_SEGMENTS) -> RayLines:
-    """Choose what to draw of some rays: all, or as many whole paths, evenly, as make at most `most_segments`."""
+    """Choose the paths to draw: all, or an even selection of whole paths with at most `most_segments` segments."""
     path, vertex, segment = _segments(rays)
     chosen = _evenly(len(rays), len(rays))
     low, high = 0, len(rays)
@@ -118,7 +117,7 @@ def ray_lines(rays: "Rays", most_segments: int = MOST_SEGMENTS) -> RayLines:
 
 
 def _evenly(paths: int, count: int) -> NDArray[np.bool_]:
-    """Mark `count` of so many paths, at equal steps."""
+    """Mark `count` paths at equal steps."""
     chosen = np.zeros(paths, np.bool_)
     chosen[(np.arange(count) * paths) // max(1, count)] = True
     return chosen
@@ -129,7 +128,7 @@ def _count(segment: Ints, kept: NDArray[np.bool_]) -> int:
 
 
 def _segments(rays: "Rays") -> tuple[Ints, Ints, Ints]:
-    """Return path and first vertex of every segment that has a length, and a number that only equal ones share."""
+    """Return path and first vertex of every segment of non-zero length, and a number shared only by equal segments."""
     path = rays.path
     vertex = np.setdiff1d(np.arange(len(path)), rays.offsets[1:] - 1)
     ends = np.concatenate([rays.position[vertex], rays.position[vertex + 1]], axis=1)
